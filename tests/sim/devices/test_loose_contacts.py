@@ -5,7 +5,10 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from eitskin_sim.devices.device import IDEAL, Device
+from eitskin_proto.skin.parts import Map, Outline, Ring
+from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.devices.device import IDEAL, Device, ideal
 from eitskin_sim.devices.loose_contacts import loose_contacts
 from eitskin_sim.devices.readings import readings, sheet_differences
 from eitskin_sim.fem.forward import flat_metric
@@ -13,6 +16,7 @@ from eitskin_sim.fem.mesh import TensorMesh
 from eitskin_sim.freeform.mesh import shared_mesh, shared_system
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Bend, Electrodes, Sheet
+from eitskin_sim.unit_grid.skeleton import unit_system
 
 BEND = Bend(angle_deg=70.0, axis_deg=-30.0, twist_deg=10.0, stretch_along=1.08, stretch_across=0.97, nonuniformity=0.05)
 NOMINAL = Electrodes()
@@ -50,6 +54,20 @@ def test_two_electrodes_in_one_element_are_refused() -> None:
     coarse = TensorMesh(np.array([0.0, 75.0, 150.0]), np.array([0.0, 50.0, 100.0]))
     with pytest.raises(ValueError, match="two electrodes meet one element"):
         loose_contacts(coarse, Sheet(), LOOSE, flat_metric)
+
+
+# 16 electrodes of 3 mm round 50 x 50 mm leave 1.75 mm about each corner, less than an element.
+def test_electrodes_of_a_small_sheet_may_be_a_little_larger_than_stated() -> None:
+    ring = Ring(
+        arc_length_mm=Quantity(tuple(float(arc) for arc in 6.25 + 12.5 * np.arange(16))),
+        size_mm=Quantity(3.0, "normal", 0.1),
+    )
+    small = replace(PAPER, outline=Outline(size_mm=(50.0, 50.0)), electrodes=ring, map=Map((15, 15), (5, 5)))
+    own = ideal(small)
+    larger = replace(own, electrodes=replace(own.electrodes, size_mm=3.3))
+    fine = readings(larger, sheet_differences(larger, BEND))
+    for system in (shared_system(BEND, device=larger, skin=small), unit_system(BEND, device=larger, skin=small)[1]):
+        assert system.factorise().voltages() == pytest.approx(fine, rel=3e-2)
 
 
 def test_the_ideal_device_has_the_contacts_of_the_lines() -> None:

@@ -89,7 +89,10 @@ def check_apart(contacts: Contacts) -> Contacts:
         ValueError: Two electrodes meet one element.
     """
     if len(np.unique(contacts.element)) < len(contacts.element):
-        raise ValueError("two electrodes meet one element; expected electrodes further apart, or smaller elements")
+        raise ValueError(
+            "two electrodes meet one element; expected electrodes further apart: smaller ones, or less that is off in "
+            "[electrodes]"
+        )
     return contacts
 
 

@@ -36,6 +36,9 @@ CURVED_MM: Final = 1.0
 GRADED_MM: Final = 0.5
 """The least of them across a graded border; half of its width where that is more."""
 
+CLOSE_MM: Final = 3.5
+"""Patches that are no further apart have a line between them where a mesh serves devices with electrodes off it."""
+
 Fixed = list[tuple[float, float]]
 
 
@@ -55,6 +58,24 @@ def electrode_lines(sheet: Sheet, electrodes: Electrodes) -> tuple[Fixed, Fixed]
             lines = x if piece.side in (0, 2) else y
             lines += [(piece.start_mm, EDGE_END_MM), (piece.stop_mm, EDGE_END_MM)]
     return x, y
+
+
+def lines_between(sheet: Sheet, electrodes: Electrodes) -> tuple[list[float], list[float]]:
+    """Return places along x and along y, mm, of lines halfway between neighbouring patches that are close.
+
+    A single element there would lie under both, if they were a little larger or nearer than stated.
+    """
+    if electrodes.contact != "patch":
+        return [], []
+    sizes = electrodes.sizes_mm()
+    boxes = np.array([one.patch_mm(sheet, float(sizes[one.electrode])) for one in place(sheet, electrodes)])
+    found: tuple[list[float], list[float]] = [], []
+    for one, other in zip(boxes, np.roll(boxes, -1, axis=0), strict=True):
+        low, high = np.minimum(one[2:], other[2:]), np.maximum(one[:2], other[:2])
+        axis = int(np.argmax(high - low))
+        if 0.0 < high[axis] - low[axis] <= CLOSE_MM:
+            found[axis].append(float(low[axis] + high[axis]) / 2.0)
+    return found
 
 
 def touch_lines(touches: Sequence[Touch]) -> tuple[Fixed, Fixed]:

@@ -26,7 +26,7 @@ from eitskin_sim.fem.contacts import Contacts
 from eitskin_sim.fem.forward import System, flat_metric
 from eitskin_sim.fem.inverse import Lines, make_lines
 from eitskin_sim.fem.mesh import Array, Index, TensorMesh
-from eitskin_sim.fem.meshing import electrode_lines
+from eitskin_sim.fem.meshing import electrode_lines, lines_between
 from eitskin_sim.scene.bend import metric
 from eitskin_sim.scene.parts import Bend, Electrodes
 
@@ -77,9 +77,10 @@ def shared_mesh(size_mm: float = ELEMENT_MM, electrodes: Electrodes | None = Non
     """
     sheet, nominal = ideal(skin).sheet, ideal(skin).electrodes
     x, y = electrode_lines(sheet, nominal)
+    between = lines_between(sheet, nominal)
     mesh = TensorMesh(
-        even_lines(sheet.size_mm[0], [at for at, _ in x], size_mm),
-        even_lines(sheet.size_mm[1], [at for at, _ in y], size_mm),
+        even_lines(sheet.size_mm[0], [*(at for at, _ in x), *between[0]], size_mm),
+        even_lines(sheet.size_mm[1], [*(at for at, _ in y), *between[1]], size_mm),
     )
     contacts = check_apart(system_on(mesh, sheet, electrodes or nominal, flat_metric, nominal).contacts)
     outer = np.setdiff1d(np.arange(mesh.n_nodes), mesh.element_nodes[:, MIDDLE])

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from eitskin_sim.fem.mesh import Array, Index, TensorMesh
-from eitskin_sim.fem.meshing import electrode_lines
+from eitskin_sim.fem.meshing import electrode_lines, lines_between
 from eitskin_sim.scene.parts import Electrodes, Sheet
 
 UNIT_STEPS: Final = (0.06, 0.2, 0.48, 0.2, 0.06)
@@ -85,9 +85,10 @@ def unit_mesh(
     """
     rows, columns = shape
     x, y = electrode_lines(sheet, electrodes)
+    between = lines_between(sheet, electrodes)
     mesh = TensorMesh(
-        unit_lines(sheet.size_mm[0], columns, sorted({at for at, _ in x}), refine, coarse=coarse),
-        unit_lines(sheet.size_mm[1], rows, sorted({at for at, _ in y}), refine, coarse=coarse),
+        unit_lines(sheet.size_mm[0], columns, sorted({*(at for at, _ in x), *between[0]}), refine, coarse=coarse),
+        unit_lines(sheet.size_mm[1], rows, sorted({*(at for at, _ in y), *between[1]}), refine, coarse=coarse),
     )
     x_borders = np.linspace(0.0, sheet.size_mm[0], columns + 1)
     y_borders = np.linspace(0.0, sheet.size_mm[1], rows + 1)
