@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.sim.evaluation.two_phantoms import FILE
 
+from eitskin.model.bundle import default_path, load_bundle
 from eitskin_sim.evaluation import harness
 from eitskin_sim.evaluation import report as reports
 from eitskin_sim.scene.scene import parse_phantoms
@@ -123,6 +124,13 @@ def test_trials_print_one_object(tiny, capsys, words, kind):
     assert found["trial"]["kind"] == kind
     assert found["maps"] == 1
     assert "peak" in found if kind == "untouched" else "localisation_rms_mm" in found
+
+
+def test_ghosts_are_those_of_the_network_for_the_skin_s_touches(capsys):
+    words = ["evaluate", "--untouched", "--deformations", "1", "--json"]
+    for skin, touches in (("paper", "raising"), ("hydrogel", "lowering")):
+        assert cli.main([*words, "--skin", skin]) == 0
+        assert json.loads(capsys.readouterr().out)["bundles"] == [load_bundle(default_path("area", touches)).id]
 
 
 def test_a_trial_is_read_by_people_a_line_each(tiny, capsys):

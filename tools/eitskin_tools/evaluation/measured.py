@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from eitskin_proto.files.plain import plain
 from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.harness import SOLVERS, Case, Reference, Sheet
 from eitskin_sim.evaluation.metrics import correlation, localisation_error_mm
 from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
@@ -71,7 +72,7 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
         raise ValueError(f"{asked} needs the untouched voltages at every shape, which a measured file does not have")
     classical = request.name in SOLVERS
     reference: Reference = request.reference or ("predicted" if classical else "pre")
-    kind, skin = measured.touch_kind or "raising", measured.skin
+    kind, skin = touches_of(measured), measured.skin
     bundle = bundle_on(request, "area", kind, skin)
     labels: Literal["units", "area"] = "units" if bundle is not None and bundle.labels == "units" else "area"
     path = None if bundle is None else bundle.path
@@ -86,7 +87,7 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
             sheets[scan] = _sheet(measured, scan)
         sheet = sheets[scan]
         held = sheet.predicted() * flat / flat_voltages(skin) if reference == "predicted" else flat
-        case = Case(volts, held, flat, sheet, labels, lowering=measured.touch_kind == "lowering")
+        case = Case(volts, held, flat, sheet, labels, lowering=kind == "lowering")
         truth = None if measured.truth is None else measured.truth[number]
         own = _score(solver.run.solver(case), truth, measured.kinds[number], judge(volts, flat), skin)
         scores.append(own if solver.verified is None else replace(own, checked=solver.verified.checked[-1]))
@@ -107,6 +108,11 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
             kind: summary([one for one in scores if one.kind == kind]) for kind in dict.fromkeys(measured.kinds)
         },
     }
+
+
+def touches_of(measured: Measured) -> TouchKind:
+    """Return which way touches change conductance: as the file says, else as its skin's description does."""
+    return measured.touch_kind or ("lowering" if measured.skin.touch_kind == "lowering" else "raising")
 
 
 def _sheet(measured: Measured, scan: int) -> Sheet:

@@ -6,6 +6,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.harness import Case, Conditions, Run, evaluate_all
 from eitskin_sim.evaluation.metrics import TOUCHED
@@ -38,8 +39,9 @@ def untouched_trial(
     conditions: Conditions,
     progress: Progress | None,
 ) -> dict[str, Any]:
-    """Return how high the maps of bent sheets rise that nothing touches."""
-    solver = named(request, labels, conditions.skin, conditions=conditions)
+    """Return how high the maps of bent sheets rise that nothing touches, of the network for the skin's touches."""
+    touches: TouchKind = "lowering" if conditions.skin.touch_kind == "lowering" else "raising"
+    solver = named(request, labels, conditions.skin, touches, conditions)
     peaks: list[float] = []
     run = Run(_keeping_peaks(solver.run.solver, peaks), solver.run.reference)
     evaluate_all(trials.untouched(deformations, family, labels, conditions.skin), [run], conditions, progress)

@@ -11,6 +11,7 @@ from typing import Any
 from eitskin_tools.command_line import files, skins
 from eitskin_tools.command_line.noise import check_snr
 from eitskin_tools.command_line.suggest import expected_one_of
+from eitskin_tools.console.say import say
 from eitskin_tools.errors import UsageError
 from eitskin_tools.evaluation.options import add_arguments, way_of
 
@@ -54,12 +55,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _measured(arguments: argparse.Namespace, request: Any) -> int:
-    from eitskin_tools.evaluation.measured import evaluate_measured, table
+    from eitskin_tools.evaluation.measured import evaluate_measured, table, touches_of
     from eitskin_tools.evaluation.measured_file import load_measured
 
     measured = load_measured(files.find(arguments.measured, files.MEASURED), skins.chosen(arguments))
     if measured.ending:
         print(f"eitskin evaluate: {arguments.measured}{measured.ending}", file=sys.stderr)
+    if measured.touch_kind or touches_of(measured) == "lowering":  # raising ones are also where nothing is said
+        _tell_unknown(request, [("area", touches_of(measured))])
     found = evaluate_measured(measured, request, _progress())
     print(json.dumps(found) if arguments.json else table(found))
     return 0
@@ -79,6 +82,7 @@ def _devices(arguments: argparse.Namespace, request: Any) -> int:
     drawn = meant(skin)
     trials = trials_of(kinds, arguments.deformations, arguments.each, drawn)
     plan = runs.Plan(arguments.draws, 0, arguments.seed, arguments.noise, arguments.snr_db, skin, drawn)
+    _tell_unknown(request, [(one.labels, "lowering" if one.lowering else "raising") for one in trials])
     found = evaluate_devices(rows, trials, request, plan, _progress(), arguments.drift)
     print(json.dumps(found) if arguments.json else table(found))
     return 0
@@ -114,6 +118,7 @@ def _phantoms(arguments: argparse.Namespace, request: Any, conditions: Any) -> i
         found = {"picture": str(arguments.picture), "phantoms": len(rows)}
         print(json.dumps(found) if arguments.json else f"{arguments.picture}: {len(rows)} phantoms")
         return 0
+    _tell_unknown(request, [(one.truth, one.scene.touch_kind) for one in phantoms if one.scene.touches])
     (found,) = evaluate_requests(phantoms, [request], conditions, _progress())
     if arguments.json:
         print(json.dumps(found))
@@ -160,8 +165,22 @@ def _trial(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:
         counts = _counts(arguments.random)
         trial = {"kind": "random", "touches": list(counts), **trial}
         phantoms = trials.random(counts, deformations, each, family, labels, conditions.skin)
+    _tell_unknown(request, [(one.truth, one.scene.touch_kind) for one in phantoms])
     found = touched_trial(phantoms, each, request, conditions, _progress())
     return print_trial({"trial": trial, **found}, arguments.json)
+
+
+def _tell_unknown(request: Any, groups: Any) -> None:
+    """Say on stderr which touches of what is tried, (labels, touches), the bundle of a network does not know."""
+    from eitskin_proto.skin.touch_kind import knows
+    from eitskin_sim.evaluation.harness import SOLVERS
+    from eitskin_tools.evaluation.solvers import bundle_for
+
+    for labels, touches in sorted(set(groups)) if request.name not in SOLVERS else ():
+        bundle = bundle_for(request, labels, touches)
+        if not knows(bundle.touch_kind, touches):
+            known = f"{bundle.path} knows {bundle.touch_kind} touches"
+            say(f"eitskin evaluate: {known}, and is tried on {touches} ones", error=True)
 
 
 def _softness(arguments: argparse.Namespace) -> Any:
