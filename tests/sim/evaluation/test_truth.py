@@ -7,8 +7,10 @@ import pytest
 from tests.second_skin import SECOND
 
 from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.evaluation import truth
 from eitskin_sim.evaluation.harness import Conditions, Run, evaluate_all
 from eitskin_sim.evaluation.truth import check_truths, truth_map
+from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.parts import Phantom
 from eitskin_sim.scene.scene import parse_phantoms
 from eitskin_sim.scene.strict_json import SceneError
@@ -66,3 +68,15 @@ def test_a_hole_is_not_touched(sheet: float) -> None:
     assert truth[15, 22] == 0.0
     (_, filled) = phantoms({**scene, "touches": [*touches, {"disc_mm": [75, 50, 5]}]})
     assert truth_map(filled)[15, 22] == 1.0, "what comes later holds"
+
+
+def test_a_truth_is_computed_once_however_often_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(truth, "area_map", lambda *given: asked.append(1) or area_map(*given))
+    one = phantoms({"touches": [{"disc_mm": [71.25, 45, 8], "contrast": 21}]})[1:]
+    check_truths(one)
+    check_truths(one)
+    found = truth_map(one[0], PAPER.grid)
+    assert len(asked) == 1
+    with pytest.raises(ValueError, match="read-only"):
+        found[0, 0] = 1.0

@@ -5,6 +5,7 @@ lies beyond the map is of another sheet.
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -20,13 +21,15 @@ from eitskin_sim.scene.strict_json import SceneError
 Array = npt.NDArray[np.float64]
 
 
+@lru_cache(maxsize=256)
 def truth_map(phantom: Phantom, grid: Grid = PAPER.grid) -> Array:
-    """Return the truth of a phantom: hard labels of the touched units, or the touched share of each pixel."""
+    """Return the truth of a phantom, kept and not to be written to: units that are touched, or each pixel's share."""
     scene = phantom.scene
-    area = area_map(scene.touches, grid, scene.sheet.conductivity_S_per_m)
-    if phantom.truth == "area":
-        return area
-    return np.asarray(grid.map_from_units(touched_units(area, grid).astype(np.float64)))
+    found = area_map(scene.touches, grid, scene.sheet.conductivity_S_per_m)
+    if phantom.truth == "units":
+        found = np.asarray(grid.map_from_units(touched_units(found, grid).astype(np.float64)))
+    found.setflags(write=False)
+    return found
 
 
 def check_truths(phantoms: Sequence[Phantom], skin: Skin = PAPER) -> None:
