@@ -9,6 +9,8 @@ import pytest
 
 from eitskin_proto.skin import toml
 from eitskin_proto.skin.cloud import align_cloud
+from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation.devices.device import draw_device
 from eitskin_sim.evaluation.devices.mismatch import (
     BOUNDS,
@@ -180,3 +182,12 @@ def test_rows_that_cannot_be_are_refused(tmp_path, value, said):
         load_rows(path)
     assert said in str(caught.value)
     assert str(caught.value).startswith(str(path))
+
+
+# An offset is stated of a layer of 1 S/m: of one that conducts a fifth of that, readings are five times as large.
+def test_an_offset_is_as_large_a_share_of_the_readings_whatever_the_layer_conducts() -> None:
+    worse = replace(PAPER, layer=replace(PAPER.layer, conductivity_S_per_m=Quantity(0.2)))
+    off = Mismatch(offset_V=0.01)
+    one, other = (np.array(draw_device(off, 0, 0, skin).front_end.offset_per_pair_V) for skin in (PAPER, worse))
+    assert np.abs(one).max() > 0.005
+    assert other == pytest.approx(5.0 * one)

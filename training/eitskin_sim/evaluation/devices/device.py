@@ -123,9 +123,10 @@ def _or(stated: float | None, nominal: float) -> float:
 def _front_end(off: Mismatch, gains: Array, offsets: Array, strays: Array, skin: Skin) -> FrontEnd:
     """Return electronics of directions (16,) each; an ideal one where none is off."""
     stray_pF = off.stray_pF * np.exp(off.stray_spread * strays)
+    offset_V = off.offset_V / float(skin.layer.conductivity_S_per_m.nominal(1)[0])  # of a layer of 1 S/m
     return FrontEnd(
         gain=tuple((1.0 + off.gain_percent / 100.0 * gains).tolist()) if off.gain_percent else 1.0,
-        offset_per_pair_V=tuple((off.offset_V * offsets).tolist()) if off.offset_V else 0.0,
+        offset_per_pair_V=tuple((offset_V * offsets).tolist()) if off.offset_V else 0.0,
         stray_S=capacitance(tuple(stray_pF.tolist()), skin.front_end.frequency_Hz) if off.stray_pF else 0.0,
         minus_gain=1.0 - off.minus_percent / 100.0,
         sink_share=1.0 - off.sink_percent / 100.0,
