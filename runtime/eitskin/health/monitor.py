@@ -79,6 +79,9 @@ class Health:
     ) -> None:
         """Hold frames against another reference from now on.
 
+        The gate's threshold is set at once. If the same rows were missing before, as where a reference is taken anew
+        amid frames, none of them waits for it: the threshold before holds, and it is set while the line rests.
+
         Args:
             reference_V: (104,) V.
             spread_V: (104,) V, standard deviation of its single frames.
@@ -88,12 +91,17 @@ class Health:
         """
         by_hand = tuple(finding.electrode for finding in self.electrodes.findings if finding.state == "excluded")
         self.electrodes = ElectrodeWatch(self._consistency, reference_V, spread_V, by_hand)
+        known = self.gate_without_rows is not None and np.array_equal(self._rows_before, self.electrodes.missing)
         self._rows_before = self.electrodes.missing
         self.gate_without_rows = None
         if gate is not None:
+            before = gate.threshold
             self.gate_without_rows = GateWithoutRows(self._consistency, gate, self.electrodes.sigma)
             self.gate_without_rows.leave_out(self.electrodes.missing)
-            self.gate_without_rows.finish()
+            if not known:
+                self.gate_without_rows.finish()
+            elif self.gate_without_rows.due:
+                gate.threshold = before
         self.drift.restart(self.electrodes.sigma, frames, fresh=fresh)
         self.drift.leave_out(self.electrodes.missing)
         self.reciprocity.restart()

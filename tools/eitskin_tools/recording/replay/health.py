@@ -62,6 +62,12 @@ class HealthThen(Health):
         self.by_hand: tuple[int, ...] | None = None
         """What a program asked for; None while none did."""
 
+    def use(self, *arguments: Any, **keywords: Any) -> None:
+        """Hold frames against another reference from now on, as the one before."""
+        super().use(*arguments, **keywords)
+        if self.gate_without_rows is not None:
+            self.gate_without_rows.finish()  # nothing is done while the line rests
+
     def put_aside(self, counts: npt.NDArray[np.int32] | None = None, *, touched: bool) -> bool:
         """Keep nothing of the frame, and return whether somebody wants electrodes left out."""
         return self.due
