@@ -129,7 +129,16 @@ class ControlServer:
         self.endpoint = self._door.endpoint
 
     def _serve(self) -> None:
-        """Block until there is a request, an answer or a connection; end when told to, or with the context."""
+        """Answer until told to end, or with the context; whatever ends it, the address is given back."""
+        try:
+            self._answer_all()
+        finally:
+            self._say_farewell()
+            self._door.close()
+            self._socket.close()
+
+    def _answer_all(self) -> None:
+        """Block until there is a request, an answer or a connection."""
         while not self._closing:
             try:
                 zmq.select([self._socket, self._slow.wake, *self._door.waits_on], [], [], self._door.look_again_s)
@@ -141,12 +150,9 @@ class ControlServer:
                 if self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
                     self._take(self._socket.recv_multipart(copy=False))
             except zmq.ContextTerminated:
-                break
+                return
             except zmq.ZMQError:
                 continue  # a client that vanished between request and answer
-        self._say_farewell()
-        self._door.close()
-        self._socket.close()
 
     def _take(self, frames: list[Any]) -> None:
         """Answer a message, or have it answered later."""
@@ -240,12 +246,16 @@ class _SlowRequest:
         """Begin; ``finished`` will have the answer.
 
         Raises:
-            ControlError: There is one already.
+            ControlError: There is one already, or the system has no thread for it.
         """
         if self.waiting is not None:
             raise ControlError("a reference is being captured already; ask again once it is done")
         self.waiting, self.asker = route, asker
-        threading.Thread(target=self._run, args=(perform,), name="eitskin-reference", daemon=True).start()
+        try:
+            threading.Thread(target=self._run, args=(perform,), name="eitskin-reference", daemon=True).start()
+        except RuntimeError as error:  # the next request must find a server
+            self.waiting = None
+            raise ControlError(f"the runtime cannot do this now: {error}; allow it more threads") from error
 
     def _run(self, perform: Callable[[], Answer]) -> None:
         self._done.put(answer_of(perform))

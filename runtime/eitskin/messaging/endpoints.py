@@ -89,11 +89,15 @@ def needs_keys(endpoint: str, *, control: bool) -> bool:
         control: It takes commands, so that no other user may reach it, not even on this machine.
 
     Raises:
-        EndpointError: It is neither, or has no path or port.
+        EndpointError: It is neither, or has no path or port, or cannot be written as UTF-8.
     """
     scheme, separator, rest = endpoint.partition("://")
     if not separator or scheme not in ("ipc", "tcp"):
         raise EndpointError(f"endpoint {quoted(endpoint)}: expected ipc:///path or tcp://address:port")
+    try:
+        endpoint.encode()
+    except UnicodeEncodeError as error:
+        raise EndpointError(f"endpoint {quoted(endpoint)} is no UTF-8, as ZeroMQ wants; name another") from error
     if scheme == "ipc":
         if not rest.startswith("/"):
             raise EndpointError(f"endpoint {quoted(endpoint)}: expected an absolute path, such as ipc:///tmp/skin")

@@ -85,7 +85,7 @@ def test_which_endpoints_need_keys():
 @pytest.mark.parametrize(
     "endpoint",
     ["", "frames", "inproc://x", "udp://1.2.3.4:5", "ipc://@abstract", "ipc://relative", "tcp://127.0.0.1",
-     "tcp://127.0.0.1:99999", "tcp://:5", "ipc:///" + "x" * 200],
+     "tcp://127.0.0.1:99999", "tcp://:5", "ipc:///" + "x" * 200, "ipc:///tmp/\udcff"],
 )  # fmt: skip
 def test_other_endpoints_are_refused(endpoint):
     with pytest.raises(EndpointError):
