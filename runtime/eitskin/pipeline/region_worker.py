@@ -39,14 +39,20 @@ class RegionWorker:
         """Unions made so far."""
 
     def want(self, regions: Regions) -> None:
-        """Wish for other regions; returns at once."""
+        """Wish for other regions; returns at once. Where the system has no thread left, all are computed."""
         with self._lock:
             if regions == self._wanted or self._closing.is_set():
                 return
-            self._wanted = regions
             if self._thread is None:
-                self._thread = threading.Thread(target=self._make, name="eitskin-regions", daemon=False)
-                self._thread.start()
+                thread = threading.Thread(target=self._make, name="eitskin-regions", daemon=False)
+                try:
+                    thread.start()
+                except RuntimeError:  # no frame may fail for a wish
+                    regions = self._pipeline.whole
+                    self._pipeline.use_regions(regions)
+                else:
+                    self._thread = thread
+            self._wanted = regions
 
     def _make(self) -> None:
         made: Regions | None = None

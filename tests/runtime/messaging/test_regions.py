@@ -166,6 +166,22 @@ def test_a_worker_hears_the_next_wish_whatever_became_of_the_last(tiny, hello, m
     worker.close()
 
 
+def test_where_no_thread_is_left_everything_is_computed_and_the_next_wish_is_tried(tiny, hello, monkeypatch):
+    def none_left(self):
+        raise RuntimeError("can't start new thread")
+
+    pipeline, heard = Pipeline(tiny, hello), queue.SimpleQueue()
+    monkeypatch.setattr(pipeline, "use_regions", heard.put)
+    worker, wanted = RegionWorker(pipeline), (Region(0, 1, 0, 45),)
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", none_left)
+        worker.want(wanted)
+        assert heard.get(timeout=60) == pipeline.whole
+    worker.want(wanted)
+    assert heard.get(timeout=60) == wanted
+    worker.close()
+
+
 def test_a_worker_that_is_closed_makes_no_more_unions_and_leaves_no_thread(tiny, hello, monkeypatch):
     pipeline, making, go_on = Pipeline(tiny, hello), threading.Event(), threading.Event()
     worker = RegionWorker(pipeline)
