@@ -187,7 +187,7 @@ class FrameSource:
             if payloads := self._device.payloads(LEISURE_S):
                 return payloads
             self._pipeline.look_at_health()
-        return self._device.payloads(wait_s)
+        return [] if self._stopping else self._device.payloads(wait_s)  # what woke the moment's wait wakes no other
 
     def _start(self) -> None:
         """Start the stream with the first frame that is asked for: what nobody reads would only grow old."""

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from eitskin.acquisition.afterwards import GIVE_WAY_S
 from eitskin.frame_source import FrameSource
 from eitskin_proto.wire.answers import Event
 from eitskin_proto.wire.codes import EventCode
@@ -66,3 +67,21 @@ def test_the_newest_frame_is_computed_whatever_comes_behind_it(pipeline, frames,
 def test_where_only_events_wait_the_next_frame_is_computed_and_tells_them(pipeline, frames):
     assert accepted(pipeline, [FAILED], [], [frames(1)], [frames(2)], frames=2) == [1, 2]
     assert pipeline.intake.withheld["stale"] == 0
+
+
+def test_a_stop_that_comes_while_the_line_is_given_a_moment_is_not_waited_out(pipeline, frames):
+    """What was left of the frame before has the line wait a moment, and that is what the stop wakes."""
+    line = Line([frames(1)])
+    source, waits = FrameSource(line, pipeline), []
+    take = line.payloads
+
+    def payloads(timeout_s):
+        waits.append(timeout_s)
+        if timeout_s == GIVE_WAY_S:
+            source.stopping = True
+        return take(timeout_s)
+
+    line.payloads = payloads
+    for _ in source.accepted(None):
+        source.afterwards.put(None, list)
+    assert waits[-1] == GIVE_WAY_S
