@@ -16,7 +16,7 @@ from typing import Final, Protocol
 from eitskin.acquisition.clock import TimeSample
 from eitskin.acquisition.greeting import check_same, check_usable
 from eitskin.acquisition.transport import Transport
-from eitskin.errors import NotReady, PortReturned
+from eitskin.errors import NotReady, PortLost, PortReturned
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.wire import requests
 from eitskin_proto.wire.answers import Ack, Hello, Time
@@ -200,13 +200,16 @@ class Device:
         If the line vanished and is back, the next ``payloads`` says so.
 
         Raises:
-            PortLost: The line is gone.
+            PortLost: The line is gone, and nobody stops.
         """
         self.idle = mode == Mode.IDLE
         try:
             self.transport.write(encode(requests.SetMode(self._next_tag(), mode).pack()))
         except PortReturned as returned:
             self._returned = returned
+        except PortLost:
+            if not self.stopping:
+                raise
 
     def recover(self) -> None:
         """Greet the device again after silence or a reset, and stream on if nothing changed.

@@ -50,6 +50,22 @@ def test_a_cable_out_just_as_another_mode_is_asked_for_ends_nothing(tiny):
     assert "recovered" in events
 
 
+def test_a_stop_while_a_cable_is_out_just_as_another_mode_is_asked_for_is_no_failure(tiny):
+    here = Here()
+    with opened(here, tiny) as skin:
+        skin.capture_reference(5)
+        skin.loop.idle = IdleMode(0.05)
+
+        def leaves(kind, _):
+            if kind == "write":
+                skin.stop()
+            return kind == "write"
+
+        here.leaves = leaves
+        some(skin, 10_000)
+        assert skin.transport.gone
+
+
 def test_what_happened_at_frames_that_are_withheld_the_next_frame_tells(tiny):
     here = Here()
     with opened(here, tiny) as skin:
