@@ -1,7 +1,9 @@
 """What ``eitskin run`` says while it runs: when, in which format, and that it costs the frame loop nothing."""
 
+import contextlib
 import io
 import json
+import os
 import threading
 
 import pytest
@@ -166,3 +168,24 @@ def test_a_verifier_is_told_of_and_its_state_is_worth_a_line_but_not_its_counts(
     status.look()
     assert "verify always: waiting (it hung), 9 checked" in stream.getvalue()
     assert "started again 1 times" in stream.getvalue()
+
+
+def test_a_line_for_which_there_is_no_room_is_left_out_and_nobody_waits_for_it():
+    """Whoever started the runtime reads its log no more: the pipe is full."""
+    ours, theirs = os.pipe()
+    os.set_blocking(theirs, False)
+    with os.fdopen(ours, "rb") as read, os.fdopen(theirs, "w") as stream:
+        log = RunLog(stream)
+        log.say("read")
+        assert os.read(ours, 4096) == b"eitskin run: read\n"
+        filled = 0
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                filled += os.write(theirs, bytes(4096))
+        os.set_blocking(theirs, True)
+        log.say("no room")
+        log.status("no room", {})
+        log.end()
+        assert read.read(filled) == bytes(filled)
+        log.say("read again")
+        assert os.read(ours, 4096) == b"eitskin run: read again\n"

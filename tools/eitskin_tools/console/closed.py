@@ -49,6 +49,21 @@ def unread() -> bool:
     return any(found & (select.POLLERR | select.POLLHUP) for _, found in poller.poll(0))
 
 
+def takes_more(stream: TextIO, wait_s: float) -> bool:
+    """Return whether a stream takes a line of up to 4096 bytes at once: a pipe that nobody empties does not.
+
+    Args:
+        stream: One without a file always does.
+        wait_s: How long it may take until there is room.
+    """
+    poller = select.poll()
+    try:
+        poller.register(stream.fileno(), select.POLLOUT)
+    except (OSError, ValueError):
+        return True
+    return bool(poller.poll(1000 * wait_s))
+
+
 @contextmanager
 def written_out() -> Iterator[None]:
     """Have all that the block said written when it ends.

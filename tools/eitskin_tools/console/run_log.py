@@ -2,17 +2,20 @@
 
 Every format has the same events. ``ready`` and errors are said even when quiet: programs wait for the one, and nobody
 may miss the other. In systemd's journal each line begins with how grave it is, which the journal takes off again.
-A log that cannot be written, as on a full disk, or that nobody reads any more, stops no skin.
+A log that cannot be written, as on a full disk, or that nobody reads any more, stops no skin: where there is no room
+for a line, as in a pipe that nobody empties, it is left out.
 """
 
 import json
 import os
+import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Final, Literal, TextIO
 
+from eitskin_tools.console.closed import takes_more
 from eitskin_tools.console.journal import goes_to_journal, prefix
 from eitskin_tools.console.status_line import StatusLine
 
@@ -21,6 +24,15 @@ LOUD: Final = ("warning", "error", "ready")
 
 FORMATS: Final = ("text", "json")
 """What ``--log-format`` takes."""
+
+ROOM_S: Final = 0.2
+"""How long a line waits for room."""
+
+
+def end_unread(kind: type[BaseException] | None, *_: object) -> None:
+    """End the process here if it failed and nobody reads why: the line that says so would wait for ever."""
+    if kind is not None and not takes_more(sys.stderr, ROOM_S):
+        os._exit(1)
 
 
 class RunLog:
@@ -37,7 +49,7 @@ class RunLog:
         self._name = f"eitskin {command}"
         self._form: Literal["text", "json"] = "json" if form == "json" else "text"
         self._quiet = quiet
-        self._line = StatusLine(stream)
+        self._stream, self._line = stream, StatusLine(stream)
         self._lock = threading.Lock()
         self._journal = goes_to_journal(stream, os.environ)
         self.live = self._line.live and self._form == "text" and not quiet
@@ -60,8 +72,7 @@ class RunLog:
     def status(self, text: str, fields: Mapping[str, object]) -> None:
         """Report how the stream is: in place on a terminal, as a line elsewhere."""
         if self.live:
-            with self._lock, suppress(OSError):
-                self._line.show(text)
+            self._write(self._line.show, text)
         elif not self._quiet:
             self._put("status", f"{self._name}: {text}", fields)
 
@@ -82,12 +93,15 @@ class RunLog:
 
     def end(self) -> None:
         """Leave the status where it is."""
-        with self._lock, suppress(OSError):
-            self._line.end()
+        self._write(self._line.end)
 
     def _put(self, event: str, text: str, fields: Mapping[str, object]) -> None:
         if self._form == "json":
             now = datetime.now(UTC).isoformat(timespec="milliseconds")
             text = json.dumps({"time_utc": now, "event": event, **fields})
+        self._write(self._line.above, prefix(event) + text if self._journal else text)
+
+    def _write(self, way: Callable[..., None], *text: str) -> None:
         with self._lock, suppress(OSError):
-            self._line.above(prefix(event) + text if self._journal else text)
+            if takes_more(self._stream, ROOM_S):
+                way(*text)

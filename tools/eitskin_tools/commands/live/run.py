@@ -21,7 +21,7 @@ from eitskin.pipeline.latency_budget import MOST_MS
 from eitskin_tools.command_line import files, touches
 from eitskin_tools.command_line.belonging import flag
 from eitskin_tools.command_line.suggest import expected_one_of
-from eitskin_tools.console.run_log import FORMATS, RunLog
+from eitskin_tools.console.run_log import FORMATS, RunLog, end_unread
 from eitskin_tools.console.run_report import closing, report
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import endings
@@ -133,6 +133,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_tools.service.watchdog import END_S, Watchdog
 
     with contextlib.ExitStack() as stack:
+        stack.push(end_unread)
         stack.callback(gc.enable)
         supervisor = Supervisor.of(os.environ)
         stack.callback(supervisor.close)
