@@ -1,6 +1,7 @@
 """A recording while it is made: what is forced onto the disk, and the line that says how far it is."""
 
 import contextlib
+import errno
 import os
 import pty
 import random
@@ -82,6 +83,22 @@ def test_where_nothing_comes_what_came_is_forced_onto_the_disk(tmp_path: Path, m
     assert not record._go_on(words, recorder, intake, ended)  # type: ignore[arg-type]
     assert disk.bytes == series.size > before
     series.close()
+
+
+def test_an_end_that_does_not_get_onto_the_disk_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A network's disk says so late: each write went well."""
+    series = Series(tmp_path / "a.mcap", {}, most_bytes=1)
+    for number in range(3):
+        series.add(WIRE, os.urandom(300), number, number)
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(sinks, "os", _with(os, fsync=full))
+    with pytest.raises(OSError, match="No space left"):
+        series.close()
+    series.close()  # twice is fine
+    assert sum(1 for path in series.files for _ in Recording(path).entries({WIRE.topic})) == 3
 
 
 @pytest.mark.parametrize("bounds", [{}, {"most_bytes": 25_000}, {"most_s": 0.37}], ids=["one", "bytes", "age"])

@@ -196,8 +196,10 @@ class Sink:
                     os.fdatasync(self._handle)
                 except OSError as error:
                     self._failed = error
-        with suppress(OSError):
+        try:
             os.fsync(self._handle)
+        except OSError as error:
+            self._failed = error
         os.close(self._handle)
 
     def close(self, *, wait: bool = True) -> None:
@@ -205,6 +207,9 @@ class Sink:
 
         Args:
             wait: Until it is on the disk; else that is done behind, and closing again waits.
+
+        Raises:
+            OSError: It could not be forced onto the disk.
         """
         if self._handle < 0:
             return
@@ -213,6 +218,8 @@ class Sink:
         if wait:
             self._thread.join()
             self._handle = -1
+            if self._failed is not None:
+                raise self._failed
 
 
 def _sync_folder(folder: Path) -> None:

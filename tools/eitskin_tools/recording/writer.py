@@ -136,15 +136,15 @@ class RecordingWriter:
             wait: Until all of it is on the disk; else that is done behind, and closing again waits.
 
         Raises:
-            OSError: It cannot be written; what came before can be read all the same.
+            OSError: It cannot be written, or not forced onto the disk; what came before can be read all the same.
         """
         try:
             if self._open:
                 self._open = False
                 self._writer.finish()  # type: ignore[no-untyped-call]
         finally:
-            self._sink.close(wait=wait)
             self._give_up()
+            self._sink.close(wait=wait)
 
     def _give_up(self) -> None:
         """Free the reserve, if it is our own."""
