@@ -1,5 +1,6 @@
 """The process that supervises: what becomes of one skin touches no other, and in the end nobody is left."""
 
+import errno
 import os
 import signal
 import socket
@@ -9,11 +10,13 @@ import time
 
 import pytest
 
+from eitskin.robot.config import load_robot
 from eitskin.robot.described import FILE
 from eitskin_tools.processes.pauses import Pauses
 from eitskin_tools.processes.signals import met_by
+from eitskin_tools.robot.child import SkinProcess
 
-from .conftest import HERE, PATIENCE_S, gone
+from .conftest import HERE, PATIENCE_S, Family, gone
 
 pytestmark = pytest.mark.process
 
@@ -76,6 +79,37 @@ def test_pauses_between_starts_double_up_to_the_longest(family):
             text = found.until(lambda event: event["event"] == "error" and "again in" in event["text"])["text"]
             said.append(float(text.split("again in ")[1].split(" s")[0]))
     assert said == pytest.approx([0.05, 0.1, 0.2, 0.4, 0.4], rel=0.02)
+
+
+def test_a_skin_that_cannot_even_be_started_keeps_nobody_waiting_and_is_tried_again(tmp_path):
+    (tmp_path / "ref.json").touch()
+    found = Family(tmp_path, [{"name": "a", "port": "/dev/none", "reference": "ref.json"}], 1.0, 1.0, "/none")
+    assert (found.ready()["skins"], found.states()["a"].state) == ([], "waiting")
+    assert "cannot be started: No such file" in found.states()["a"].why
+    found.process.terminate()
+    with found.process.stderr:
+        assert found.ended() == 0
+
+
+def test_a_process_whose_end_nobody_could_hear_of_is_not_left_behind(tmp_path, monkeypatch):
+    def too_many(pid):
+        started.append(pid)
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    (tmp_path / "ref.json").touch()
+    (tmp_path / "robot.toml").write_text(
+        f'format = "eitskin-robot"\nversion = 1\nfolder = "{tmp_path}/r"\n[[skins]]\nname = "a"\n'
+        'port = "/dev/none"\nreference = "ref.json"\n'
+    )
+    started = []
+    program = (sys.executable, "-c", "import time; time.sleep(600)")
+    one = SkinProcess(load_robot(tmp_path / "robot.toml").skins[0], Pauses(), program=program)
+    monkeypatch.setattr(os, "pidfd_open", too_many)
+    with pytest.raises(OSError, match="Too many"):
+        one.start()
+    assert not one.runs
+    with pytest.raises(ProcessLookupError):
+        os.kill(started[0], 0)
 
 
 def test_bad_usage_is_not_tried_again(family):

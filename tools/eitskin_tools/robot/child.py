@@ -118,8 +118,9 @@ class SkinProcess:
         with theirs:
             environment[ADDRESS] = f"{HANDED_DOWN}{theirs.fileno()}"
             environment[INTERVAL] = str(round(OVERDUE * self._silent_s * 1e6))
+            process = None
             try:
-                self._process = subprocess.Popen(
+                process = subprocess.Popen(
                     self._words,
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.PIPE,
@@ -129,14 +130,18 @@ class SkinProcess:
                     process_group=0,
                     preexec_fn=die_with_parent,  # noqa: PLW1509 -- no thread runs here, and it is one system call
                 )
+                self.ended = os.pidfd_open(process.pid)
             except OSError:
                 ours.close()
+                if process is not None:  # nobody could hear of its end
+                    process.kill()
+                    process.communicate()
                 raise
+        self._process = process
         self.life = Life(ours, self._process.pid, self._silent_s)
         assert self._process.stdout is not None
         assert self._process.stderr is not None
         self.outputs, self.errors = Lines(self._process.stdout), Lines(self._process.stderr)
-        self.ended = os.pidfd_open(self._process.pid)
         self.state, self.due_s, self._ready_s, self._said = "starting", None, None, ""
 
     def events(self, now_s: float) -> Iterator[Event]:
@@ -191,6 +196,10 @@ class SkinProcess:
             return
         self._failures += 1
         self.state, self.due_s = "waiting", now_s + self._pauses.after(self._failures)
+
+    def put_off(self, due_s: float, why: str) -> None:
+        """Take note that it could not be started, and when to try again."""
+        self.state, self.why, self.due_s, self.seen = "waiting", why, due_s, True
 
     def restart(self) -> None:
         """Start it once more."""

@@ -135,8 +135,8 @@ class Family:
         try:
             one.start() if first else one.restart()
         except OSError as error:  # too few processes or descriptors: another time
-            one.due_s = time.monotonic() + LONGEST_WAIT_S
-            self._log.warn(one.settings.name, f"cannot be started: {error.strerror or error}")
+            one.put_off(time.monotonic() + LONGEST_WAIT_S, f"cannot be started: {error.strerror or error}")
+            self._log.warn(one.settings.name, one.why)
             return
         assert one.errors is not None
         assert one.outputs is not None
