@@ -230,13 +230,16 @@ def _bias_of(file: str, buffers: Buffers) -> npt.NDArray[np.float32]:
 def _with_gentle(
     bundle: Bundle, names: list[str], buffers: Buffers, pixels: npt.NDArray[np.intp] | None
 ) -> list[Engine]:
-    """Return heads with the network for faint touches behind them, which is one for all.
+    """Return heads with the network for gentle touches behind them, which is one for all.
 
     Which of both draws a region is decided by the whole map, so that is computed: a firm touch may lie elsewhere.
     """
     gentle = HeadEngine(bundle, graphs_of(GENTLE)[1], GENTLE, buffers)
     both = [
-        GentleEngine(HeadEngine(bundle, HEADS[name], name, buffers), gentle, buffers.map, bundle.skin) for name in names
+        GentleEngine(
+            HeadEngine(bundle, HEADS[name], name, buffers), gentle, buffers.map, bundle.skin, asks=name != VD2T_SMALL
+        )
+        for name in names
     ]
     return list(both) if pixels is None else [MaskedEngine(one, buffers, pixels) for one in both]
 

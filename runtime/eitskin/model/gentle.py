@@ -1,18 +1,21 @@
-"""Touches that a network hardly shows are drawn by another one, which knows what a frame allows of those alone.
+"""Touches that a network hardly shows, or shows too small, are drawn by another one, which learned all contrasts alike.
 
 A touch of 10 mm that doubles the conductance answers as one of 6 mm that raises it fifty times: the frame tells the
 product of size and contrast, as long as a touch is small. A network that learned hard touches draws the second one,
-and one that learned both draws hard ones worse (decision 137). So the bundle's own network answers first. Where nothing
-that it shows fills a window of 15 mm, a second one, which learned all contrasts alike, takes its place ::
+and one that learned both draws hard ones worse (decision 137). So the bundle's own network answers first, and a second
+one where that shows nothing large. A touch of 20 mm that doubles the conductance is shown as 12 mm, with edges that are
+wide for a touch of that size. Where edges are, the second one is asked as well, and where it shows much more than the
+first, the touch is gentle (decision 154) ::
 
-    shown = most of the touched area of the map in any window, mm2
+    shown = most of the touched area of the map in any window, mm2        widths = of its edges, pixels
+    more  = area of the gentle network's map over that of the own one
 
-              SURE[1] <= shown                         the own map
-    SURE[0] <  shown  <  SURE[1]                       both, each by its share
-    NOTHING <= shown  <= SURE[0]                       the gentle network's map
-               shown  <  NOTHING                       the own map, with no touch in it
+    share of the gentle map = the larger one of
+        faint   1 where shown <= SURE[0], 0 from SURE[1] on
+        broad   1 where more is above what is likely of a hard touch, 0 where not; 0 where edges are sharp
 
-A frame with a firm touch costs sums over the map besides, 20 us; one with faint touches alone costs both networks.
+There is no jump between 0 and 1. Where shown < NOTHING the own map stays, with no touch in it. A frame of firm touches
+with sharp edges costs sums over the map besides, 40 us; others cost both networks.
 """
 
 from typing import Final
@@ -32,24 +35,42 @@ SURE: Final = (65.0, 85.0)
 NOTHING: Final = 1.0
 """Less than so many mm2 is no touch."""
 
+EDGES_PX: Final = (0.26, 0.30)
+"""Bounds of an edge's width: hard touches of 10 to 20 mm have 0.22 to 0.24, gentle ones of 20 mm 0.4."""
+
+FIRM: Final = ((105.0, 140.0), (2.0, 1.35))
+"""How much larger the gentle network shows hard touches at most, by what is shown, mm2: small ones as what they may be
+besides, large ones as they are."""
+
+ALONE: Final = ((95.0, 110.0, 140.0), (1.8, 1.45, 1.2))
+"""The same of one that is alone: it shows two near each other as what lies between them besides."""
+
+CROWD: Final = (1.4, 1.6)
+"""Touched area of the whole map over what is shown: from where a touch is not quite alone to where it is not."""
+
+RAMP: Final = 0.3
+"""About that, from where the own map is all that is drawn to where it is the gentle one."""
+
 Map = npt.NDArray[np.float32]
 
 
 class GentleEngine:
-    """A network's head, and another one's for frames in which it shows faint touches alone.
+    """A network's head, and another one's for frames in which it shows faint touches, or gentle ones too small.
 
     Args:
         own: The first; frames are called by its name.
         gentle: The second, which fills the same map.
         whole: (1, pixels) that map.
         skin: Whose map it is.
+        asks: Whether the second is asked about touches that are large already; a head that is there for its speed does
+            not wait for it.
     """
 
-    __slots__ = ("_across", "_down", "_first", "_gentle", "_map", "_pixel_mm2", "name", "own")
+    __slots__ = ("_across", "_asks", "_down", "_first", "_gentle", "_map", "_pixel_mm2", "name", "own")
 
-    def __init__(self, own: Engine, gentle: Engine, whole: Map, skin: Skin) -> None:
+    def __init__(self, own: Engine, gentle: Engine, whole: Map, skin: Skin, *, asks: bool = True) -> None:
         self.name = own.name
-        self.own, self._gentle = own, gentle
+        self.own, self._gentle, self._asks = own, gentle, asks
         rows, columns = skin.grid.shape
         width_mm, height_mm = skin.grid.size_mm
         self._map = whole.reshape(rows, columns)
@@ -67,22 +88,51 @@ class GentleEngine:
     def infer_both(self) -> None:
         """Do all that a frame may take, whatever the map shows."""
         self.own.infer()
-        self._gentle.infer()
         self.shown_mm2()
+        edges_px(self._map)
+        self._gentle.infer()
 
     def infer(self) -> None:
         """Fill the map."""
         self.own.infer()
         shown = self.shown_mm2()
-        if not NOTHING <= shown < SURE[1]:
+        if shown < NOTHING:
+            return
+        faint = 1.0 - _ramp(shown, SURE)
+        wide = _ramp(edges_px(self._map), EDGES_PX) if self._asks and faint < 1.0 else 0.0
+        if not (faint or wide):
             return
         np.copyto(self._first, self._map)
         self._gentle.infer()
-        share = (shown - SURE[0]) / (SURE[1] - SURE[0])
-        if share > 0.0:
-            self._map *= 1.0 - share
-            self._first *= share
+        share = max(faint, wide * self._broad(shown)) if wide else faint
+        if share < 1.0:
+            self._map *= share
+            self._first *= 1.0 - share
             self._map += self._first
+
+    def _broad(self, shown: float) -> float:
+        """Return 1 where the gentle network shows more than it does of hard touches, 0 where it does not."""
+        own_mm2 = max(float(self._first.sum()) * self._pixel_mm2, shown)
+        more, crowd = float(self._map.sum()) * self._pixel_mm2 / own_mm2, _ramp(own_mm2 / shown, CROWD)
+        likely = crowd * float(np.interp(shown, *FIRM)) + (1.0 - crowd) * float(np.interp(shown, *ALONE))
+        return _ramp(more, (likely - RAMP / 2, likely + RAMP / 2))
+
+
+def edges_px(values: Map) -> float:
+    """Return how wide the edges of a (rows, columns) map of touches are, in pixels; 0 if it has none.
+
+    Across an edge from 0 to 1 steps of x add up to 1 and x (1 - x) to its width, of 1 / (1 + exp(-n / w)) to w, however
+    long it is.
+    """
+    across = values[:-1, 1:] - values[:-1, :-1]
+    down = values[1:, :-1] - values[:-1, :-1]
+    steps = float(np.sqrt(across * across + down * down).sum())
+    return float((values * (1.0 - values)).sum()) / steps if steps > 0.0 else 0.0
+
+
+def _ramp(value: float, bounds: tuple[float, float]) -> float:
+    """Return 0 up to the first bound, 1 from the second on, and linear between."""
+    return min(max((value - bounds[0]) / (bounds[1] - bounds[0]), 0.0), 1.0)
 
 
 class _Windows:

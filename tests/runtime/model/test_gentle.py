@@ -12,7 +12,7 @@ from eitskin.model import gentle
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import graphs_of, load_bundle
 from eitskin.model.engine import engines, solvers
-from eitskin.model.gentle import NOTHING, SURE, WINDOW_MM, GentleEngine
+from eitskin.model.gentle import ALONE, EDGES_PX, FIRM, NOTHING, RAMP, SURE, WINDOW_MM, GentleEngine, edges_px
 from eitskin.model.geometry import GeometryGraph
 from eitskin_proto.skin.skin import PAPER
 
@@ -20,7 +20,7 @@ GRID = PAPER.grid
 OWN = ("geometry.onnx", "head_int8.onnx")
 
 
-def engine(own, gentle_map):
+def engine(own, gentle_map, **more):
     """An engine whose own network gives one map and whose gentle one another, the map, and what ran."""
     whole, ran = np.zeros((1, GRID.n_pixels), dtype=np.float32), []
 
@@ -31,7 +31,7 @@ def engine(own, gentle_map):
 
         return SimpleNamespace(name=name, infer=infer)
 
-    return GentleEngine(filled("own", own), filled("gentle", gentle_map), whole, PAPER), whole[0], ran
+    return GentleEngine(filled("own", own), filled("gentle", gentle_map), whole, PAPER, **more), whole[0], ran
 
 
 def touched(pixels, row=12, column=20, value=1.0):
@@ -88,6 +88,77 @@ def test_two_faint_touches_far_apart_are_faint():
     one.infer()
     assert ran == ["own", "gentle"]
     assert SURE[1] < 8 * 11.0, "together they would not be"
+
+
+def blob(side_px, width_px, at=(15.0, 22.0)):
+    """A map of a square touch whose edges are logistic."""
+    found = 1.0
+    for axis, (count, middle) in enumerate(zip(GRID.shape, at, strict=True)):
+        inside = side_px / 2 - np.abs(np.arange(count) + 0.5 - middle)
+        found = found * np.expand_dims(1.0 / (1.0 + np.exp(-inside / width_px)), 1 - axis)
+    return found.astype(np.float32)
+
+
+@pytest.mark.parametrize("width_px", [0.3, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_straight_edge_is_as_wide_as_it_is(width_px, axis):
+    along = 1.0 / (1.0 + np.exp(-(np.arange(60) - 29.5) / width_px))
+    edge = np.broadcast_to(np.expand_dims(along, 1 - axis), (60, 60)).astype(np.float32)
+    assert edges_px(edge) == pytest.approx(width_px, rel=0.06), "0.3 is less than pixels resolve"
+
+
+def test_an_even_map_and_a_single_row_have_no_edges():
+    assert edges_px(np.full((30, 45), 0.5, dtype=np.float32)) == 0.0
+    assert edges_px(np.linspace(0.0, 1.0, 45, dtype=np.float32)[None]) == 0.0
+
+
+def test_a_firm_touch_with_sharp_edges_asks_nobody():
+    sharp = blob(4.0, 0.1)
+    assert edges_px(sharp) < EDGES_PX[0]
+    one, whole, ran = engine(sharp, blob(6.0, 0.1))
+    one.infer()
+    assert ran == ["own"]
+    assert np.array_equal(whole, sharp.ravel())
+
+
+def test_a_firm_touch_with_wide_edges_is_drawn_by_the_network_that_shows_it_much_larger():
+    own, other = blob(4.0, 0.5), blob(6.0, 0.3)
+    assert edges_px(own) > EDGES_PX[1]
+    one, whole, ran = engine(own, other)
+    one.infer()
+    assert one.shown_mm2() > SURE[1], "it is firm"
+    assert ran == ["own", "gentle"]
+    np.testing.assert_allclose(whole, other.ravel(), atol=1e-6)
+
+
+def test_it_stays_as_it_is_where_the_other_network_shows_no_more():
+    own = blob(4.0, 0.5)
+    one, whole, ran = engine(own, blob(4.0, 0.4))
+    one.infer()
+    assert ran == ["own", "gentle"]
+    np.testing.assert_allclose(whole, own.ravel(), atol=1e-6)
+
+
+def test_a_head_that_is_there_for_its_speed_does_not_ask():
+    own = blob(4.0, 0.5)
+    one, whole, ran = engine(own, blob(6.0, 0.3), asks=False)
+    one.infer()
+    assert ran == ["own"]
+    assert np.array_equal(whole, own.ravel())
+
+
+@pytest.mark.parametrize(("touches", "bounds"), [(1, ALONE), (2, FIRM)])
+def test_how_much_larger_decides_by_degrees_and_sooner_of_a_touch_that_is_alone(touches, bounds):
+    own = np.maximum.reduce([blob(3.4, 0.4, at) for at in ((15.0, 14.0), (15.0, 32.0))[:touches]])
+    ratios, shares = np.linspace(1.0, 3.0, 201), []
+    for more in ratios:
+        other = (float(more) * own.sum() / own.size) * np.ones_like(own)
+        one, whole, _ = engine(own, other)
+        one.infer()
+        shares.append(float((whole[0] - own[0, 0]) / (other[0, 0] - own[0, 0])))
+    one.own.infer()
+    likely = np.interp(one.shown_mm2(), *bounds)
+    np.testing.assert_allclose(shares, np.clip((ratios - likely) / RAMP + 0.5, 0.0, 1.0), atol=1e-3)
 
 
 @pytest.fixture
