@@ -38,15 +38,13 @@ NOTHING: Final = 1.0
 EDGES_PX: Final = (0.26, 0.30)
 """Bounds of an edge's width: hard touches of 10 to 20 mm have 0.22 to 0.24, gentle ones of 20 mm 0.4."""
 
-FIRM: Final = ((105.0, 140.0), (2.0, 1.35))
+FIRM: Final = ((115.0, 140.0), (2.0, 1.35))
 """How much larger the gentle network shows hard touches at most, by what is shown, mm2: small ones as what they may be
 besides, large ones as they are."""
 
-ALONE: Final = ((95.0, 110.0, 140.0), (1.8, 1.45, 1.2))
-"""The same of one that is alone: it shows two near each other as what lies between them besides."""
-
-CROWD: Final = (1.4, 1.6)
-"""Touched area of the whole map over what is shown: from where a touch is not quite alone to where it is not."""
+VERY_WIDE: Final = ((0.5, 0.7), 1.1)
+"""Bounds of an edge's width from where on that is no more than this: no hard touches but some on bumps have such edges,
+gentle ones of 30 mm have 0.75."""
 
 RAMP: Final = 0.3
 """About that, from where the own map is all that is drawn to where it is the gentle one."""
@@ -99,22 +97,23 @@ class GentleEngine:
         if shown < NOTHING:
             return
         faint = 1.0 - _ramp(shown, SURE)
-        wide = _ramp(edges_px(self._map), EDGES_PX) if self._asks and faint < 1.0 else 0.0
+        edges = edges_px(self._map) if self._asks and faint < 1.0 else 0.0
+        wide = _ramp(edges, EDGES_PX)
         if not (faint or wide):
             return
         np.copyto(self._first, self._map)
         self._gentle.infer()
-        share = max(faint, wide * self._broad(shown)) if wide else faint
+        share = max(faint, wide * self._broad(shown, edges)) if wide else faint
         if share < 1.0:
             self._map *= share
             self._first *= 1.0 - share
             self._map += self._first
 
-    def _broad(self, shown: float) -> float:
+    def _broad(self, shown: float, edges: float) -> float:
         """Return 1 where the gentle network shows more than it does of hard touches, 0 where it does not."""
         own_mm2 = max(float(self._first.sum()) * self._pixel_mm2, shown)
-        more, crowd = float(self._map.sum()) * self._pixel_mm2 / own_mm2, _ramp(own_mm2 / shown, CROWD)
-        likely = crowd * float(np.interp(shown, *FIRM)) + (1.0 - crowd) * float(np.interp(shown, *ALONE))
+        more, likely = float(self._map.sum()) * self._pixel_mm2 / own_mm2, float(np.interp(shown, *FIRM))
+        likely += (VERY_WIDE[1] - likely) * _ramp(edges, VERY_WIDE[0])
         return _ramp(more, (likely - RAMP / 2, likely + RAMP / 2))
 
 

@@ -12,7 +12,7 @@ from eitskin.model import gentle
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import graphs_of, load_bundle
 from eitskin.model.engine import engines, solvers
-from eitskin.model.gentle import ALONE, EDGES_PX, FIRM, NOTHING, RAMP, SURE, WINDOW_MM, GentleEngine, edges_px
+from eitskin.model.gentle import EDGES_PX, FIRM, NOTHING, RAMP, SURE, VERY_WIDE, WINDOW_MM, GentleEngine, edges_px
 from eitskin.model.geometry import GeometryGraph
 from eitskin_proto.skin.skin import PAPER
 
@@ -147,9 +147,9 @@ def test_a_head_that_is_there_for_its_speed_does_not_ask():
     assert np.array_equal(whole, own.ravel())
 
 
-@pytest.mark.parametrize(("touches", "bounds"), [(1, ALONE), (2, FIRM)])
-def test_how_much_larger_decides_by_degrees_and_sooner_of_a_touch_that_is_alone(touches, bounds):
-    own = np.maximum.reduce([blob(3.4, 0.4, at) for at in ((15.0, 14.0), (15.0, 32.0))[:touches]])
+@pytest.mark.parametrize(("touches", "width_px"), [(1, 0.4), (2, 0.4), (1, 0.6), (1, 0.9)])
+def test_how_much_larger_decides_by_degrees_and_sooner_the_wider_the_edges(touches, width_px):
+    own = np.maximum.reduce([blob(4.0, width_px, at) for at in ((15.0, 12.0), (15.0, 34.0))[:touches]])
     ratios, shares = np.linspace(1.0, 3.0, 201), []
     for more in ratios:
         other = (float(more) * own.sum() / own.size) * np.ones_like(own)
@@ -157,7 +157,9 @@ def test_how_much_larger_decides_by_degrees_and_sooner_of_a_touch_that_is_alone(
         one.infer()
         shares.append(float((whole[0] - own[0, 0]) / (other[0, 0] - own[0, 0])))
     one.own.infer()
-    likely = np.interp(one.shown_mm2(), *bounds)
+    (narrow, broad), least = VERY_WIDE
+    likely = np.interp(one.shown_mm2(), *FIRM)
+    likely += (least - likely) * np.clip((edges_px(own) - narrow) / (broad - narrow), 0.0, 1.0)
     np.testing.assert_allclose(shares, np.clip((ratios - likely) / RAMP + 0.5, 0.0, 1.0), atol=1e-3)
 
 
