@@ -7,12 +7,12 @@ one where that shows nothing large. A touch of 20 mm that doubles the conductanc
 wide for a touch of that size. Where edges are, the second one is asked as well, and where it shows much more than the
 first, the touch is gentle (decision 154) ::
 
-    shown = most of the touched area of the map in any window, mm2        widths = of its edges, pixels
+    shown = most of the touched area of the map in any window, mm2        edges = how wide they are, pixels
     more  = area of the gentle network's map over that of the own one
 
     share of the gentle map = the larger one of
         faint   1 where shown <= SURE[0], 0 from SURE[1] on
-        broad   1 where more is above what is likely of a hard touch, 0 where not; 0 where edges are sharp
+        broad   1 where edges are wide and more is above what hard touches have, 0 where either is not so
 
 There is no jump between 0 and 1. Where shown < NOTHING the own map stays, with no touch in it. A frame of firm touches
 with sharp edges costs sums over the map besides, 40 us; others cost both networks.
