@@ -172,6 +172,8 @@ def test_rows_come_from_json(tmp_path):
         ([{"gauge_factor": "1"}], "devices[0].gauge_factor"),
         ([{"scan": 1}], "true or false"),
         ([{"name": 3}], "expected a text"),
+        ([{}, {"contrast": 1}], "devices[1] changes nothing: its contrast is 1"),
+        ([{"border_mm": 0.2}], "devices[0].border_mm is 0.2"),
         ([], "no mismatch"),
         ({}, "list"),
     ],

@@ -14,6 +14,9 @@ from eitskin_proto.files.plain import plain, quoted
 from eitskin_proto.files.reading import FileError, read_json
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.scene.parts import Sheet, Touch
+from eitskin_sim.scene.shapes import Disc
+from eitskin_sim.scene.soft_touch import check_touch
 from eitskin_sim.scene.strict_json import Fields, SceneError, number, sequence
 
 LARGEST_FILE: Final = 1 << 20
@@ -181,7 +184,7 @@ def load_rows(path: str | Path) -> list[Row]:
     """Return the rows of a JSON list: objects with a ``name`` and any of a mismatch's fields.
 
     Raises:
-        SceneError: It is none, a key is unknown, or a number outside its bounds.
+        SceneError: It is none, a key is unknown, a number outside its bounds, or touches as it has them change nothing.
         OSError: It cannot be read.
     """
     try:
@@ -215,7 +218,10 @@ def _row(item: object, where: str) -> Row:
             low, high = BOUNDS[one.name]
             values[one.name] = number(value, f"{where}.{one.name}", low=low, high=high)
     given.close()
-    return plain(name), Mismatch(**values)
+    found = Mismatch(**values)
+    touch = Touch((Disc(20.0, 20.0, 20.0),), 50.0, found.contrast, found.border_mm, found.dent_mm)
+    check_touch(touch, Sheet(), where)
+    return plain(name), found
 
 
 def deviations(mismatch: Mismatch) -> dict[str, Any]:
