@@ -87,14 +87,14 @@ def test_where_nothing_comes_what_came_is_forced_onto_the_disk(tmp_path: Path, m
 
 def test_an_end_that_does_not_get_onto_the_disk_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A network's disk says so late: each write went well."""
-    series = Series(tmp_path / "a.mcap", {}, most_bytes=1)
-    for number in range(3):
-        series.add(WIRE, os.urandom(300), number, number)
 
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
+    series = Series(tmp_path / "a.mcap", {}, most_bytes=1)
     monkeypatch.setattr(sinks, "os", _with(os, fsync=full))
+    for number in range(3):
+        series.add(WIRE, os.urandom(300), number, number)
     with pytest.raises(OSError, match="No space left"):
         series.close()
     series.close()  # twice is fine

@@ -9,7 +9,7 @@ import os
 import re
 from collections import deque
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -174,10 +174,13 @@ class Series:
         self._writer.sync()
 
     def close(self) -> None:
-        """End the file in hand, and wait until all are on the disk; closing twice is fine."""
-        try:
-            self._writer.close()
+        """End the file in hand, and wait until all are on the disk; closing twice is fine.
+
+        Raises:
+            OSError: One of them could not be written, or not forced onto the disk; the others are closed all the same.
+        """
+        with ExitStack() as left:
+            left.callback(self._reserve.give_up)
             while self._ended:
-                self._ended.popleft().close()
-        finally:
-            self._reserve.give_up()
+                left.callback(self._ended.pop().close)
+            self._writer.close()
