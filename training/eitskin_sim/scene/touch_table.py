@@ -15,6 +15,7 @@ outlines x is cut into 32 strips a cell, which leaves 1e-4.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -36,10 +37,14 @@ STRIPS: Final = 32
 """Strips that a cell is cut into along x, for outlines that are not parallel to it."""
 
 
+@lru_cache(maxsize=16)
 def pixel_lines(grid: Grid) -> tuple[Array, Array]:
-    """Return the (columns + 1,) borders of the map's pixels along x, and the (rows + 1,) along y, mm."""
+    """Return the (columns + 1,) borders of the map's pixels along x, and the (rows + 1,) along y, mm, for reading."""
     (length, width), (rows, columns) = grid.size_mm, grid.shape
-    return np.linspace(0.0, length, columns + 1), np.linspace(0.0, width, rows + 1)
+    found = np.linspace(0.0, length, columns + 1), np.linspace(0.0, width, rows + 1)
+    for one in found:
+        one.setflags(write=False)
+    return found
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ NAMES: Final = ("x_mm", "y_mm", "half_length_mm", "half_width_mm", "angle_rad", 
 def parameters_of(pieces: Array) -> Array:
     """Return (n, 7) parameters of (n, 8) touches."""
     found = pieces[:, 1:8].copy()
-    found[:, [HALF_LENGTH, HALF_WIDTH]] /= 2.0
+    found[:, HALF_LENGTH : HALF_WIDTH + 1] /= 2.0
     found[:, ANGLE] = np.deg2rad(found[:, ANGLE])
     found[:, LOG_CONTRAST] = np.log(found[:, LOG_CONTRAST])
     return np.asarray(found)

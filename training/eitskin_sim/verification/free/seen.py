@@ -77,16 +77,14 @@ def joints_of(pieces: Array, shares: Array, grid: Grid) -> Joints:
     """
     if len(pieces) < 2 or not len(shares):
         return ()
-    owner = np.array([np.einsum("rc,nrc->n", map_of(one[None], grid), shares).argmax() for one in pieces])
     upright = (pieces[:, 0] == RECTANGLE) & (pieces[:, 5] == 0.0)
-    pairs = ((one, other) for one in range(len(pieces)) for other in range(one))
-    return tuple(
-        pair
-        for pair in pairs
-        if len(set(owner[list(pair)])) == 1
-        and upright[list(pair)].all()
-        and gap_mm(*(pieces[one][None] for one in pair))[0] < CRACK_MM
-    )
+    one, other = np.tril_indices(len(pieces), -1)
+    near = upright[one] & upright[other] & (gap_mm(pieces[one], pieces[other]) < CRACK_MM)
+    if not near.any():
+        return ()
+    owner = np.array([np.einsum("rc,nrc->n", map_of(piece[None], grid), shares).argmax() for piece in pieces])
+    near &= owner[one] == owner[other]
+    return tuple(zip(one[near].tolist(), other[near].tolist(), strict=True))
 
 
 def together(pieces: Array, joints: Joints, shares: Array, grid: Grid) -> Array:
