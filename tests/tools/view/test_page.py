@@ -239,6 +239,23 @@ def test_losses_left_out_work_and_sick_electrodes_are_told_in_words(viewer, endp
         found.wait("document.getElementById('electrodes').innerText.includes('All 16 are well')")
 
 
+def test_the_surface_is_drawn_again_once_the_browser_has_its_graphics_back(viewer, endpoint):
+    with Runtime(endpoint, Scene(TOUCHED)), browser(viewer.address) as found:
+        found.wait(f"{SHOWN} && eitskin.history.shown.head.touches.length")
+        lit = settled_place(found, 110.0, 25.5)
+        assert pixel(picture(found), lit).min() > 130
+        found.evaluate(
+            "window.gl = document.getElementById('scene').getContext('webgl2'), "
+            "window.way = gl.getExtension('WEBGL_lose_context'), window.way.loseContext()"
+        )
+        found.wait("window.gl.isContextLost()")
+        draws_newer(found)  # the rest of the page goes on meanwhile
+        found.evaluate("window.way.restoreContext()")
+        found.wait("!window.gl.isContextLost()")
+        draws_newer(found)
+        assert pixel(picture(found), lit).min() > 130
+
+
 def test_a_page_whose_thread_stands_still_costs_others_no_frame(viewer, endpoint):
     with Runtime(endpoint, Scene(TOUCHED)), browser(viewer.address) as stalled, browser(viewer.address) as found:
         stalled.wait(SHOWN)
