@@ -94,7 +94,7 @@ class GentleEngine:
         """Fill the map."""
         self.own.infer()
         shown = self.shown_mm2()
-        if shown < NOTHING:
+        if not shown >= NOTHING:  # a map that is not finite stays so, and is withheld
             return
         faint = 1.0 - _ramp(shown, SURE)
         edges = edges_px(self._map) if self._asks and faint < 1.0 else 0.0

@@ -139,6 +139,14 @@ def test_it_stays_as_it_is_where_the_other_network_shows_no_more():
     np.testing.assert_allclose(whole, own.ravel(), atol=1e-6)
 
 
+def test_a_map_that_is_not_finite_is_not_hidden_behind_the_other_network_s():
+    own = np.where(blob(4.0, 0.5) > 0.9, np.nan, blob(4.0, 0.5)).astype(np.float32)
+    one, whole, ran = engine(own, blob(6.0, 0.3))
+    one.infer()
+    assert ran == ["own"]
+    assert np.isnan(whole).any()
+
+
 def test_a_head_that_is_there_for_its_speed_does_not_ask():
     own = blob(4.0, 0.5)
     one, whole, ran = engine(own, blob(6.0, 0.3), asks=False)
