@@ -166,7 +166,7 @@ class PartialInverse:
     def _step(self, columns: Array, i: int) -> None:
         """Write line i of (k, n) columns from the line below."""
         here, below = (slice(*self._first[line : line + 2]) for line in (i, i + 1))
-        columns[:, here] = columns[:, below] @ self._minus[i].T
+        np.matmul(columns[:, below], self._minus[i].T, out=columns[:, here])
 
 
 def _eliminated(own: list[Array], after: list[Array]) -> tuple[list[Array], list[Array]]:

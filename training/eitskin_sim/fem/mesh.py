@@ -55,6 +55,8 @@ class TensorMesh:
     """(n_elements, 2) lower left corners."""
     centres_mm: Array = field(init=False, repr=False)
     """(n_elements, 2) middles."""
+    reach_mm: Array = field(init=False, repr=False)
+    """(n_elements,) from the middle to a corner."""
 
     def __post_init__(self) -> None:
         for name in ("x_lines_mm", "y_lines_mm"):
@@ -68,7 +70,8 @@ class TensorMesh:
         object.__setattr__(self, "element_nodes", first.reshape(-1, 1) + local.reshape(1, 9))
         sizes = _pairs(np.diff(self.x_lines_mm), np.diff(self.y_lines_mm))
         corners = _pairs(self.x_lines_mm[:-1], self.y_lines_mm[:-1])
-        for name, values in (("sizes_mm", sizes), ("corners_mm", corners), ("centres_mm", corners + sizes / 2)):
+        made = {"sizes_mm": sizes, "corners_mm": corners, "centres_mm": corners + sizes / 2}
+        for name, values in (made | {"reach_mm": np.hypot(*sizes.T) / 2}).items():
             values.setflags(write=False)
             object.__setattr__(self, name, values)
 

@@ -40,7 +40,7 @@ KEPT: Final = np.array([0, 1, 2, 3, 5, 6, 7, 8, 9])
 """Places of the eight other nodes, and the electrode after them."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class SharedMesh:
     """A mesh, and how its remaining unknowns are numbered: by lines, electrodes in the middle one of theirs."""
 
@@ -133,6 +133,8 @@ def with_contacts(blocks: Array, elements: Index, density: Array, contacts: Cont
     piece[contacts.element] = np.arange(len(contacts.element))
     own = piece[elements]
     rows = np.flatnonzero(own >= 0)
+    if not len(rows):
+        return found
     own = own[rows]
     kappa = density[rows] if len(density) == len(blocks) else density[own]
     found[rows, :9, :9] += kappa[:, None, None] * contacts.mass_m2[own]

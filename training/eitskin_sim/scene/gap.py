@@ -24,6 +24,8 @@ def gap_mm(one: Array, other: Array) -> Array:
 
 def half_extents_mm(pieces: Array) -> Array:
     """Return the (n, 2) half sides of the upright boxes around (n, 7) pieces, mm."""
+    if not pieces[:, 5].any() and not (pieces[:, 0] == DISC).any():
+        return np.asarray(pieces[:, 3:5] / 2)
     cos, sin = (np.abs(f(np.deg2rad(pieces[:, 5]))) for f in (np.cos, np.sin))
     half, across = pieces[:, 3] / 2, pieces[:, 4] / 2
     round_ones = pieces[:, 0] == DISC

@@ -46,11 +46,12 @@ def half_plane_share(distance: Array, normal: Array, sizes: Array) -> Array:
     across, up = np.abs(normal[..., 0]) * sizes[..., 0], np.abs(normal[..., 1]) * sizes[..., 1]
     wide, narrow = np.maximum(across, up), np.minimum(across, up)
     # Along the normal the rectangle's section is a trapezium: a plateau of wide - narrow between two ramps of narrow.
-    inside = np.clip((wide + narrow) / 2 - distance, 0.0, wide + narrow)
+    both = wide + narrow
+    inside = np.minimum(np.maximum(both / 2 - distance, 0.0), both)
     ramp = np.where(narrow > 1e-12 * wide, narrow, 1.0)
     first = np.minimum(inside, narrow) ** 2 / (2.0 * ramp)
-    plateau = np.clip(inside - narrow, 0.0, wide - narrow)
-    last = np.clip(inside - wide, 0.0, narrow)
+    plateau = np.minimum(np.maximum(inside - narrow, 0.0), wide - narrow)
+    last = np.minimum(np.maximum(inside - wide, 0.0), narrow)
     return np.asarray((first + plateau + last * (1.0 - last / (2.0 * ramp))) / wide)
 
 

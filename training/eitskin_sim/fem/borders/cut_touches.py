@@ -81,9 +81,9 @@ def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh, among: npt.NDA
     if borders.any():
         check_pieces(pieces[borders != 0.0], mesh)
         piece, element, graded = _split_graded(pieces, borders, owner, piece, element, mesh)
-    middle, _ = _distance(pieces[piece], mesh.centres_mm[element][:, None, :])
-    reach = np.hypot(*mesh.sizes_mm[element].T) / 2
-    whole, crossed = middle[:, 0] <= -reach, np.abs(middle[:, 0]) < reach
+    middle = _distance(pieces[piece], mesh.centres_mm[element][:, None, :])[:, 0]
+    reach = mesh.reach_mm[element]
+    whole, crossed = middle <= -reach, np.abs(middle) < reach
     pair = _integrate(pieces, piece[crossed], element[crossed], mesh)
     inside = pair.mean > 1.0 - WHOLE
     full = np.concatenate([np.flatnonzero(whole), np.flatnonzero(crossed)[inside]])
@@ -132,16 +132,21 @@ def _near(pieces: Array, mesh: TensorMesh, borders: Array) -> tuple[Index, Index
     """Return pairs of piece and element whose boxes meet."""
     half = half_extents_mm(pieces) + borders[:, None] / 2
     low, high = pieces[:, 1:3] - half, pieces[:, 1:3] + half
-    ny, nx = mesh.shape
-    first_x = np.clip(np.searchsorted(mesh.x_lines_mm, low[:, 0], side="right") - 1, 0, nx - 1)
-    last_x = np.clip(np.searchsorted(mesh.x_lines_mm, high[:, 0], side="left"), 1, nx)
-    first_y = np.clip(np.searchsorted(mesh.y_lines_mm, low[:, 1], side="right") - 1, 0, ny - 1)
-    last_y = np.clip(np.searchsorted(mesh.y_lines_mm, high[:, 1], side="left"), 1, ny)
+    nx = mesh.shape[1]
+    first_x, last_x = _span(mesh.x_lines_mm, low[:, 0], high[:, 0])
+    first_y, last_y = _span(mesh.y_lines_mm, low[:, 1], high[:, 1])
     wide, tall = last_x - first_x, last_y - first_y
     piece = np.repeat(np.arange(len(pieces)), wide * tall)
     count = np.arange(len(piece)) - np.repeat(np.cumsum(wide * tall) - wide * tall, wide * tall)
     row, column = np.divmod(count, wide[piece])
     return piece, (first_y[piece] + row) * nx + first_x[piece] + column
+
+
+def _span(lines: Array, low: Array, high: Array) -> tuple[Index, Index]:
+    """Return the first interval between lines that each reaches, one at least, and the one behind the last."""
+    count = len(lines) - 1
+    first = np.minimum(np.maximum(lines.searchsorted(low, side="right") - 1, 0), count - 1)
+    return first, np.minimum(np.maximum(lines.searchsorted(high), 1), count)
 
 
 def _split_graded(
@@ -152,15 +157,13 @@ def _split_graded(
     What lies inside a graded border alone, at its full contrast, is like what lies inside a sharp one.
     """
     key = owner[piece] * mesh.n_elements + element
-    centre = _distance(pieces[piece], mesh.centres_mm[element][:, None, :])[0][:, 0]
-    soft, span = borders[piece] > 0.0, borders[piece] / 2 + np.hypot(*mesh.sizes_mm[element].T) / 2
+    centre = _distance(pieces[piece], mesh.centres_mm[element][:, None, :])[:, 0]
+    soft, span = borders[piece] > 0.0, borders[piece] / 2 + mesh.reach_mm[element]
     inner, times = np.unique(key[soft & (centre < span)], return_counts=True)
     crossed = np.concatenate([key[soft & (np.abs(centre) < span)], inner[times > 1]])
     passed = soft & (centre >= span)
     maybe = np.flatnonzero(np.isin(key, crossed) & ~passed)  # the others need no distances at their points
-    sizes = mesh.sizes_mm[element[maybe]]
-    where = mesh.corners_mm[element[maybe]][:, None, :] + UNIT * sizes[:, None, :]
-    distance, normal = _distance(pieces[piece[maybe]], where)
+    distance, normal = _border(pieces[piece[maybe]], _points(element[maybe], mesh))
     half = borders[piece[maybe]] / 2
     beyond, within = distance.min(axis=1) >= half, distance.max(axis=1) <= -half
     reached = key[maybe[~beyond & ~within & (half > 0.0)]]
@@ -181,40 +184,67 @@ def _split_graded(
     return piece[kept], element[kept], (unique // mesh.n_elements, unique % mesh.n_elements, graded.sigma, graded)
 
 
-def _distance(pieces: Array, points: Array) -> tuple[Array, Array]:
-    """Return signed distances (n, q) and outward normals (n, q, 2) of points (n, q, 2) from (n, 7) pieces."""
-    offset = points - pieces[:, None, 1:3]
+def _points(element: Index, mesh: TensorMesh) -> Array:
+    """Return (n, q + 10, 2) where distances are taken, all x of an element in a row and then all y."""
+    found = UNIT.T * mesh.sizes_mm[element][:, :, None]
+    found += mesh.corners_mm[element][:, :, None]
+    return found.swapaxes(1, 2)
+
+
+def _from_sides(pieces: Array, points: Array) -> tuple[Array, Array, Array, Array]:
+    """Return what points (n, q, 2) are to (n, 7) pieces that are taken for rectangles.
+
+    These are (n, q, 2) places in the pieces' axes, (n, q) mm beyond the nearer sides along and across, and distances.
+    """
+    local = points - pieces[:, None, 1:3]
     turn = np.deg2rad(pieces[:, 5])
-    cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    upright = not turn.any()
-    local_x, local_y = offset[..., 0], offset[..., 1]
-    if not upright:
-        local_x, local_y = cos * local_x + sin * local_y, cos * local_y - sin * local_x
-    beyond_x = np.abs(local_x) - pieces[:, None, 3] / 2
-    beyond_y = np.abs(local_y) - pieces[:, None, 4] / 2
-    out_x, out_y = np.maximum(beyond_x, 0.0), np.maximum(beyond_y, 0.0)
-    away = length_of(out_x, out_y)
-    distance = away + np.minimum(np.maximum(beyond_x, beyond_y), 0.0)
-    outside = away > 0.0
-    along_x = beyond_x >= beyond_y
-    safe = np.where(outside, away, 1.0)
-    normal_x = np.where(outside, out_x / safe, along_x) * np.where(local_x < 0.0, -1.0, 1.0)
-    normal_y = np.where(outside, out_y / safe, ~along_x) * np.where(local_y < 0.0, -1.0, 1.0)
-    if not upright:
-        normal_x, normal_y = cos * normal_x - sin * normal_y, sin * normal_x + cos * normal_y
-    normal = np.stack([normal_x, normal_y], axis=-1)
-    ovals = np.flatnonzero(pieces[:, 0] == ELLIPSE)
-    if len(ovals):
-        local = np.stack([local_x[ovals], local_y[ovals]], axis=-1)
-        distance[ovals], own = ellipse_distance(local, pieces[ovals, None, 3:5] / 2)
-        c, s = cos[ovals], sin[ovals]
-        normal[ovals] = np.stack([c * own[..., 0] - s * own[..., 1], s * own[..., 0] + c * own[..., 1]], axis=-1)
-    round_ones = np.flatnonzero(pieces[:, 0] == DISC)
-    if len(round_ones):
-        radius = length_of(offset[round_ones, :, 0], offset[round_ones, :, 1])
-        distance[round_ones] = radius - pieces[round_ones, None, 3] / 2
-        normal[round_ones] = offset[round_ones] / np.maximum(radius, 1e-12)[..., None]
+    if turn.any():
+        cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
+        x, y = local[..., 0], local[..., 1]
+        local = np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)
+    half = pieces[:, None, 3:5] / 2
+    along, across = np.abs(local[..., 0]) - half[..., 0], np.abs(local[..., 1]) - half[..., 1]
+    outside = length_of(np.maximum(along, 0.0), np.maximum(across, 0.0))
+    return local, along, across, outside + np.minimum(np.maximum(along, across), 0.0)
+
+
+def _distance(pieces: Array, points: Array) -> Array:
+    """Return signed distances (n, q) of points (n, q, 2) from (n, 7) pieces."""
+    local, _, _, distance = _from_sides(pieces, points)
+    for rows in _round_ones(pieces):
+        distance[rows] = _from_round(pieces[rows], local[rows])[0]
+    return distance
+
+
+def _border(pieces: Array, points: Array) -> tuple[Array, Array]:
+    """Return signed distances (n, q) and outward normals (n, q, 2) of points (n, q, 2) from (n, 7) pieces."""
+    local, along, across, distance = _from_sides(pieces, points)
+    normal = np.empty((len(pieces), 2, points.shape[1])).swapaxes(1, 2)  # all x in a row, as points
+    outside, beside = distance > 0.0, along >= across
+    for axis, (beyond, nearer) in enumerate(((along, beside), (across, ~beside))):
+        steep = np.divide(np.maximum(beyond, 0.0), distance, out=nearer.astype(np.float64), where=outside)
+        np.copysign(steep, local[..., axis], out=normal[..., axis])
+    for rows in _round_ones(pieces):
+        distance[rows], normal[rows] = _from_round(pieces[rows], local[rows])
+    turn = np.deg2rad(pieces[:, 5])
+    if turn.any():
+        cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
+        x, y = normal[..., 0], normal[..., 1]
+        normal = np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
     return distance, normal
+
+
+def _round_ones(pieces: Array) -> list[Index]:
+    """Return which pieces are discs, and which are ellipses, as far as there are some."""
+    return [rows for kind in (DISC, ELLIPSE) if len(rows := np.flatnonzero(pieces[:, 0] == kind))]
+
+
+def _from_round(pieces: Array, local: Array) -> tuple[Array, Array]:
+    """Return signed distances and normals of points in the axes of discs, or of ellipses."""
+    if pieces[0, 0] == ELLIPSE:
+        return ellipse_distance(local, pieces[:, None, 3:5] / 2)
+    radius = length_of(local[..., 0], local[..., 1])
+    return radius - pieces[:, None, 3] / 2, local / np.maximum(radius, 1e-12)[..., None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,8 +264,7 @@ class _Pairs:
 
 def _integrate(pieces: Array, piece: Index, element: Index, mesh: TensorMesh) -> _Pairs:
     sizes = mesh.sizes_mm[element]
-    where = mesh.corners_mm[element][:, None, :] + UNIT * sizes[:, None, :]
-    distance, normal = _distance(pieces[piece], where)
+    distance, normal = _border(pieces[piece], _points(element, mesh))
     q = len(UNIT_POINTS)
     share = half_plane_share(distance[:, :q], normal[:, :q], sizes[:, None, :] / POINTS)
     return _Pairs(piece, element, pieces[piece, 6], distance, normal, share, share.mean(axis=1))

@@ -64,16 +64,20 @@ def enriched(sizes_mm: Array, normal: Array, psi_mm: Array, slope: Array) -> tup
         psi_mm: (c, q + 9) at the points and the nodes.
         slope: (c, q) of psi along the normal.
     """
-    q = len(UNIT_POINTS)
-    scale = np.sqrt(sizes_mm.prod(axis=1))[:, None]
-    middle, stretch = normal[:, -1], sizes_mm / scale
-    along = np.stack([-middle[:, 1], middle[:, 0]], axis=-1) * stretch
+    q, count = len(UNIT_POINTS), len(normal)
+    scale = np.sqrt(sizes_mm[:, 0] * sizes_mm[:, 1])[:, None]
+    stretch, along = sizes_mm / scale, np.empty((count, 2))
+    np.multiply(normal[:, -1, 1], -stretch[:, 0], out=along[:, 0])
+    np.multiply(normal[:, -1, 0], stretch[:, 1], out=along[:, 1])
     psi, t = psi_mm / scale, along @ _PLACES
-    straight = np.swapaxes(normal[:, :q], 1, 2) * slope[:, None, :] * stretch[:, :, None]
-    sloped = straight * t[:, None, :q] + psi[:, None, :q] * along[:, :, None]
-    held = np.stack([psi[:, q:], psi[:, q:] * t[:, q:]], axis=1)
-    interpolant = (held.reshape(-1, 9) @ _SLOPES_OF_HELD).reshape(-1, 2, 2, q)
-    return held, np.stack([straight, sloped], axis=1), interpolant
+    held, slopes = np.empty((count, 2, 9)), np.empty((count, 2, 2, q))
+    held[:, 0] = psi[:, q:]
+    np.multiply(psi[:, q:], t[:, q:], out=held[:, 1])
+    straight = np.swapaxes(normal[:, :q], 1, 2) * (slope[:, None, :] * stretch[:, :, None])
+    slopes[:, 0] = straight
+    np.multiply(straight, t[:, None, :q], out=slopes[:, 1])
+    slopes[:, 1] += psi[:, None, :q] * along[:, :, None]
+    return held, slopes, (held.reshape(-1, 9) @ _SLOPES_OF_HELD).reshape(-1, 2, 2, q)
 
 
 def crossed_slopes(slopes: Array) -> Array:
@@ -95,7 +99,10 @@ def products(slopes: Array, weighted: Array) -> Array:
 def components(products: Array) -> Array:
     """Return the (c, 3, 2, 2) components xx, xy + yx and yy of (c, 4, 4) products."""
     mixed = products[:, ::2, 1::2]
-    return np.stack([products[:, ::2, ::2], mixed + np.swapaxes(mixed, 1, 2), products[:, 1::2, 1::2]], axis=1)
+    found = np.empty((len(products), 3, 2, 2))
+    found[:, 0], found[:, 2] = products[:, ::2, ::2], products[:, 1::2, 1::2]
+    np.add(mixed, np.swapaxes(mixed, 1, 2), out=found[:, 1])
+    return found
 
 
 def eliminated(coupling: Array, corner: Array) -> Array:
