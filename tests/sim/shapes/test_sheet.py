@@ -13,7 +13,7 @@ from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Ellipse, Rect
 from eitskin_sim.shapes.parameters import NAMES, areas_mm2, free, parameters_of, pieces_of, strengths_mm2
-from eitskin_sim.shapes.sheet import TouchedSheet, _summed
+from eitskin_sim.shapes.sheet import TouchedSheet, _Sum
 
 Array = npt.NDArray[np.float64]
 
@@ -146,4 +146,7 @@ def test_blocks_are_summed_where_elements_share_unknowns_and_none_is_left_out() 
         kept = own >= 0
         dense[np.ix_(own[kept], own[kept])] += block[np.ix_(kept, kept)]
     right = rng.standard_normal((7, 4))
-    assert _summed(blocks, place, 7) @ right == pytest.approx(dense @ right)
+    adding = _Sum(np.arange(7), place)
+    kept = adding.of(np.zeros_like(blocks))
+    assert adding.of(blocks) @ right == pytest.approx(dense @ right)
+    assert not (kept @ right).any(), "a sum stays what it was when others are made"

@@ -17,7 +17,7 @@ from eitskin_sim.freeform.mesh import with_contacts, without_middle
 from eitskin_sim.freeform.sheet import AssembledSheet, touched_blocks
 from eitskin_sim.scene.touch_table import Array, TouchTable
 from eitskin_sim.shapes.parameters import COUNT
-from eitskin_sim.shapes.ways import neighbours, ways_of
+from eitskin_sim.shapes.ways import ways_of
 
 BLOCK: Final = 9
 """Unknowns of an element: its eight outer nodes and the electrode over it."""
@@ -93,7 +93,7 @@ def rates(sheet: AssembledSheet, pieces: Array, free: npt.NDArray[np.bool_], bas
     if not len(ways.touch):
         none = np.zeros(0, dtype=np.intp)
         return Rates(ways.mix, none, np.zeros(1, dtype=np.intp), np.zeros((0, BLOCK, BLOCK)))
-    near, sets = neighbours(pieces, mesh), []
+    near, sets = [np.flatnonzero(row) for row in ways.near], []
     for one, row in zip(ways.touch.tolist(), ways.moved, strict=True):
         own = pieces[near[one]]
         own[near[one] == one] = row

@@ -12,7 +12,9 @@ blocks beside the one solve on D. Where touches reach much of the sheet, D is la
 line by line, which takes no longer however much is touched.
 """
 
+from copy import copy
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -53,6 +55,48 @@ class Solved:
         return np.asarray(to_voltages(self.response[None])[0])
 
 
+class _Sum:
+    """How the blocks of some elements add up.
+
+    Args:
+        dofs: (m,) their unknowns.
+        place: (e, b) which of them each element has; -1 for none.
+    """
+
+    def __init__(self, dofs: Index, place: Index) -> None:
+        self.dofs, place = dofs, place.astype(np.int32)
+        order = np.argsort(place, axis=None, kind="stable")
+        self._order = order[np.count_nonzero(place < 0) :]  # rows of all blocks, unknown after unknown
+        count = np.bincount(place.ravel()[self._order], minlength=len(dofs))
+        column = place[self._order // place.shape[1]]
+        begin = (np.concatenate([[0], np.cumsum(count)]) * place.shape[1]).astype(np.int32)
+        self._none = column < 0
+        ones = np.ones(column.size)
+        self._sum = csr_array((ones, np.maximum(column, 0).ravel(), begin), shape=(len(dofs), len(dofs)))
+
+    def of(self, blocks: Array) -> csr_array:
+        """Return the (m, m) sum of (e, b, b) blocks; places count once an element, since products add them up."""
+        rows = blocks.reshape(-1, blocks.shape[-1])[self._order]
+        rows[self._none] = 0.0
+        found = copy(self._sum)
+        found.data = rows.ravel()
+        return found
+
+
+@lru_cache(maxsize=64)
+def _sum_of(grid: SharedMesh, elements: bytes) -> _Sum:
+    """Return how blocks of some elements add up: the next solution's are the same as long as no border leaves its own.
+
+    Args:
+        grid: The mesh.
+        elements: The bytes of (e,) numbers.
+    """
+    own = grid.dofs[np.frombuffer(elements, dtype=np.intp)]
+    dofs, place = np.unique(own, return_inverse=True)
+    none = int(dofs[0] < 0)  # a column for elements under no electrode
+    return _Sum(dofs[none:], place.reshape(own.shape) - none)
+
+
 class TouchedSheet:
     """Touches on one deformation.
 
@@ -68,6 +112,7 @@ class TouchedSheet:
         """(n_dofs, 16) V for 1 A into each electrode, with nothing touched."""
         at_terminals = self.to_terminals[grid.terminals]
         self._at_terminals = (at_terminals + at_terminals.T) / 2
+        self._last: tuple[Index, Array] | None = None
 
     def _currents(self) -> Array:
         currents = np.zeros((len(self.grid.sharing), len(self.grid.terminals)))
@@ -97,21 +142,25 @@ class TouchedSheet:
         base = touched(sheet, [pieces])
         if not len(base.element):
             raise ValueError("touches lie beyond the sheet")
-        own = self.grid.dofs[base.element]
-        dofs, place = np.unique(own, return_inverse=True)
-        hidden = int(dofs[0] < 0)  # a column for elements under no electrode
-        dofs, place = dofs[hidden:], place.reshape(own.shape) - hidden
+        adding = _sum_of(self.grid, base.element.tobytes())
+        dofs = adding.dofs
         if len(dofs) > LARGE:
             return self._solved_whole(pieces, base, dofs)
-        change = _summed(base.blocks - sheet.before[base.element], place, len(dofs))
+        change = adding.of(base.blocks - sheet.before[base.element])
         seen = self.to_terminals[dofs]
-        matrix = change @ self._inverse.among(dofs)  # symmetric both: its transpose is wanted
+        matrix = change @ self._among(dofs)  # symmetric both: its transpose is wanted
         matrix.reshape(-1)[:: len(dofs) + 1] += 1.0
         _, _, fields, failed = lapack.dgesv(matrix.T, seen, overwrite_a=1)
         if failed:
             raise ValueError("touches take away more conductance than the sheet has")
         response = self._at_terminals - seen.T @ (change @ fields)
         return Solved(pieces, base, dofs, fields, np.asarray((response + response.T) / 2))
+
+    def _among(self, dofs: Index) -> Array:
+        """Return the (m, m) inverse between some unknowns; the next solution's are the same more often than not."""
+        if self._last is None or self._last[0] is not dofs:
+            self._last = dofs, self._inverse.among(dofs)
+        return self._last[1]
 
     def _solved_whole(self, pieces: Array, base: Blocks, dofs: Index) -> Solved:
         sheet, grid = self.sheet, self.grid
@@ -138,27 +187,13 @@ class TouchedSheet:
         return np.asarray(to_voltages(-total.reshape(-1, 16, 16)).T @ found.mix), found
 
     def element_fields(self, solved: Solved, element: Index) -> Array:
-        """Return (e, 9, 16) fields on the unknowns of touched elements."""
+        """Return (e, 9, 16) fields on the unknowns of touched elements.
+
+        Unknowns of elements that only a moved border reaches have the first one's: a border on a line of the mesh.
+        """
+        none = len(solved.dofs)
         place = np.zeros(len(self.grid.sharing) + 1, dtype=np.intp)
-        place[solved.dofs] = np.arange(len(solved.dofs))
-        own = self.grid.dofs[element]
-        return np.where((own >= 0)[:, :, None], solved.fields[place[own]], 0.0)
-
-
-def _summed(blocks: Array, place: Index, size: int) -> csr_array:
-    """Return the sparse (size, size) sum of elements' blocks, places counted once an element: products add them up.
-
-    Args:
-        blocks: (e, b, b)
-        place: (e, b) of their unknowns; -1 for none.
-        size: Of the sum.
-    """
-    width = place.shape[1]
-    place = place.astype(np.int32)
-    order = np.argsort(place, axis=None, kind="stable")
-    order = order[np.count_nonzero(place < 0) :]
-    count = np.bincount(place.ravel()[order], minlength=size)
-    column = place[order // width]
-    values = np.where(column < 0, 0.0, blocks.reshape(-1, width)[order])
-    begin = (np.concatenate([[0], np.cumsum(count)]) * width).astype(np.int32)
-    return csr_array((values.ravel(), np.maximum(column, 0).ravel(), begin), shape=(size, size))
+        place[solved.dofs] = np.arange(none)
+        place[-1] = none  # of unknowns that are none
+        fields = np.concatenate([solved.fields, np.zeros((1, solved.fields.shape[1]))])
+        return np.asarray(fields[place[self.grid.dofs[element]]])

@@ -44,6 +44,8 @@ class Ways:
     """(c, n_elements) elements that it may change."""
     mix: Array
     """(c, r) derivatives by parameters, in the order of ``np.nonzero(free)``, from those by moves."""
+    near: npt.NDArray[np.bool_]
+    """(n, n) which touches share an element."""
 
 
 def ways_of(pieces: Array, free: npt.NDArray[np.bool_], mesh: TensorMesh) -> Ways:
@@ -54,10 +56,11 @@ def ways_of(pieces: Array, free: npt.NDArray[np.bool_], mesh: TensorMesh) -> Way
     by_sides = sharp & free[:, SIDES].all(axis=1)
     others = free.copy()
     others[by_sides, SIDES] = False
+    own = reached(boxes, mesh)
 
     side_of = np.repeat(np.flatnonzero(by_sides), 4)  # a touch's left, right, low and high side
-    axis, outward = np.tile([[0, 0, 1, 1], [-1, 1, -1, 1]], len(side_of) // 4)
     sides, at = values[side_of], np.arange(len(side_of))
+    axis, outward = at // 2 % 2, at % 2 * 2 - 1
     where = sides[at, X + axis] + outward * sides[at, HALF_LENGTH + axis]
     sides[at, X + axis] += 0.5 * outward * STEP
     sides[at, HALF_LENGTH + axis] += 0.5 * STEP
@@ -77,15 +80,16 @@ def ways_of(pieces: Array, free: npt.NDArray[np.bool_], mesh: TensorMesh) -> Way
         touch=touch,
         moved=pieces_of(pieces[touch, 0], np.concatenate([sides, moved])),
         step=np.concatenate([np.full(len(at), STEP), steps]),
-        reach=reached(np.concatenate([crossed, boxes[one_of]]), mesh),
+        reach=np.concatenate([reached(crossed, mesh), own[one_of]]),
         mix=mix,
+        near=_sharing(own),
     )
 
 
-def neighbours(pieces: Array, mesh: TensorMesh) -> list[Index]:
-    """Return for every touch those that share an element with it, itself among them."""
-    reach = reached(_boxes(pieces), mesh).astype(np.float32)
-    return [np.flatnonzero(row) for row in reach @ reach.T > 0.0]
+def _sharing(reach: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return (n, n) which of n touches that reach (n, n_elements) share an element."""
+    counted = reach.astype(np.float32)
+    return np.asarray(counted @ counted.T > 0.0)
 
 
 def reached(boxes: Array, mesh: TensorMesh) -> npt.NDArray[np.bool_]:
@@ -93,7 +97,7 @@ def reached(boxes: Array, mesh: TensorMesh) -> npt.NDArray[np.bool_]:
     x, y = mesh.x_lines_mm, mesh.y_lines_mm
     across = (x[1:] > boxes[:, 0, :1]) & (x[:-1] < boxes[:, 1, :1])
     up = (y[1:] > boxes[:, 0, 1:]) & (y[:-1] < boxes[:, 1, 1:])
-    return np.asarray((up[:, :, None] & across[:, None, :]).reshape(len(boxes), -1))
+    return np.asarray((up[:, :, None] & across[:, None, :]).reshape(len(boxes), mesh.n_elements))
 
 
 def _boxes(pieces: Array) -> Array:
