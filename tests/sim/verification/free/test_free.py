@@ -181,7 +181,8 @@ def test_errors_of_a_fit_are_told_by_the_derivatives_of_its_last_short_step() ->
 
 def test_where_a_touch_lies_that_another_one_hides_is_not_known_at_all() -> None:
     two = np.vstack([moved([0, 0, 0, 30.0, 30.0, 0, 0, 0]), moved([0, 2.0, 3.0, -2.0, 0, 0, 0, 0])])
-    large, hidden = touches_of(verifier()._frame(seen(two) / flat_V() - 1.0).at(two))
+    fit = verifier()._frame(seen(two) / flat_V() - 1.0).at(two)
+    large, hidden = touches_of(fit, scatter_of(fit))
     assert max(large.centre_error_mm) < 0.5
     assert min(hidden.centre_error_mm) > 150.0
     assert np.isfinite(hidden.centre_error_mm).all()

@@ -15,7 +15,7 @@ from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Frame
 from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.free.improve import AGAINST_JOINT
-from eitskin_sim.verification.free.prior.costs import costs, heavy, own_parameters, prior
+from eitskin_sim.verification.free.prior.costs import cost_rates, costs, heavy, own_parameters
 from eitskin_sim.verification.free.prior.joints import Joints, bodies
 from eitskin_sim.verification.free.seen import (
     BESIDE,
@@ -165,12 +165,12 @@ def test_the_prior_s_derivatives_are_quotients() -> None:
 
 def agree(pieces: np.ndarray, own: np.ndarray, usual: Usual, joints: Joints) -> None:
     """Check derivatives of the prior against quotients."""
-    _, by = prior(pieces, own, usual, joints)
+    by = cost_rates(pieces, own, usual, joints)
     columns = {3: (3, 0.5), 4: (4, 0.5)}  # half length, half width: of the table's column, and its factor
     for number, (row, parameter) in enumerate(zip(*np.nonzero(own), strict=True)):
         column, factor = columns.get(int(parameter) + 1, (int(parameter) + 1, 1.0))
         step = np.zeros_like(pieces)
         step[row, column] = 1e-5
-        found = [prior(pieces + sign * step, own, usual, joints)[0] for sign in (1.0, -1.0)]
+        found = [costs(pieces + sign * step, own, usual, joints) for sign in (1.0, -1.0)]
         scale = pieces[row, 6] if column == 6 else 1.0 / factor
         assert scale * (found[0] - found[1]) / 2e-5 == pytest.approx(by[:, number], rel=1e-4, abs=1e-6)

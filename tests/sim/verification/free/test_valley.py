@@ -13,7 +13,7 @@ from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.chi_squared import LEVEL
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Frame, refine
-from eitskin_sim.verification.free.found import FreeVerdict, drawn, map_of, touches_of
+from eitskin_sim.verification.free.found import FreeVerdict, drawn, map_of, scatter_of, touches_of
 from eitskin_sim.verification.free.improve import parted
 from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.seen import left_out, too_small
@@ -105,7 +105,8 @@ def test_an_angle_that_was_fitted_has_its_error_and_size_and_contrast_are_tied(m
     turned = HARD.copy()
     turned[0, 3:6] = 20.0, 8.0, 30.0
     frame = own._frame(model.solve(turned)[1])
-    (free,), (fixed,) = touches_of(frame.at(turned, True)), touches_of(frame.at(turned, False))
+    fits = [frame.at(turned, turning) for turning in (True, False)]
+    (free,), (fixed,) = (touches_of(fit, scatter_of(fit)) for fit in fits)
     assert free.angle_error_deg is not None
     assert 0.0 < free.angle_error_deg < 20.0
     assert fixed.angle_error_deg is None

@@ -27,7 +27,7 @@ from eitskin_sim.shapes.parameters import (
 )
 from eitskin_sim.shapes.sheet import Solved
 from eitskin_sim.verification.free.effort import never
-from eitskin_sim.verification.free.prior.costs import costs, own_parameters, prior
+from eitskin_sim.verification.free.prior.costs import cost_rates, costs, own_parameters
 from eitskin_sim.verification.free.prior.joints import Joints
 from eitskin_sim.verification.free.sheet.model import Model
 from eitskin_sim.verification.free.usual import Usual
@@ -100,7 +100,7 @@ class Frame:
         residual = self.white.whiten(self.change - self.expected - change)
         cost = costs(pieces, own_parameters(pieces, turning), self.usual, self.joints)
         price = self.usual.touches.per_touch * len(pieces) + AGAINST * max(len(pieces) - self.shown, 0)
-        return Fit(pieces, turning, solved, residual, float(cost @ cost), price, self)
+        return Fit(pieces, turning, solved, residual, cost, price, self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +114,8 @@ class Fit:
     solved: Solved
     residual: Array
     """(rows,) whitened."""
-    prior: float
+    unlikely: Array
+    """(p,) residuals of the prior; the last is that of the mean contrast."""
     price: float
     """Of its number of touches."""
     frame: "Frame"
@@ -146,8 +147,8 @@ class Fit:
     def residuals(self) -> "Linear":
         """Return the (rows + p,) residuals, the prior's (p, r) derivatives, and what is free."""
         own = own_parameters(self.pieces, self.turning)
-        cost, rate = prior(self.pieces, own, self.frame.usual, self.frame.joints)
-        return np.concatenate([self.residual, cost]), rate, own
+        rate = cost_rates(self.pieces, own, self.frame.usual, self.frame.joints)
+        return np.concatenate([self.residual, self.unlikely]), rate, own
 
     @property
     def chi_squared(self) -> float:
@@ -157,13 +158,12 @@ class Fit:
     @property
     def cost(self) -> float:
         """What is minimised."""
-        return self.chi_squared + self.prior + self.price + 3.0 * self.turning
+        return self.chi_squared + float(self.unlikely @ self.unlikely) + self.price + 3.0 * self.turning
 
 
 def held_prior(fit: Fit) -> float:
     """Return the prior's cost of a fit's touches, but for their mean contrast."""
-    cost = costs(fit.pieces, own_parameters(fit.pieces, fit.turning), fit.frame.usual, fit.frame.joints)
-    return float(cost[:-1] @ cost[:-1])
+    return float(fit.unlikely[:-1] @ fit.unlikely[:-1])
 
 
 def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = never, enough: float = ENOUGH) -> Fit:

@@ -105,17 +105,18 @@ class FreeVerdict(Verdict[FreeTouch]):
         return self.contested or self.unfinished or self.p_value < self.level
 
 
-def touches_of(fit: Fit, others: Sequence[Array] = ()) -> tuple[FreeTouch, ...]:
+def touches_of(fit: Fit, scatter: Array, others: Sequence[Array] = ()) -> tuple[FreeTouch, ...]:
     """Return what a fit says of every touch.
 
     Args:
         fit: The fit.
+        scatter: (k, n, 7) in which ways it may be off, as :func:`scatter_of` says.
         others: (n, 8) touches each, of other contrasts that explain the frame as well: ranges reach as far as they do.
     """
     if not len(fit.pieces):
         return ()
     own = fit.errors[2]
-    ways = scatter_of(fit)[:, own]
+    ways = scatter[:, own]
     covariance = ways.T @ ways
     number = np.full(own.shape, -1)
     number[own] = np.arange(own.sum())

@@ -153,8 +153,9 @@ class FreeVerifier:
         every = likely(fit.frame, fit, effort)
         self._seen = fit.pieces, rectangles
         drawn_whole = tuple((share, closed(pieces, shares, self._skin.grid)) for share, pieces in every)
+        scatter = scatter_of(fit)
         return FreeVerdict(
-            touches_of(fit, [pieces for _, pieces in every[1:]]),
+            touches_of(fit, scatter, [pieces for _, pieces in every[1:]]),
             fit.chi_squared,
             max(degrees_of_freedom(fit), 1),
             p_of(fit),
@@ -167,7 +168,7 @@ class FreeVerifier:
             tuple(trail),
             self._contested(every, shares) > DOUBT,
             drawn_whole,
-            scatter_of(fit),
+            scatter,
             fit.frame.joints,
         )
 

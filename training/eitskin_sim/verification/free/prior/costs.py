@@ -58,24 +58,24 @@ def costs(pieces: Array, own: npt.NDArray[np.bool_], usual: Usual, joints: Joint
     )
 
 
-def prior(pieces: Array, own: npt.NDArray[np.bool_], usual: Usual, joints: Joints = ()) -> tuple[Array, Array]:
-    """Return the same and their (p, r) derivatives by the free parameters."""
-    cost, n = costs(pieces, own, usual, joints), len(pieces)
+def cost_rates(pieces: Array, own: npt.NDArray[np.bool_], usual: Usual, joints: Joints = ()) -> Array:
+    """Return the (p, r) derivatives of :func:`costs` by the free parameters."""
+    n = len(pieces)
     if not n:
-        return cost, np.zeros((0, 0))
+        return np.zeros((0, 0))
     values, each, graded = parameters_of(pieces), np.arange(n), np.flatnonzero(own[:, BORDER])
     length, width = values[:, HALF_LENGTH], values[:, HALF_WIDTH]
     slope = heavy(np.log(length / width), usual.aspect_sd)[1]
-    by = np.zeros((len(cost), *own.shape))
+    rates = joint_rates(values, joints)
+    by = np.zeros((3 * n + len(graded) + len(rates) + 1, *own.shape))
     by[each, each, HALF_LENGTH] = 0.5 / length / usual.touches.size_log_sd
     by[each, each, HALF_WIDTH] = 0.5 / width / usual.touches.size_log_sd
     by[n + each, each, HALF_LENGTH], by[n + each, each, HALF_WIDTH] = slope / length, -slope / width
     by[2 * n : 3 * n, :, LOG_CONTRAST] = (np.eye(n) - 1.0 / n) / usual.own_sd
     by[3 * n + np.arange(len(graded)), graded, BORDER] = 1.0 / usual.border_sd
-    if joints:
-        by[3 * n + len(graded) : -1] = joint_rates(values, joints)
+    by[3 * n + len(graded) : -1] = rates
     by[-1, :, LOG_CONTRAST] = 1.0 / n / usual.common_sd
-    return cost, by[:, own]
+    return np.asarray(by[:, own])
 
 
 def heavy(value: Array, sd: float) -> tuple[Array, Array]:
