@@ -147,6 +147,6 @@ def test_blocks_are_summed_where_elements_share_unknowns_and_none_is_left_out() 
         dense[np.ix_(own[kept], own[kept])] += block[np.ix_(kept, kept)]
     right = rng.standard_normal((7, 4))
     adding = _Sum(np.arange(7), place)
-    kept = adding.of(np.zeros_like(blocks))
+    nothing = adding.of(np.zeros_like(blocks))
     assert adding.of(blocks) @ right == pytest.approx(dense @ right)
-    assert not (kept @ right).any(), "a sum stays what it was when others are made"
+    assert not (nothing @ right).any(), "a sum stays what it was when others are made"

@@ -42,7 +42,10 @@ KEPT: Final = np.array([0, 1, 2, 3, 5, 6, 7, 8, 9])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedMesh:
-    """A mesh, and how its remaining unknowns are numbered: by lines, electrodes in the middle one of theirs."""
+    """A mesh, and how its remaining unknowns are numbered: by lines, electrodes in the middle one of theirs.
+
+    Each is made once and is equal to itself alone, so that what is made of it can be kept by it.
+    """
 
     mesh: TensorMesh
     dofs: Index

@@ -113,6 +113,7 @@ class TouchedSheet:
         at_terminals = self.to_terminals[grid.terminals]
         self._at_terminals = (at_terminals + at_terminals.T) / 2
         self._last: tuple[Index, Array] | None = None
+        """The unknowns of the last solution, and the inverse between them."""
 
     def _currents(self) -> Array:
         currents = np.zeros((len(self.grid.sharing), len(self.grid.terminals)))
