@@ -8,9 +8,10 @@ without a prediction gets one here, which needs the extra ``sim``, for the forwa
 """
 
 import sys
+from dataclasses import replace
 
 import eitskin
-from eitskin_proto.skin.cloud_file import Surface, load_surface
+from eitskin_proto.skin.cloud_file import load_surface
 
 if len(sys.argv) < 2:
     sys.exit(__doc__)
@@ -19,6 +20,6 @@ found = load_surface(sys.argv[1])
 if found.predicted_V is None:
     from eitskin_sim.surface.predict import flat_voltages, predict
 
-    found = Surface(found.cloud_mm, predict(found.cloud_mm), flat_voltages())
+    found = replace(found, predicted_V=predict(found.cloud_mm), predicted_flat_V=flat_voltages())
 revision = eitskin.send_cloud(sys.argv[2], found) if len(sys.argv) > 2 else eitskin.send_cloud(found)
 print(f"cloud {revision} is in use; every frame from now on carries this number")

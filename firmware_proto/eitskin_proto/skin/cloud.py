@@ -16,8 +16,8 @@ import numpy.typing as npt
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
 
-LARGEST_MM: Final = 1000.0
-"""No coordinate is further than this from the origin: a cloud in metres or micrometres would be."""
+LARGEST_MM: Final = 100_000.0
+"""No coordinate is further than this from the origin: single precision places points to 0.004 mm there."""
 
 SPREAD_MM: Final = (5.0, 500.0)
 """Root mean square distance of the points from their middle: the paper's has 52 mm when flat, 25 mm when rolled up;
@@ -45,7 +45,7 @@ def check_cloud(cloud: npt.ArrayLike, grid: Grid = PAPER.grid) -> npt.NDArray[np
         grid: Of the skin.
 
     Raises:
-        ValueError: Shape, type, a NaN or infinity, or a coordinate beyond 1000 mm; with the value and the bound.
+        ValueError: Shape, type, a NaN or infinity, or a coordinate beyond ``LARGEST_MM``; with the value and the bound.
     """
     expected = grid.cloud_shape
     try:
@@ -69,7 +69,10 @@ def check_cloud(cloud: npt.ArrayLike, grid: Grid = PAPER.grid) -> npt.NDArray[np
     largest = float(np.abs(points).max())
     if largest > LARGEST_MM:
         where = tuple(int(i) for i in np.argwhere(np.abs(points) == largest)[0])
-        raise ValueError(f"cloud{list(where)} is {points[where]:g} mm, expected at most {LARGEST_MM:g} mm in size")
+        raise ValueError(
+            f"cloud{list(where)} is {points[where]:g} mm, expected at most {LARGEST_MM:g} mm from the origin: give the "
+            "cloud in mm, in a frame that is nearer to the sheet"
+        )
     return points
 
 

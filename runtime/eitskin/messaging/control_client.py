@@ -95,7 +95,8 @@ def send_cloud(
         endpoint: Of the runtime's *control* (``eitskin run --control``), not the one that frames come from; left out,
             it is the default one.
         cloud: (3, rows, columns) mm, in any pose; or a file that ``eitskin surface`` wrote, by its path or as
-            :func:`eitskin_proto.skin.cloud_file.load_surface` returns it, which brings its prediction along.
+            :func:`eitskin_proto.skin.cloud_file.load_surface` returns it, which brings its prediction along, and is
+            sent in the frame of the points that were measured: touches then have their places there.
         predicted: (104,) V, what the forward model says of this surface untouched; None for no prediction.
         predicted_flat: (104,) V, what the same model says of the flat sheet; None takes the captured reference, which
             is right only if model and device agree on current and gain.
@@ -130,7 +131,7 @@ def send_cloud(
     if isinstance(cloud, Surface):
         if predicted is None:
             predicted, predicted_flat = cloud.predicted_V, cloud.predicted_flat_V
-        cloud = cloud.cloud_mm
+        cloud = cloud.measured_mm
     points, _ = check_sheet(cloud, PAPER if skin is None else skin)
     fields: dict[str, object] = {"cloud": points.astype("<f4").tobytes()}
     if skin is not None:

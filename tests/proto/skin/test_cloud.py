@@ -80,7 +80,7 @@ def broken(value, where=(2, 3, 4)):
     [
         (broken(np.nan), r"cloud\[2, 3, 4\] is nan, expected a finite number of mm; 1 of 4050"),
         (broken(np.inf), r"cloud\[2, 3, 4\] is inf"),
-        (broken(-1000.5), r"cloud\[2, 3, 4\] is -1000.5 mm, expected at most 1000 mm"),
+        (broken(-100_001.0), r"cloud\[2, 3, 4\] is -100001 mm, expected at most 100000 mm from the origin"),
         (np.zeros((3, 45, 30)), r"\(3, 30, 45\).*found \(3, 45, 30\)"),
         (np.zeros((30, 45, 3)), r"found \(30, 45, 3\)"),
         ("cloud", r"must be numbers.*found str"),
@@ -114,7 +114,7 @@ def test_checking_copies_so_that_a_later_change_does_not_reach_in():
 def test_cloud_that_is_far_too_small_or_too_large_is_refused_with_its_bounds(scale):
     cloud = flat_cloud()
     centre = cloud.mean(axis=(1, 2), keepdims=True)
-    with pytest.raises(ValueError, match=r"one line or in one point|expected 5 to 500 mm|at most 1000 mm"):
+    with pytest.raises(ValueError, match=r"one line or in one point|expected 5 to 500 mm"):
         align_cloud(scale * (cloud - centre))
 
 

@@ -42,3 +42,33 @@ def test_a_cloud_without_a_pose_is_no_cloud(tmp_path):
     save_surface(path, Surface(np.zeros((3, 30, 45))))
     with pytest.raises(CloudFileError, match="in one point"):
         load_surface(path)
+
+
+TURN = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+def test_a_cloud_knows_where_its_points_were_measured_and_without_that_stays_where_it_is(tmp_path):
+    measured = np.einsum("ji,jrc->irc", TURN, flat_cloud() - np.array([1.0, 2.0, 90_000.0])[:, None, None])
+    save_surface(tmp_path / "cloud.npz", Surface(flat_cloud(), None, None, TURN, np.array([1.0, 2.0, 90_000.0])))
+    found = load_surface(tmp_path / "cloud.npz")
+    assert np.array_equal(found.cloud_mm, flat_cloud())
+    assert np.abs(found.measured_mm - measured).max() < 1e-9
+    save_surface(tmp_path / "bare.npz", Surface(flat_cloud()))
+    assert np.array_equal(load_surface(tmp_path / "bare.npz").measured_mm, flat_cloud())
+
+
+@pytest.mark.parametrize(
+    ("rotation", "translation", "text"),
+    [
+        (1.001 * TURN, np.zeros(3), "stretches or mirrors"),
+        (-TURN, np.zeros(3), "stretches or mirrors"),
+        (np.full((3, 3), np.nan), np.zeros(3), "stretches or mirrors"),
+        (TURN[:2], np.zeros(3), r"\(2, 3\) and a translation \(3,\)"),
+        (TURN, np.full(3, np.inf), "expected finite"),
+        (TURN, np.full(3, 1e6), "100000 mm from the origin"),
+    ],
+)
+def test_a_pose_that_no_scanner_has_is_refused(tmp_path, rotation, translation, text):
+    save_surface(tmp_path / "cloud.npz", Surface(flat_cloud(), None, None, rotation, translation))
+    with pytest.raises(CloudFileError, match=text):
+        load_surface(tmp_path / "cloud.npz")

@@ -35,7 +35,7 @@ def test_bad_clouds_are_value_errors_before_anything_is_sent(server, recorder):
         eitskin.send_cloud(server.endpoint, cloud)
     with pytest.raises(ValueError, match=r"\(30, 45, 3\)"):
         eitskin.send_cloud(server.endpoint, np.zeros((30, 45, 3)))
-    with pytest.raises(ValueError, match="1000 mm"):
+    with pytest.raises(ValueError, match="100000 mm"):
         eitskin.send_cloud(server.endpoint, flat_cloud() * 1e6)
     with pytest.raises(ValueError, match=r"predicted\[3\] is inf"):
         eitskin.send_cloud(server.endpoint, flat_cloud(), np.where(np.arange(104) == 3, np.inf, 1.0))
@@ -75,6 +75,17 @@ def test_a_cloud_file_brings_its_prediction_along(server, recorder, tmp_path):
     assert recorder.clouds[2][1:] == (None, None)
     with pytest.raises(cloud_file.CloudFileError, match=r"nobody\.npz cannot be read: No such file"):
         eitskin.send_cloud(server.endpoint, tmp_path / "nobody.npz")
+
+
+def test_a_cloud_file_is_sent_in_the_frame_in_which_its_points_were_measured(server, recorder, tmp_path):
+    turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    surface = cloud_file.Surface(flat_cloud(), None, None, turn, np.array([10.0, 20.0, 3000.0]))
+    cloud_file.save_surface(tmp_path / "cloud.npz", surface)
+    eitskin.send_cloud(server.endpoint, tmp_path / "cloud.npz")
+    got = recorder.clouds[0][0]
+    laid = np.einsum("ij,jrc->irc", turn, got) + np.array([10.0, 20.0, 3000.0])[:, None, None]
+    assert np.abs(laid - flat_cloud()).max() < 1e-3
+    assert np.abs(got[1]).min() > 2900.0  # z of the laid cloud came from y
 
 
 def test_without_an_endpoint_the_default_control_is_asked(recorder, tmp_path, monkeypatch):

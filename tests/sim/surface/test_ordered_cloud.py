@@ -6,6 +6,7 @@ from scipy.spatial import cKDTree
 from tests.sim.surface.raw_points import BENDS, Raw
 
 from eitskin_proto.skin.cloud import align_cloud
+from eitskin_proto.skin.cloud_file import load_surface
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.scene import Bend
 from eitskin_sim.surface import ordered_cloud, smooth_surface, unroll
@@ -51,6 +52,18 @@ def test_rotation_and_translation_carry_the_scan_onto_the_cloud():
     gap = cKDTree(moved).query(result.cloud_mm.reshape(3, -1).T)[0]
     assert np.median(gap) < 0.6  # 20,000 points on 15,000 mm^2 are 0.87 mm apart
     assert np.allclose(align_cloud(result.cloud_mm), result.cloud_mm, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["flat", "twisted"])
+def test_the_file_knows_where_a_scanner_far_away_saw_the_sheet(name, tmp_path):
+    raw = Raw(BENDS[name], 20_000, outliers=0.0)
+    away = np.array([2_000.0, -40_000.0, 90_000.0])  # a robot's map is measured from a corner of its building
+    result = ordered_cloud.organise(raw.points + away, tuple(np.array(raw.corner()) + away))
+    ordered_cloud.save_cloud(tmp_path / "cloud.npz", result)
+    found = load_surface(tmp_path / "cloud.npz")
+    gap = cKDTree(raw.points + away).query(found.measured_mm.reshape(3, -1).T)[0]
+    assert np.median(gap) < 0.6
+    assert np.allclose(align_cloud(found.measured_mm), found.cloud_mm, atol=1e-6)
 
 
 @pytest.mark.parametrize(("x", "y", "flips"), [(0, 0, ""), (150, 0, "x"), (0, 100, "y"), (150, 100, "xy")])

@@ -175,10 +175,10 @@ def save_cloud(
         "noise_mm": result.noise_mm,
         "outline_sigma_mm": result.outline_sigma_mm,
         "corner": result.corner,
-        "rotation": result.rotation,
-        "translation_mm": result.translation_mm,
     }
-    save_surface(path, Surface(result.cloud_mm, *(predicted or ())), about, skin)
+    predicted_V, flat_V = predicted or (None, None)
+    surface = Surface(result.cloud_mm, predicted_V, flat_V, result.rotation, result.translation_mm)
+    save_surface(path, surface, about, skin)
 
 
 def _check_points(points_mm: npt.ArrayLike, grid: Grid) -> Array:
