@@ -10,10 +10,12 @@ from .outcome import Effort, Outcome
 
 SLOW: Final = frozenset({
     "subscribers.topics", "subscribers.connections", "subscribers.descriptors", "subscribers.silent",
-    "subscribers.honest", "subscribers.churn", "subscribers.giants", "device.clocks", "device.greetings",
-    "device.answers", "device.hangs", "device.terminated", "files.readers", "files.commands",
+    "subscribers.honest", "subscribers.churn", "subscribers.giants", "subscribers.unsubscriptions", "device.clocks",
+    "device.greetings", "device.answers", "device.hangs", "device.terminated", "device.rows", "device.floods",
+    "device.hello", "device.heads", "device.foreign", "device.restarts", "device.numbers", "files.readers",
+    "files.commands",
 })  # fmt: skip
-"""Whose short form takes ten seconds and more: ``make slow`` has them, not ``make test``."""
+"""Whose short form takes five seconds and more: ``make slow`` has them, not ``make test``."""
 
 
 def short_form(folder: str) -> tuple[Any, Callable[[Outcome], None]]:
