@@ -64,6 +64,7 @@ def test_the_file_knows_where_a_scanner_far_away_saw_the_sheet(name, tmp_path):
     gap = cKDTree(raw.points + away).query(found.measured_mm.reshape(3, -1).T)[0]
     assert np.median(gap) < 0.6
     assert np.allclose(align_cloud(found.measured_mm), found.cloud_mm, atol=1e-6)
+    assert np.array_equal(result.surface().measured_mm, found.measured_mm)
 
 
 @pytest.mark.parametrize(("x", "y", "flips"), [(0, 0, ""), (150, 0, "x"), (0, 100, "y"), (150, 100, "xy")])

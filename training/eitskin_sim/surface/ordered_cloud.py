@@ -93,6 +93,15 @@ class OrderedCloud:
     translation_mm: Array
     """(3,) added after the rotation."""
 
+    def surface(self, predicted: tuple[Array, Array] | None = None) -> Surface:
+        """Return what is stored, or sent to a runtime: the cloud, and where its points were measured.
+
+        Args:
+            predicted: (104,) V_pred of it and (104,) of the flat sheet, by :mod:`eitskin_sim.surface.predict`.
+        """
+        predicted_V, flat_V = predicted or (None, None)
+        return Surface(self.cloud_mm, predicted_V, flat_V, self.rotation, self.translation_mm)
+
 
 def organise(
     points_mm: npt.ArrayLike, corner_mm: tuple[float, float, float] | None = None, grid: Grid = PAPER.grid
@@ -176,9 +185,7 @@ def save_cloud(
         "outline_sigma_mm": result.outline_sigma_mm,
         "corner": result.corner,
     }
-    predicted_V, flat_V = predicted or (None, None)
-    surface = Surface(result.cloud_mm, predicted_V, flat_V, result.rotation, result.translation_mm)
-    save_surface(path, surface, about, skin)
+    save_surface(path, result.surface(predicted), about, skin)
 
 
 def _check_points(points_mm: npt.ArrayLike, grid: Grid) -> Array:
