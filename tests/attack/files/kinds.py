@@ -156,6 +156,15 @@ def _phantoms() -> Any:
     return [{"name": "1", "scene": samples.scene(), "truth": "area"}, {"scene": {}, "truth": "units"}]
 
 
+def _pcd(form: str) -> bytes:
+    rows = samples.points()
+    head = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z _\nSIZE 4 4 4 1\nTYPE F F F U\nCOUNT 1 1 1 4\n"
+    head += f"WIDTH {len(rows)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(rows)}\nDATA {form}\n"
+    if form == "ascii":
+        return (head + "\n".join(" ".join(f"{v:g}" for v in row) + " 0 0 0 0" for row in rows)).encode()
+    return head.encode() + b"".join(row.tobytes() + bytes(4) for row in rows)
+
+
 def _xyz() -> bytes:
     return "\n".join(" ".join(f"{v:g}" for v in row) for row in samples.points()).encode()
 
@@ -170,6 +179,8 @@ KINDS: Final[dict[str, Kind]] = {
     "phantoms": Kind(_file("p.json", partial(_json, _phantoms)), samples.read_phantoms, long=1500),
     "scan-ply": Kind(_file("s.ply", partial(_bytes, samples.ply_binary)), samples.read_scan, long=600),
     "scan-ply-text": Kind(_file("s.ply", partial(_bytes, samples.ply_text)), samples.read_scan, long=600),
+    "scan-pcd": Kind(_file("s.pcd", partial(_bytes, partial(_pcd, "binary"))), samples.read_scan, long=600),
+    "scan-pcd-text": Kind(_file("s.pcd", partial(_bytes, partial(_pcd, "ascii"))), samples.read_scan, long=600),
     "scan-xyz": Kind(_file("s.xyz", partial(_bytes, _xyz)), samples.read_scan, long=600),
     "scan-npy": Kind(_file("s.npy", partial(_npy, samples.points)), samples.read_scan, long=600),
     "cloud": Kind(_file("c.npz", partial(_npz, samples.cloud)), samples.read_cloud),

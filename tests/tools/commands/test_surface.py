@@ -32,6 +32,20 @@ def test_command_writes_a_cloud_that_loads_again(tmp_path, capsys):
     assert report["size_mm"] == pytest.approx([178.5, 95.7], abs=1.0)
 
 
+def test_points_and_corner_in_metres_are_those_in_millimetres(tmp_path, capsys):
+    raw = Raw(BENDS["half a turn, stretched"], 8_000)
+    found = []
+    for unit, scale in (("mm", 1.0), ("m", 1e-3)):
+        np.save(tmp_path / "points.npy", scale * raw.points)
+        corner = [f"{scale * value:.5f}" for value in raw.corner()]
+        words = ["surface", str(tmp_path / "points.npy"), "--out", str(tmp_path / "cloud.npz"), "--corner", *corner]
+        assert cli.main([*words, "--unit", unit]) == 0
+        found.append(load_surface(tmp_path / "cloud.npz").measured_mm)
+    assert np.abs(found[1] - found[0]).max() < 1e-6
+    assert cli.main(words) == 1
+    assert "save them in millimetres, or say --unit m where they are in metres" in capsys.readouterr().err
+
+
 def test_command_adds_the_prediction_that_it_is_asked_for(tmp_path, capsys):
     raw = Raw(BENDS["half a turn, stretched"], 8_000)
     np.save(tmp_path / "points.npy", raw.points)

@@ -209,7 +209,7 @@ def _check_points(points_mm: npt.ArrayLike, grid: Grid) -> Array:
     if spread.max() < 5.0 or spread.max() > 5000.0:
         raise PointCloudError(
             f"the points span {spread.max():.3g} mm; the sheet is {max(grid.size_mm):g} mm long: "
-            "save them in millimetres"
+            "save them in millimetres, or say --unit m where they are in metres"
         )
     return points
 

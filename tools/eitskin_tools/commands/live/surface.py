@@ -8,11 +8,14 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from eitskin_proto.errors import SkinError
 from eitskin_tools.command_line import files, kinds, skins
 from eitskin_tools.console.say import say
+
+MM: Final = {"mm": 1.0, "m": 1000.0}
+"""Millimetres of a unit."""
 
 DEFAULT = "default"
 """What ``--send`` without an endpoint means."""
@@ -21,7 +24,15 @@ DEFAULT = "default"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the subcommand's arguments."""
     parser.add_argument(
-        "file", metavar="POINTS", help="points of the sheet, mm: .ply (ASCII or binary), .xyz or .npy; or sample"
+        "file",
+        metavar="POINTS",
+        help="points of the sheet: .ply or .pcd (ASCII or binary), .xyz or .npy; or sample",
+    )
+    parser.add_argument(
+        "--unit",
+        choices=tuple(MM),
+        default="mm",
+        help="of the points and of --corner (default: %(default)s); ROS and depth cameras write m",
     )
     parser.add_argument("--out", required=True, metavar="CLOUD.npz", help="where the cloud goes")
     parser.add_argument(
@@ -29,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         type=float,
         metavar=("X", "Y", "Z"),
-        help="a point near the sheet's corner (0, 0), in the points' own frame, mm; it decides between the four ways "
+        help="a point near the sheet's corner (0, 0), in the points' own frame; it decides between the four ways "
         "in which a rectangle fits. Without it the scanner's frame decides: the way that needs the smallest turn",
     )
     parser.add_argument(
@@ -55,11 +66,12 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_sim.surface.point_files import read_points
 
     skin = skins.chosen(arguments)
-    points = read_points(files.find(arguments.file, files.POINTS))
+    points = MM[arguments.unit] * read_points(files.find(arguments.file, files.POINTS))
+    corner = None if arguments.corner is None else tuple(MM[arguments.unit] * place for place in arguments.corner)
     files.writable(arguments.out, kinds.CLOUD)
     start = time.perf_counter()
     try:
-        result = organise(points, tuple(arguments.corner) if arguments.corner else None, skin.grid)
+        result = organise(points, corner, skin.grid)
         elapsed_ms = 1e3 * (time.perf_counter() - start)
         check_sheet(result.cloud_mm, skin)
     except (PointCloudError, ValueError) as error:
