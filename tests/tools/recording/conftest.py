@@ -91,9 +91,9 @@ def play(path: Path, bundle: Bundle, **options: Any) -> list[Any]:
     return taker.items
 
 
-def measured(frames: int = 150, **options: Any) -> list[Any]:
+def measured(frames: int = 150, steps: list[Step] | None = None, **options: Any) -> list[Any]:
     """Return all that streams and frames say of a played skin that gets a cloud after a while."""
-    steps = scans(frames)
+    steps = scans(frames) if steps is None else steps
     line = RecordedLine("test", hello(), lambda: iter(steps), paced=False)
     taker = Taker()
     with eitskin.Skin(line, bundle=load_bundle(TINY), reference=reference(), **options) as skin:

@@ -1,6 +1,7 @@
 """A recording in other programs' files: the same voltages, clouds and maps."""
 
 import json
+import struct
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -9,15 +10,16 @@ import numpy as np
 import pytest
 
 from eitskin import Frame
+from eitskin.messaging.streams.measured import WireFrame
 from eitskin_tools import cli
 from eitskin_tools.recording.convert.files import write_npz, write_parquet
 from eitskin_tools.recording.convert.table import table_of
 from eitskin_tools.recording.layout import CLOUD as CLOUDS
 from eitskin_tools.recording.layout import MAP, STATE
 from eitskin_tools.recording.recorder import Kept
-from eitskin_tools.recording.script import Script
+from eitskin_tools.recording.script import Script, Step
 
-from .conftest import CLOUD, VOLTS, recorded, scans
+from .conftest import CLOUD, PERIOD_NS, VOLTS, measured, recorded, scans
 
 
 @pytest.fixture
@@ -42,6 +44,31 @@ def test_npz_has_what_was_measured_and_published(with_maps: Path, items: list[An
         assert found["cloud_mm"][index[-1]].tobytes() == CLOUD.astype("<f4").tobytes()
         assert index.tolist() == sorted(index.tolist())
         assert str(found["serial"]) == "TEST-1"
+
+
+def twice() -> list[Step]:
+    """Return frames of a device that starts anew amid them: it measures other voltages under the same numbers."""
+    once = scans(60)
+    again = []
+    for index, step in enumerate(once[7:]):
+        payload = bytearray(step.frame.payload)
+        struct.pack_into("<II", payload, 8, 100 + index, 1000 + 5000 * index)
+        behind_ns = (60 + index) * PERIOD_NS
+        again.append(Step(WireFrame(bytes(payload), 160 + index, behind_ns), 10**9 + behind_ns))
+    return once + again
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_each_frame_has_its_own_map_where_the_device_started_anew(tmp_path: Path, every: int) -> None:
+    items = measured(steps=twice())
+    recorded(tmp_path / "a.mcap", items, Kept(maps=True, every=every))
+    maps = table_of(Script(tmp_path / "a.mcap")).maps
+    frames = [item for item in items if isinstance(item, Frame)]
+    assert maps is not None
+    assert len(maps) == len(frames) == 113
+    known = ~np.isnan(maps).any(axis=(1, 2))
+    assert known.all() if every == 1 else 20 < known.sum() < 113
+    assert [row for row, frame in enumerate(frames) if known[row] and (maps[row] != frame.map).any()] == []
 
 
 def test_evaluate_measured_reads_npz_and_recordings_alike(with_maps: Path, tmp_path: Path) -> None:

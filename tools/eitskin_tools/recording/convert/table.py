@@ -10,6 +10,7 @@
 Frames of the idle mode, of a few drives, are left out and counted.
 """
 
+from bisect import bisect_right
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -28,6 +29,9 @@ from eitskin_tools.recording.script import Script
 
 MOST_FRAMES: Final = 2_000_000
 """In memory: nearly three hours at 200 frames/s, 1.7 GB."""
+
+NUMBERS: Final = (1 << 32) - 1
+"""Of published frames are kept beside maps modulo one more."""
 
 COLUMNS: Final[dict[str, Any]] = {
     "seq": np.int64, "device_us": np.int64, "read_ns": np.int64, "wall_ns": np.int64, "withheld": np.str_,
@@ -76,6 +80,7 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
     index_of = {revision: index for index, revision in enumerate(revisions)}
     rows: dict[str, list[Any]] = {name: [] for name in COLUMNS}
     volts: list[npt.NDArray[np.float64]] = []
+    numbers: list[int] = []
     left_out, cloud = 0, -1
     for step in script.steps(from_s, to_s):
         frame = step.frame
@@ -95,6 +100,7 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
             )
         normaliser.load(view.counts)
         volts.append(normaliser.voltages().copy())
+        numbers.append(-1 if frame.frame is None else frame.frame)
         found = {
             "seq": frame.seq, "device_us": frame.device_us or 0, "read_ns": frame.read_ns, "wall_ns": step.log_ns,
             "withheld": frame.withheld, "touched": frame.touched, "gate_logit": frame.gate_logit,
@@ -114,7 +120,7 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
         np.array([one.cloud for one in clouds], dtype=np.float32),
         _volts([one.predicted for one in clouds]),
         _volts([one.predicted_flat for one in clouds]),
-        _maps(script, columns),
+        _maps(script, numbers, columns),
         left_out,
     )
 
@@ -148,19 +154,28 @@ def _volts(given: list[npt.NDArray[np.float64] | None]) -> npt.NDArray[np.float6
     return np.array([np.full(N_ROWS, np.nan) if one is None else one for one in given]).reshape(-1, N_ROWS)
 
 
-def _maps(script: Script, columns: dict[str, npt.NDArray[Any]]) -> npt.NDArray[np.float32] | None:
-    """Return the map of every frame, as far as the recording has it."""
-    found: dict[int, npt.NDArray[np.float32]] = {}
+def _maps(script: Script, numbers: list[int], columns: dict[str, npt.NDArray[Any]]) -> npt.NDArray[np.float32] | None:
+    """Return the map of every frame, as far as the recording has it.
+
+    A map stands in the file once, under the number of the first published frame that had it. By ``seq`` alone it is not
+    known: a device that starts anew counts from 0 again.
+    """
+    first: list[int] = []
+    found: list[tuple[int, npt.NDArray[np.float32]]] = []
     for entry in script.recording.entries({MAP.topic}):
-        sequence, values = unpack_map(entry.data)
-        found[sequence] = values
+        first.append(entry.sequence)
+        found.append(unpack_map(entry.data))
     if not found:
         return None
-    shape = next(iter(found.values())).shape
-    maps = np.full((len(columns["seq"]), *shape), np.nan, dtype=np.float32)
-    for row, (sequence, solver) in enumerate(zip(columns["map_seq"].tolist(), columns["solver"].tolist(), strict=True)):
+    maps = np.full((len(numbers), *found[0][1].shape), np.nan, dtype=np.float32)
+    rows = zip(numbers, columns["map_seq"].tolist(), columns["solver"].tolist(), strict=True)
+    for row, (number, sequence, solver) in enumerate(rows):
         if solver == "none" and sequence >= 0:
             maps[row] = 0.0
-        elif sequence in found:
-            maps[row] = found[sequence]
+            continue
+        at = bisect_right(first, number & NUMBERS)
+        for known, values in found[max(at - 1, 0) : at + 1]:  # the frame that had it first may not have been received
+            if known == sequence:
+                maps[row] = values
+                break
     return maps
