@@ -56,8 +56,8 @@ def scans(frames: int, first: int = 100) -> list[Step]:
     return found
 
 
-def reference() -> Reference:
-    volts = counts() * VOLTS
+def reference(stretch: float = 1.0) -> Reference:
+    volts = stretch * counts() * VOLTS
     return Reference(volts, np.abs(volts) * 1e-4, 100, "TEST-1", 0xABCD, "paper", "2026-11-23T00:00:00Z")
 
 
@@ -91,8 +91,10 @@ def play(path: Path, bundle: Bundle, **options: Any) -> list[Any]:
     return taker.items
 
 
-def measured(frames: int = 150, steps: list[Step] | None = None, **options: Any) -> list[Any]:
-    """Return all that streams and frames say of a played skin that gets a cloud after a while."""
+def measured(
+    frames: int = 150, steps: list[Step] | None = None, *, reference_at: int | None = None, **options: Any
+) -> list[Any]:
+    """Return what streams and frames say of a played skin that gets a cloud after a while, and maybe a reference."""
     steps = scans(frames) if steps is None else steps
     line = RecordedLine("test", hello(), lambda: iter(steps), paced=False)
     taker = Taker()
@@ -103,6 +105,9 @@ def measured(frames: int = 150, steps: list[Step] | None = None, **options: Any)
         def before(step: Step) -> None:
             if step.frame.seq == 100 + frames // 2:
                 skin.set_cloud(CLOUD, RATIO * volts, volts)
+            if step.frame.seq == reference_at:
+                skin.loop.source.afterwards.do()  # streams tell of the frame before, by what held for it
+                skin.loop.use(reference(1.01))
 
         line.before = before
         for _ in skin.publish(taker):

@@ -3,6 +3,8 @@
 import json
 import struct
 from collections import Counter
+from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,8 @@ import pytest
 
 from eitskin import Frame
 from eitskin.messaging.streams.measured import WireFrame
+from eitskin.messaging.streams.state import SkinState
+from eitskin.reference.captured import stored
 from eitskin_tools import cli
 from eitskin_tools.recording.convert.files import write_npz, write_parquet
 from eitskin_tools.recording.convert.table import table_of
@@ -19,7 +23,7 @@ from eitskin_tools.recording.layout import MAP, STATE
 from eitskin_tools.recording.recorder import Kept
 from eitskin_tools.recording.script import Script, Step
 
-from .conftest import CLOUD, PERIOD_NS, VOLTS, measured, recorded, scans
+from .conftest import CLOUD, PERIOD_NS, VOLTS, measured, recorded, reference, scans
 
 
 @pytest.fixture
@@ -122,6 +126,33 @@ def test_rosbag2_has_standard_messages_that_are_the_same(with_maps: Path, items:
     known = {frame.map.tobytes() for frame in items if isinstance(frame, Frame)}
     assert {data for _, _, data in maps} <= known
     assert {(rows, columns) for rows, columns, _ in maps} == {(30, 45)}
+
+
+def test_frames_are_held_against_the_reference_that_they_had(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from eitskin_tools.evaluation.measured_file import load_measured
+
+    path, out = tmp_path / "a.mcap", tmp_path / "a.npz"
+    items, later = measured(60, reference_at=140), stored(reference(1.01))
+    state = next(item for item in items if isinstance(item, SkinState))
+    told = replace(state, reference=later, reference_sha256=sha256(later).hexdigest())
+    recorded(path, [*items, told])
+    assert cli.main(["convert", str(path), "--out", str(out), "--json"]) == 0
+    said, err = capsys.readouterr()
+    assert json.loads(said)["later_reference"] == 20
+    assert "20 frames, from " in err
+    judged = load_measured(path)
+    assert len(judged.voltages_V) == 40
+    assert "20 frames with a later reference are left out" in judged.ending
+    script = Script(path)
+    begin_s = 1e-9 * (next(step.log_ns for step in script.steps() if step.frame.seq == 140) - script.first_ns)
+    for way, stretch in (("--to", 1.0), ("--from", 1.01)):
+        at_s = begin_s - 1e-6
+        assert cli.main(["convert", str(path), "--out", str(out), way, f"{at_s:.9f}"]) == 0
+        assert capsys.readouterr().err == ""
+        with np.load(out) as found:
+            np.testing.assert_allclose(found["reference_V"], reference(stretch).voltages_V)
 
 
 PACKAGES = {"parquet": ("pyarrow", "extra: parquet"), "rosbag2": ("rosbags", "extra: ros")}

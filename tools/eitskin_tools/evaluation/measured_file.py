@@ -12,7 +12,7 @@
                   touch_kind text              "lowering" or "raising": which way touches change conductance (optional)
                   protocol_id, grid_id, skin_digest text   held against this release and its sheet (optional)
 
-A recording, ``FILE.mcap``, is read too: its first reference, its frames that were published, its clouds.
+A recording, ``FILE.mcap``, is read too: its first reference, its frames that were published with that, its clouds.
 
 Rows are those of :data:`eitskin_proto.sensor.table.TABLE`. Other arrays are left alone and named in the report.
 """
@@ -122,7 +122,8 @@ def _of_recording(path: str | Path) -> tuple[Arrays, str]:
     from eitskin_tools.recording.script import Script
 
     script = Script(path)
-    return measured_arrays(script), script.ending
+    arrays, later = measured_arrays(script)
+    return arrays, script.ending + (f"; {later} frames with a later reference are left out" if later else "")
 
 
 def _measured(arrays: Arrays, skin: Skin) -> Measured:

@@ -57,6 +57,14 @@ def run(arguments: argparse.Namespace) -> int:
         {"npz": writers.write_npz, "parquet": writers.write_parquet}[kind](arguments.out, table, script)
         found |= {"frames": len(table.voltages_V), "left_out": table.left_out, "maps": table.maps is not None}
         said = f"{found['frames']} frames, {table.left_out} idle scans of a few drives left out"
+        if table.later.any():
+            found["later_reference"] = count = int(table.later.sum())
+            begin_s = (table.columns["wall_ns"][table.later][0] - script.first_ns) * 1e-9
+            print(
+                f"eitskin convert: {script.path}: {count} frames, from {begin_s:.3f} s on, had a later reference than "
+                "reference_V; convert them apart, with --from and --to",
+                file=sys.stderr,
+            )
     if arguments.json:
         print(json.dumps(found))
     else:

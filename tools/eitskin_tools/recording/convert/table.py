@@ -50,7 +50,9 @@ class Table:
     voltages_V: npt.NDArray[np.float64]
     """(n, 104)"""
     reference_V: npt.NDArray[np.float64]
-    """(104,), flat; the first of the recording."""
+    """(104,), flat; what the first frame is held against of which that is known."""
+    later: npt.NDArray[np.bool_]
+    """(n,) held against another reference, which was captured later."""
     clouds_mm: npt.NDArray[np.float32]
     """(k, 3, rows, columns)"""
     predicted_V: npt.NDArray[np.float64]
@@ -74,18 +76,21 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
         RecordingError: It holds no whole frame, or more than fit into memory.
         SkinError: Its reference cannot be used.
     """
-    reference = reference_of(script, script.reference()).flat()
+    reference: bytes | None = None
+    first = held = ""
     normaliser, view = Normaliser(script.hello.volts_per_count), FrameView()
     revisions = sorted(script.clouds)
     index_of = {revision: index for index, revision in enumerate(revisions)}
     rows: dict[str, list[Any]] = {name: [] for name in COLUMNS}
     volts: list[npt.NDArray[np.float64]] = []
-    numbers: list[int] = []
+    numbers, later = list[int](), list[bool]()
     left_out, cloud = 0, -1
     for step in script.steps(from_s, to_s):
         frame = step.frame
         if step.conditions is not None:
-            cloud = index_of.get(step.conditions.cloud, -1)
+            cloud, held = index_of.get(step.conditions.cloud, -1), step.conditions.reference
+            if reference is None:
+                reference, first = step.reference, held
         try:
             view.load(frame.payload)
         except ProtocolError:
@@ -100,6 +105,7 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
             )
         normaliser.load(view.counts)
         volts.append(normaliser.voltages().copy())
+        later.append(held != first)
         numbers.append(-1 if frame.frame is None else frame.frame)
         found = {
             "seq": frame.seq, "device_us": frame.device_us or 0, "read_ns": frame.read_ns, "wall_ns": step.log_ns,
@@ -116,7 +122,8 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
     return Table(
         columns,
         np.array(volts),
-        reference.voltages_V,
+        reference_of(script, script.reference() if reference is None else reference).flat().voltages_V,
+        np.array(later),
         np.array([one.cloud for one in clouds], dtype=np.float32),
         _volts([one.predicted for one in clouds]),
         _volts([one.predicted_flat for one in clouds]),
@@ -125,15 +132,17 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
     )
 
 
-def measured_arrays(script: Script) -> dict[str, npt.NDArray[Any]]:
-    """Return what ``eitskin evaluate --measured`` takes of a recording: frames that were fit to publish.
+def measured_arrays(script: Script) -> tuple[dict[str, npt.NDArray[Any]], int]:
+    """Return what ``eitskin evaluate --measured`` takes of a recording, and how many frames had a later reference.
+
+    It takes frames that were fit to publish and were held against the first reference.
 
     Raises:
         RecordingError: There is none.
         SkinError: Its reference cannot be used.
     """
     found = table_of(script)
-    fit = found.columns["withheld"] == ""
+    fit = (found.columns["withheld"] == "") & ~found.later
     if len(found.clouds_mm):
         fit &= found.columns["cloud_index"] >= 0  # of others it is not known how the sheet lay
     if not fit.any():
@@ -147,7 +156,7 @@ def measured_arrays(script: Script) -> dict[str, npt.NDArray[Any]]:
         arrays["grid_id"] = np.array(script.told("grid_id"))
     if len(found.clouds_mm):
         arrays |= {"cloud_mm": found.clouds_mm, "cloud_index": found.columns["cloud_index"][fit]}
-    return arrays
+    return arrays, int(found.later.sum())
 
 
 def _volts(given: list[npt.NDArray[np.float64] | None]) -> npt.NDArray[np.float64]:
