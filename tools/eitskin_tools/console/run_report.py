@@ -1,14 +1,17 @@
 """What ``eitskin run`` says once it has everything, and when it ends."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eitskin_tools.console.run_log import RunLog
+
+if TYPE_CHECKING:
+    from eitskin.model.bundle import Bundle
+    from eitskin_proto.skin.skin import Skin
 
 
 def report(skin: Any, log: RunLog) -> None:
     """Say what was got, line by line: device, bundle, skin, gate."""
     from eitskin_proto.skin.skin import PAPER
-    from eitskin_proto.skin.touch_kind import knows
 
     hello = skin.device.hello
     for line in skin.transport.report():
@@ -23,11 +26,8 @@ def report(skin: Any, log: RunLog) -> None:
     log.say(f"bundle: {bundle.path.name} {bundle.id}, {bundle.labels} labels, {bundle.touch_kind} touches; {solvers}")
     rows, columns = skin.description.grid.shape
     log.say(f"skin: {skin.description.name} {skin.description.digest}, map of {rows} x {columns} pixels")
-    touches = skin.description.touch_kind
-    if skin.description is not bundle.skin and not knows(bundle.touch_kind, touches):
-        log.warn(
-            f"{skin.description.name} has {touches} touches, the bundle knows {bundle.touch_kind} ones: see --touches"
-        )
+    for line in doubts(bundle, skin.description):
+        log.warn(line)
     if not hello.skin_digest and skin.description.grid_id != PAPER.grid_id:
         log.warn(
             f'the device does not say which skin it is wired to: state skin = "{skin.description.grid_id}" in its '
@@ -37,6 +37,16 @@ def report(skin: Any, log: RunLog) -> None:
     rate = gate.get("false_alarm_rate")
     stated = f"{rate:.2%}" if isinstance(rate, float) else "unknown"
     log.say(f"gate: false-alarm rate {stated}" if gate else "gate: none in this bundle")
+
+
+def doubts(bundle: "Bundle", description: "Skin") -> list[str]:
+    """Return what is odd about a skin in use and its bundle, and stops nobody."""
+    from eitskin_proto.skin.touch_kind import knows
+
+    touches = description.touch_kind
+    if description is bundle.skin or knows(bundle.touch_kind, touches):
+        return []
+    return [f"{description.name} has {touches} touches, the bundle knows {bundle.touch_kind} ones: see --touches"]
 
 
 def closing(summary: dict[str, Any]) -> str:

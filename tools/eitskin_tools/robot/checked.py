@@ -9,18 +9,23 @@ from eitskin.robot.config import Robot, SkinSettings
 from eitskin_proto.errors import SkinError
 from eitskin_tools.command_line import files
 from eitskin_tools.command_line.touches import WAYS
+from eitskin_tools.console.run_report import doubts
 
 
-def check(robot: Robot) -> None:
+def check(robot: Robot) -> list[tuple[str, str]]:
     """Look at every file that is named, before any process is started; no port is opened.
+
+    Returns:
+        What each skin would warn of at its start: its name, and the line.
 
     Raises:
         RobotError: One is missing or cannot be used; the text names the skin.
     """
     available = os.sched_getaffinity(0)
+    warnings: list[tuple[str, str]] = []
     for one in robot.skins:
         try:
-            _check_files(one)
+            warnings += [(one.name, line) for line in _check_files(one)]
             for key, cpus in (("affinity", one.realtime.affinity), ("verify.affinity", one.verify.affinity)):
                 if missing := sorted(set(cpus) - available):
                     raise RobotError(f"{key}: CPU {missing}, expected some of {sorted(available)}")
@@ -29,9 +34,10 @@ def check(robot: Robot) -> None:
                     raise RobotError(f"{key} is {budget_ms:g}, expected at most {MOST_MS:.0f}")
         except (SkinError, ValueError, OSError) as error:
             raise RobotError(f"skin {one.name}: {error}") from error
+    return warnings
 
 
-def _check_files(settings: SkinSettings) -> None:
+def _check_files(settings: SkinSettings) -> list[str]:
     from eitskin.messaging.curve_keys import load_server_keys
     from eitskin.model.skin_in_use import bundle_and_skin, knowing
     from eitskin.reference import captured
@@ -43,10 +49,11 @@ def _check_files(settings: SkinSettings) -> None:
     _there("curve_keys", settings.curve_keys, files.KEYS)
     description = None if description_path is None else toml.load(description_path)
     bundle = bundle_path if settings.touches is None else knowing(WAYS[settings.touches], bundle_path)
-    _, used = bundle_and_skin(bundle, description)
+    chosen, used = bundle_and_skin(bundle, description)
     captured.taken(settings.reference, used)
     if settings.curve_keys is not None:
         load_server_keys(settings.curve_keys)
+    return doubts(chosen, used)
 
 
 def _there(key: str, given: Path | None, kind: files.Kind) -> Path | None:

@@ -44,8 +44,11 @@ def run_all(arguments: argparse.Namespace, add_arguments: Callable[[argparse.Arg
     from eitskin_tools.service.supervisor import Supervisor
 
     robot = load_robot(Path(arguments.config))
-    check(robot)
-    if arguments.check:
+    warnings = check(robot)
+    log = RobotLog(RunLog(sys.stderr, arguments.log_format, quiet=arguments.quiet))
+    if arguments.check:  # else each skin says so itself
+        for name, line in warnings:
+            log.warn(name, line)
         return _shown(robot, as_json=arguments.json)
     make_folders(robot)
     more = ["--quiet"] if arguments.quiet else []
@@ -56,7 +59,6 @@ def run_all(arguments: argparse.Namespace, add_arguments: Callable[[argparse.Arg
     if arguments.seconds is not None:  # whoever came to its end is not started again
         whole = tuple(replace(one, restart="on-failure") if one.restart == "always" else one for one in whole)
     skins = [SkinProcess(one, Pauses(), more) for one in whole]
-    log = RobotLog(RunLog(sys.stderr, arguments.log_format, quiet=arguments.quiet))
     try:
         status = Family(robot.folder, skins, log, supervisor).run()
     finally:
