@@ -272,6 +272,7 @@ class Pipeline:
             record.events += ("gate_overruled",)
             return True
         record.solver, record.map_sequence = before
+        self.maps.forget()  # this frame goes out without a touch: none behind it may have its map under its number
         return False
 
     def note_health(self) -> None:

@@ -68,6 +68,29 @@ def test_a_look_at_an_untouched_sheet_changes_nothing_but_what_was_skipped(pipel
     assert skipped.count("inference:untouched") == 2 * AUDIT_FRAMES - 2
 
 
+class Looks(GateAudit):
+    """Looks at every frame that the gate calls untouched."""
+
+    def looks(self, rows):
+        return True
+
+
+def test_no_frame_has_the_map_of_one_that_was_looked_at_and_went_out_as_untouched(tiny, hello, touched, counts):
+    pipeline = Pipeline(tiny, hello, skip_unchanged=True)
+    pipeline.use_reference(Reference(counts * 1e-9, np.abs(counts) * 1e-11, 100, "TEST-1", 0xABCD, "paper", ""))
+    engine, gate = Sees(pipeline.buffers), Blind()
+    engine.name = pipeline.engines[0].name
+    pipeline.gate, pipeline.engines[0], pipeline.audit = gate, engine, Looks(1351, 1350)
+    published, rng = {}, np.random.default_rng(0)
+    for sequence in range(1, AUDIT_FRAMES + 4):
+        gate.touched = lambda sees=sequence % AUDIT_FRAMES != 0: sees
+        assert go(pipeline, payload(touched + rng.integers(-9, 9, 104), sequence))
+        record = pipeline.record
+        shown = 0.0 if record.map_is_zero else float(pipeline.buffers.map.max())
+        assert published.setdefault(record.map_sequence, shown) == shown
+    assert set(published.values()) == {0.0, 1.0}
+
+
 class Sheet:
     """Knows whether rows are missing."""
 
