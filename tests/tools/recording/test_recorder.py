@@ -2,6 +2,7 @@
 
 import base64
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from eitskin import CloudInUse, Conditions, Frame, SkinState, WireFrame
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.recording import pictures
 from eitskin_tools.recording.codec import digest_of, pack_map, unpack_json, unpack_map
-from eitskin_tools.recording.layout import CLOUD, FRAME, MAP, STATE, WIRE, RecordingError
+from eitskin_tools.recording.layout import CLOUD, CONDITIONS, FRAME, MAP, STATE, WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording
 from eitskin_tools.recording.recorder import Kept
 from eitskin_tools.recording.script import Script
@@ -109,6 +110,24 @@ def test_frames_that_the_recorder_did_not_get_are_counted(tmp_path: Path, items:
         tmp_path / "a.mcap", [item for item in items if not (isinstance(item, WireFrame) and item.n in left_out)]
     )
     assert recorder.missed == 3
+
+
+def test_all_has_the_clock_of_the_frames_though_the_wall_clock_jumps_and_the_recorder_has_another(
+    tmp_path: Path, items: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hour_ns, wall_ns, first = 3_600_000_000_000, time.time_ns, of(items, SkinState)[0]
+    later = [
+        replace(item, utc_ns=item.utc_ns + hour_ns)
+        if isinstance(item, CloudInUse | SkinState) and item.utc_ns and item is not first
+        else item
+        for item in items
+    ]
+    monkeypatch.setattr(time, "time_ns", lambda: wall_ns() - 2 * hour_ns)
+    recorded(tmp_path / "a.mcap", later)
+    entries = list(Recording(tmp_path / "a.mcap").entries())
+    times = [entry.log_ns for entry in entries]
+    assert {CLOUD.topic, CONDITIONS.topic, STATE.topic, WIRE.topic} <= {entry.topic for entry in entries}
+    assert max(times) - min(times) < hour_ns // 60
 
 
 def test_the_state_is_json_and_the_reference_an_attachment(file: Path, items: list[Any]) -> None:

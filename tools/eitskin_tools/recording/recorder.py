@@ -4,7 +4,6 @@ The recorder is a process of its own: a chunk that is packed and forced onto the
 frame loop must not wait for. It knows no socket: whoever subscribes hands it one value after the other.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -84,7 +83,7 @@ class Recorder:
         self._series: Series | None = None
         self._early: list[tuple[str, Callable[[Any], None], Any]] = []
         self._run = self._reference = ""
-        self._offset_ns = 0
+        self._offset_ns = self._now_ns = 0
         self._cloud = NO_CLOUD
         self._map_sequence = -1
         self._picture_ns = 0
@@ -158,11 +157,12 @@ class Recorder:
             self._cloud, self._pixel_mm = NO_CLOUD, PAPER.grid.pixel_mm if found.grid_id == PAPER.grid_id else None
             self._number = self._map_sequence = self._conditions_revision = self._cloud_revision = -1
         assert self._series is not None
+        self._now_ns = found.made_ns + self._offset_ns
         if found.reference is not None and found.reference_sha256 != self._reference:
             self._reference = found.reference_sha256
             name = f"{REFERENCE}{self._reference[:16]}.json"
-            self._series.attach(name, JSON_MEDIA, found.reference, found.utc_ns)
-        self._series.add(STATE, pack_json(found.as_dict()), found.made_ns + self._offset_ns, found.n)
+            self._series.attach(name, JSON_MEDIA, found.reference, self._now_ns)
+        self._series.add(STATE, pack_json(found.as_dict()), self._now_ns, found.n)
         early, self._early = self._early, []
         for run, write, one in early:
             self._when_known(run, write, one)
@@ -174,23 +174,25 @@ class Recorder:
         self.frames += 1
         self._first_ns = self._first_ns or found.read_ns
         self._last_ns = max(self._last_ns, found.read_ns)
-        self._series_in_hand.add(WIRE, found.body(), found.read_ns + self._offset_ns, found.n)
+        self._now_ns = found.read_ns + self._offset_ns
+        self._series_in_hand.add(WIRE, found.body(), self._now_ns, found.n)
 
     def _take_cloud(self, found: CloudInUse) -> None:
-        """Write a cloud once, however often it is told."""
+        """Write a cloud once, however often it is told; by the clock of the frames, since the wall clock may jump."""
         if found.revision == self._cloud_revision:
             return
         self._cloud_revision, self._cloud = found.revision, found.cloud
         self._picture_sequence = -1
         if self._pixel_mm is None:  # of a sheet of its own: no stream says how large it is, but by its surface
             self._pixel_mm = pictures.pixel_of(found.cloud)
-        self._series_in_hand.add(CLOUD, found.body(), found.utc_ns or time.time_ns(), found.n)
+        taken_ns = found.taken_ns + self._offset_ns if found.taken_ns else self._now_ns
+        self._series_in_hand.add(CLOUD, found.body(), taken_ns, found.n)
 
     def _conditions(self, found: Conditions) -> None:
         if found.revision == self._conditions_revision:
             return
         self._conditions_revision = found.revision
-        self._series_in_hand.add(CONDITIONS, found.body(), time.time_ns(), found.n)
+        self._series_in_hand.add(CONDITIONS, found.body(), self._now_ns, found.n)
 
     @property
     def _series_in_hand(self) -> Series:
