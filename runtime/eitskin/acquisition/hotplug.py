@@ -6,8 +6,8 @@
                                                    └─ give_up_s passed ──> PortLost
 
 The device behind a port that returns may be another one, or may have restarted: ``PortReturned`` tells the caller to
-shake hands anew before it believes a byte. A USB port is found again by vendor, product and serial number, since it may
-come back under another path; any other port by its path.
+shake hands anew before it believes a byte. A USB port is found again by vendor, product, serial number and interface,
+since it may come back under another path; any other port by its path.
 """
 
 import math
@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from eitskin.acquisition.ports import open_line as open_any
 from eitskin.acquisition.ports import serial_ports
@@ -36,21 +36,31 @@ class UsbName:
     vendor_id: int
     product_id: int
     serial_number: str
+    interface: str = ""
+    """Which port of a device that has several: configuration and number, as ``1.2``; empty where it is the only one."""
+
+
+def _name_of(found: Any) -> UsbName | None:
+    """Return the name of a port, as pyserial describes it; None if it is no USB port."""
+    if found.vid is None:
+        return None
+    interface = (found.location or "").partition(":")[2]
+    return UsbName(found.vid, found.pid, found.serial_number or "", interface)
 
 
 def usb_name(port: str) -> UsbName | None:
     """Return how to find a port again; None if it is no USB port, or one without a serial number."""
     path = os.path.realpath(port)
     for found in serial_ports():
-        if os.path.realpath(found.device) == path and found.vid is not None and found.serial_number:
-            return UsbName(found.vid, found.pid, found.serial_number)
+        if os.path.realpath(found.device) == path and found.serial_number:
+            return _name_of(found)
     return None
 
 
 def port_named(name: UsbName) -> str | None:
     """Return the path of the port of this name; None while it is not there."""
     for found in serial_ports():
-        if found.vid is not None and UsbName(found.vid, found.pid, found.serial_number or "") == name:
+        if _name_of(found) == name:
             return str(found.device)
     return None
 

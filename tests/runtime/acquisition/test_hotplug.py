@@ -81,11 +81,28 @@ def test_a_port_that_is_not_there_the_first_time_is_an_error_at_once():
     assert len(os.listdir("/proc/self/fd")) == len(before)
 
 
-def test_a_usb_port_is_found_again_under_another_path(monkeypatch, pty):
-    class Found:
-        def __init__(self, device, vid, pid, serial_number):
-            self.device, self.vid, self.pid, self.serial_number = device, vid, pid, serial_number
+class Found:
+    def __init__(self, device, vid, pid, serial_number, location=None):
+        self.device, self.vid, self.pid, self.serial_number = device, vid, pid, serial_number
+        self.location = location
 
+
+def test_a_port_of_a_device_with_several_is_found_again_and_not_another_one_of_it(monkeypatch):
+    def ports(path):
+        listed = [Found(f"/dev/ttyUSB{n}", 0x0403, 0x6010, "SKIN-7", f"{path}:1.{n}") for n in (0, 1)]
+        monkeypatch.setattr("eitskin.acquisition.ports.list_ports.comports", lambda: listed)
+        return listed
+
+    ports("1-2")
+    name = usb_name("/dev/ttyUSB1")
+    assert port_named(name) == "/dev/ttyUSB1"
+    listed = ports("3-1.4")  # plugged in elsewhere
+    assert port_named(name) == "/dev/ttyUSB1"
+    del listed[1]  # only the other one has come back so far
+    assert port_named(name) is None
+
+
+def test_a_usb_port_is_found_again_under_another_path(monkeypatch, pty):
     ports = [Found("/dev/ttyS0", None, None, None), Found(str(pty.path), 0x1209, 0x5315, "SKIN-7")]
     monkeypatch.setattr("eitskin.acquisition.ports.list_ports.comports", lambda: ports)
     assert usb_name(str(pty.path)) == UsbName(0x1209, 0x5315, "SKIN-7")
