@@ -5,7 +5,7 @@ import json
 import random
 import time
 from dataclasses import replace
-from itertools import count
+from itertools import count, pairwise
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ from eitskin_tools.view.film.parts import Film
 from eitskin_tools.view.messages import unpacked
 
 from ..recording.conftest import CLOUD as CLOUD_MM
-from ..recording.conftest import TINY, measured, recorded
+from ..recording.conftest import TINY, measured, recorded, scans
 
 MOST_BY_NOISE = 5
 """Levels of 255 by which a map may differ from that of another frame in which only noise had changed; 2 at most did,
@@ -64,6 +64,22 @@ def test_all_parts_together_show_every_published_frame_with_its_map(path, items,
     times = [head["t_ms"] for head, _ in found]
     assert times == sorted(times)
     assert (times[0], times[-1]) == pytest.approx((0.0, 1000.0 * film.seconds))
+
+
+def test_a_map_that_frames_have_before_and_behind_an_untouched_one_is_shown_of_both(tmp_path):
+    steps = scans(60)
+    for at in (25, 30, 35):  # let go of for one frame
+        payload = steps[at].frame.payload[:20] + steps[at - 20].frame.payload[20:]
+        steps[at] = replace(steps[at], frame=replace(steps[at].frame, payload=payload))
+    items = measured(steps=steps, skip_unchanged=True)
+    recorded(tmp_path / "a.mcap", items)
+    published = [item for item in items if isinstance(item, Frame)]
+    behind = [after for before, after in pairwise(published) if before.solver == "none" != after.solver]
+    assert any(frame.map_sequence < frame.sequence for frame in behind)
+    found = [body for head, body in messages(Film(tmp_path / "a.mcap", TINY)) if head["kind"] == "frame"]
+    for body, frame in zip(found, published, strict=True):
+        levels = np.rint(np.clip(frame.map, 0.0, 1.0) * 255.0)
+        np.testing.assert_array_equal(np.frombuffer(body, dtype=np.uint8).reshape(levels.shape), levels)
 
 
 def test_a_part_begins_with_its_surface_and_is_kept_within_bounds(path, items, monkeypatch):

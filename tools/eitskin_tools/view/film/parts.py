@@ -93,7 +93,7 @@ class Film:
         watch = self._watches.pop(number - 1, None) or TouchWatch(self.skin.grid)
         messages: list[bytes] = []
         surface, cloud = self._flat, 0
-        values, shown = self._nothing, -1
+        kept, shown = self._nothing, -1
         for step in map(self._asked, span.steps):
             frame = step.frame
             if step.cloud is not None:
@@ -103,13 +103,11 @@ class Film:
             found = self._rerun.compute(step, every=not stands)
             if found is None or frame.seq is None:
                 continue
-            if not found.touched:
-                values, shown = self._nothing, -1
-            elif not stands:
-                values, shown = found.map, frame.seq if frame.map_seq is None else frame.map_seq
-            listed = watch.look(
-                values.ravel().astype(float) if found.touched else None, shown, surface, frame.device_us or 0
-            )
+            has_map = found.touched and found.solver != NOTHING
+            if has_map and not stands:  # it stays while frames go out without one: a later one may have it
+                kept, shown = found.map, frame.seq if frame.map_seq is None else frame.map_seq
+            values = kept if has_map else self._nothing
+            listed = watch.look(values.ravel().astype(float) if has_map else None, shown, surface, frame.device_us or 0)
             touches = unpack_touches(listed[0], LAYOUT.size, *listed[1:])
             note = span.notes.get(-1 if frame.frame is None else frame.frame, {})
             told = published(step, note, found, self.first_ns)
