@@ -180,11 +180,10 @@ def test_a_part_is_converted_by_the_command_line_and_a_folder_that_is_there_stay
         assert (found["frames"], found["left_out"], found["maps"]) == (60, 0, True)
         assert in_parquet(out) == [step.frame.seq for step in steps[40:100]]
     else:
-        entries = [one for one in script.recording.entries() if one.log_ns <= end_ns]
-        topics = Counter(one.topic for one in entries)
-        maps = sum(one.topic == MAP.topic and one.log_ns >= begin_ns for one in entries)
-        assert in_bag(out) == {
-            "voltages": 60, "map": maps, "surface": topics[CLOUDS.topic], "state": topics[STATE.topic],
+        topics = Counter(one.topic for one in script.recording.entries() if begin_ns <= one.log_ns <= end_ns)
+        maps = topics[MAP.topic]
+        assert in_bag(out) == {  # and of surfaces and states the one that held at the beginning
+            "voltages": 60, "map": maps, "surface": 1 + topics[CLOUDS.topic], "state": 1 + topics[STATE.topic],
         }  # fmt: skip
         assert found["messages"] == sum(in_bag(out).values())
         assert 0 < maps < 60

@@ -23,6 +23,7 @@ from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
 from eitskin_tools.recording.codec import unpack_map
 from eitskin_tools.recording.layout import CLOUD, MAP, STATE, WIRE, RecordingError
+from eitskin_tools.recording.reader import Entry
 from eitskin_tools.recording.script import Script
 
 FRAME_ID: Final = "skin"
@@ -64,16 +65,22 @@ def write_rosbag(folder: Path, script: Script, from_s: float | None = None, to_s
             STATE.topic: messages.text,
         }  # fmt: skip
         names = {WIRE.topic: "voltages", MAP.topic: "map", CLOUD.topic: "surface", STATE.topic: "state"}
-        for entry in script.recording.entries(names):
-            lasting = entry.topic in (CLOUD.topic, STATE.topic)
-            if (entry.log_ns < begin_ns and not lasting) or entry.log_ns > end_ns:
-                continue
-            at_ns = max(entry.log_ns, begin_ns)
-            found = makers[entry.topic](entry.data, at_ns)
+
+        def write(entry: Entry, at_ns: int) -> int:
+            found, name = makers[entry.topic](entry.data, at_ns), names[entry.topic]
             if found is not None:
-                name = names[entry.topic]
                 bag.write(to[name], at_ns, store.serialize_cdr(found, kinds[name]))
-                count += 1
+            return found is not None
+
+        held: dict[str, Entry] = {}  # what was said last before the part, and holds at its beginning
+        for entry in script.recording.entries(names):
+            if entry.log_ns < begin_ns:
+                if entry.topic in (CLOUD.topic, STATE.topic):
+                    held[entry.topic] = entry
+            elif entry.log_ns <= end_ns:
+                while held:
+                    count += write(held.popitem()[1], begin_ns)
+                count += write(entry, entry.log_ns)
     return count
 
 
