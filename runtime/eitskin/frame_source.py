@@ -14,6 +14,7 @@ from typing import Final
 from eitskin.acquisition.afterwards import Afterwards
 from eitskin.acquisition.device import Device
 from eitskin.errors import NotReady, PortReturned
+from eitskin.pipeline.first_frame import FirstFrame
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin_proto.wire.answers import Event
 from eitskin_proto.wire.codes import EventCode, MessageType
@@ -113,8 +114,8 @@ class FrameSource:
             if self._stopping:
                 return
             raise
-        backlog = True
         intake.heard_ns = self._fit_ns = self._patient_ns = time.perf_counter_ns()
+        first = FirstFrame(pipeline.clock, self._fit_ns)
         self._withheld = intake.withheld_total
         self._reading = True
         try:
@@ -124,9 +125,8 @@ class FrameSource:
                     return
                 try:
                     payloads = self._payloads(wait_s)
-                    if payloads and (backlog or pipeline.budget.drops_stale):
-                        payloads = self._newest(payloads)
-                        backlog = False
+                    if payloads and (first.backlog or pipeline.budget.drops_stale):
+                        payloads, first.backlog = self._newest(payloads), False
                 except PortReturned:
                     self._patient_ns = time.perf_counter_ns()
                     self._recover()
@@ -138,7 +138,7 @@ class FrameSource:
                     payload = held.popleft()
                     if payload[0] != FRAME_TYPE:
                         self._take_note(payload)
-                    elif self._accept(payload, read_ns):
+                    elif self._accept(payload, read_ns, first):
                         withheld = intake.withheld_total
                         self._reading = False
                         yield
@@ -218,10 +218,13 @@ class FrameSource:
             newest = [payload]
         return newest
 
-    def _accept(self, payload: bytes, read_ns: int) -> bool:
+    def _accept(self, payload: bytes, read_ns: int, first: FirstFrame) -> bool:
         """Return whether a frame is accepted."""
         self.afterwards.do()
-        if not self._pipeline.accept(payload, read_ns):
+        accepted = self._pipeline.accept(payload, read_ns)
+        if accepted and first.is_old(self._pipeline.record.scanned_ns, read_ns):
+            accepted = self._pipeline.intake.give_up("stale")
+        if not accepted:
             self._tell_of(payload, read_ns)
             return False
         self.payload = payload

@@ -69,6 +69,23 @@ def test_where_only_events_wait_the_next_frame_is_computed_and_tells_them(pipeli
     assert pipeline.intake.withheld["stale"] == 0
 
 
+def test_what_a_full_line_kept_since_nobody_read_it_is_not_the_first_frame(pipeline, frames):
+    line = Line([frames(1)])
+    source, take = FrameSource(line, pipeline), line.payloads
+    assert next(pipeline.record.sequence for _ in source.accepted(None)) == 1
+
+    def half_a_second_later(timeout_s):
+        found = take(timeout_s)
+        line.read_ns += 500_000_000
+        return found
+
+    line.payloads = half_a_second_later
+    line.batches.extend([[frames(2)], [frames(3)], [], [frames(4)], [], [frames(99)]])
+    assert next(pipeline.record.sequence for _ in source.accepted(None)) == 99
+    assert pipeline.intake.withheld["stale"] == 3
+    assert pipeline.intake.counter.lost == 94
+
+
 def test_a_stop_that_comes_while_the_line_is_given_a_moment_is_not_waited_out(pipeline, frames):
     """What was left of the frame before has the line wait a moment, and that is what the stop wakes."""
     line = Line([frames(1)])
