@@ -39,7 +39,10 @@ def write_npz(path: Path, found: Table, script: Script) -> None:
 
 
 def write_parquet(path: Path, found: Table, script: Script) -> None:
-    """Write a table as Parquet, a row a frame: clouds and reference stand in the file's own metadata, as NPY in hex.
+    """Write a table as Parquet, a row a frame.
+
+    A cloud stands in the row of its first frame, with its predictions; other rows have its number and no cloud. The
+    reference stands in the file's own metadata, as NPY in hex: readers take some megabytes there, and no more.
 
     Raises:
         OSError: It cannot be written.
@@ -51,15 +54,22 @@ def write_parquet(path: Path, found: Table, script: Script) -> None:
     columns["voltages_V"] = _lists(pa, found.voltages_V)
     if found.maps is not None:
         columns["map"] = _lists(pa, found.maps.reshape(len(found.maps), -1))
+    clouds, first = np.unique(found.columns["cloud_index"], return_index=True)
+    row_of = {row: cloud for row, cloud in zip(first.tolist(), clouds.tolist(), strict=True) if cloud >= 0}
+    for name, values, kind in (
+        ("cloud_mm", found.clouds_mm, pa.float32()),
+        ("predicted_V", found.predicted_V, pa.float64()),
+        ("predicted_flat_V", found.predicted_flat_V, pa.float64()),
+    ):
+        rows = [values[row_of[row]].ravel() if row in row_of else None for row in range(len(found.voltages_V))]
+        columns[name] = pa.array(rows, pa.list_(kind))
     told = {name: script.told(name) for name in ("serial", "configuration", "bundle", "skin", "protocol_id", "grid_id")}
-    arrays: dict[str, npt.NDArray[Any]] = {
-        "reference_V": found.reference_V,
-        "cloud_mm": found.clouds_mm,
-        "predicted_V": found.predicted_V,
-        "predicted_flat_V": found.predicted_flat_V,
+    shapes = {
+        "map_shape": () if found.maps is None else found.maps.shape[1:],
+        "cloud_shape": found.clouds_mm.shape[1:] if len(found.clouds_mm) else (),
     }
-    shape = "" if found.maps is None else " ".join(map(str, found.maps.shape[1:]))
-    metadata = {**told, "map_shape": shape, **{name: _hex(values) for name, values in arrays.items()}}
+    metadata = {**told, **{name: " ".join(map(str, shape)) for name, shape in shapes.items()}}
+    metadata["reference_V"] = _hex(found.reference_V)
     table = pa.table(columns).replace_schema_metadata(metadata)
     with replacing(path) as stream:
         pq.write_table(table, stream, compression="zstd")
