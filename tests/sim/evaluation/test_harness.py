@@ -30,12 +30,20 @@ def test_two_separate_units_are_found_exactly(phantoms, name):
     assert scores[0].cc > 0.95
 
 
-@pytest.mark.parametrize(("contrast", "kind"), [(0.4, "lowering"), (2.5, "raising")])
-def test_classical_solvers_look_for_what_the_touches_do(contrast, kind):
-    touch = {"disc_mm": [70, 45, 10], "contrast": contrast}
+@pytest.mark.parametrize(
+    ("touch", "kind"),
+    [
+        ({"contrast": 0.4}, "lowering"),
+        ({"contrast": 2.5}, "raising"),
+        ({"contrast": 1.0, "dent_mm": 8}, "lowering"),  # it stretches the sheet, and does nothing else
+        ({"contrast": 2.5, "dent_mm": 1}, "raising"),
+    ],
+)
+def test_classical_solvers_look_for_what_the_touches_do(touch, kind):
+    touch = {"disc_mm": [70, 45, 10], **touch}
     phantoms = parse_phantoms([{"name": "one", "truth": "area", "scene": {"touches": [touch]}}])
     assert phantoms[0].scene.touch_kind == kind
-    ((_, scores),) = harness.evaluate(phantoms, harness.SOLVERS["tikhonov"])
+    ((_, scores),) = harness.evaluate(phantoms, harness.SOLVERS["tikhonov"], noise="none")
     assert scores[0].cc > 0.6
 
 

@@ -132,10 +132,17 @@ class Touch:
         """Return the conductivity inside."""
         return self.conductivity_S_per_m if self.contrast is None else self.contrast * sheet_S_per_m
 
+    def is_alike(self, sheet_S_per_m: float) -> bool:
+        """Return whether the conductivity inside is the sheet's."""
+        return abs(math.log(self.factor(sheet_S_per_m))) < LEAST_LOG_CONTRAST
+
     def is_hole(self, sheet_S_per_m: float) -> bool:
         """Return whether the sheet is as untouched here: of sharp touches under it, this one takes a piece out."""
-        alike = abs(math.log(self.factor(sheet_S_per_m))) < LEAST_LOG_CONTRAST
-        return alike and not self.border_mm and not self.dent_mm
+        return self.is_alike(sheet_S_per_m) and not self.border_mm and not self.dent_mm
+
+    def lowers(self, sheet_S_per_m: float) -> bool:
+        """Return whether it lowers conductance: by its contrast, or by a dent alone, which stretches the sheet."""
+        return self.is_alike(sheet_S_per_m) or self.factor(sheet_S_per_m) < 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +164,7 @@ class Scene:
     def touch_kind(self) -> TouchKind:
         """Which way the touches change conductance, holes in them aside; without any, as the paper's do."""
         sheet = self.sheet.conductivity_S_per_m
-        lower = {touch.factor(sheet) < 1.0 for touch in self.touches if not touch.is_hole(sheet)}
+        lower = {touch.lowers(sheet) for touch in self.touches if not touch.is_hole(sheet)}
         return "both" if len(lower) == 2 else "lowering" if lower == {True} else "raising"
 
     def reference(self) -> "Scene":

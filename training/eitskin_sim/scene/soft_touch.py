@@ -71,8 +71,8 @@ def check_touch(touch: Touch, sheet: Sheet, where: str, earlier: Sequence[Touch]
         earlier: The touches before it.
     """
     factor = touch.factor(sheet.conductivity_S_per_m)
-    alike = abs(np.log(factor)) < LEAST_LOG_CONTRAST and not touch.dent_mm
-    if alike and not _takes_out(touch, sheet, earlier):
+    alike = touch.is_alike(sheet.conductivity_S_per_m)
+    if alike and not touch.dent_mm and not _takes_out(touch, sheet, earlier):
         raise SceneError(
             f"{where} changes nothing: its contrast is {factor:.6g}; it must be below or above 1 by at least "
             f"{LEAST_LOG_CONTRAST:g}, have a dent_mm, or be a hole: both sharp, over a touch that stands before it"
