@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.evaluation.harness import Case, Conditions, Run, evaluate_all, truth_map
+from eitskin_sim.evaluation.harness import Case, Conditions, Run, Sheet, evaluate_all, truth_map
 from eitskin_sim.evaluation.metrics import score
 from eitskin_sim.evaluation.trials import random, single
-from eitskin_sim.scene.parts import Phantom, Scene
+from eitskin_sim.fem.solve import solve_scene
+from eitskin_sim.scene.parts import Bend, Late, Phantom, Scene
+from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.verification.free.found import FreeTouch, FreeVerdict, map_of
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.units import UnitTouch
@@ -20,7 +22,7 @@ from eitskin_tools.cli import main
 from eitskin_tools.evaluation.solvers import Request, named
 from eitskin_tools.evaluation.verified.shapes import VerifiedFree
 from eitskin_tools.evaluation.verified.share import LEAST_SHARE, map_error, network_share
-from eitskin_tools.evaluation.verified.units import Checked, Verified, add_verdicts
+from eitskin_tools.evaluation.verified.units import Checked, Verified, add_verdicts, shape_of
 
 
 def checked(p: float, extra_ms: float, setup_ms: float = 0.0) -> Checked[Verdict[UnitTouch]]:
@@ -88,6 +90,16 @@ def test_only_touches_anywhere_are_verified_on_sheets_seen_at_rest(
 ) -> None:
     assert main(["evaluate", *arguments]) == status
     assert says in capsys.readouterr().err
+
+
+def test_sheets_that_one_scan_shows_alike_are_shapes_of_their_own() -> None:
+    late = replace(Scene().sheet, late=Late(1.08))
+    scenes = [replace(Scene(element_size_mm=6.0), sheet=sheet, bend=Bend(60.0)) for sheet in (Scene().sheet, late)]
+    scan, flat = measured_cloud(Bend(60.0)).astype(np.float64), solve_scene(scenes[1].reference()).voltages
+    sheets = [Sheet(scan, solve_scene(one).voltages) for one in (*scenes, scenes[0])]
+    first, drifted, again = (shape_of(Case(one.untouched, flat, flat, one, "area")) for one in sheets)
+    assert first == again
+    assert first != drifted, "what was seen of one at rest is not of the other"
 
 
 @pytest.mark.slow

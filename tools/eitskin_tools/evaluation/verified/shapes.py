@@ -28,7 +28,7 @@ from eitskin_sim.verification.free.search import BUDGET_S, FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
 from eitskin_sim.verification.residual import Noise
 from eitskin_tools.evaluation.verified.share import network_share
-from eitskin_tools.evaluation.verified.units import Checked
+from eitskin_tools.evaluation.verified.units import Checked, shape_of
 
 SEED: Final = 7041
 """Of the noise of untouched frames."""
@@ -86,7 +86,7 @@ class VerifiedFree:
         grid = self._skin.grid
         found = self._finder.find(image)
         shares = shares_of(found.pixels, found.touch, found.weights, found.count, grid)
-        key = case.sheet.cloud_mm.tobytes() + case.flat_reference.tobytes()
+        key = shape_of(case) + case.flat_reference.tobytes()
         if self._shape is None or self._shape[0] != key:
             verifier = FreeVerifier(
                 case.flat_reference, self._noise, self._touches, self._skin, clock=time.process_time

@@ -50,7 +50,7 @@ SPREADS: Final = (1e-5, 0.01)
 
 Material = tuple[float, ...]
 Made = dict[bytes, tuple[UnitVerifier, Material]]
-"""Verifiers by their cloud, each with the material that frames of its shape have shown."""
+"""Verifiers by their shape, each with the material that frames of it have shown."""
 STILL: Final = (0.0, 0.0, 0.0)
 NOTHING: Final = Fitted("", 0.0, 0.0)
 
@@ -151,7 +151,7 @@ class Verified:
                 setup_ms += again_ms
                 break
             verdict, cpu_ms, verifier, material = again, again_ms, other, found
-            self._keep(case.sheet.cloud_mm.tobytes(), verifier, material)
+            self._keep(shape_of(case), verifier, material)
         self.checked.append(Checked(verdict, 1e3 * verdict.seconds, cpu_ms, setup_ms, starts[0]))
         touched = np.zeros(grid.n_units)
         touched[[one.unit for one in verdict.touches]] = 1.0
@@ -159,17 +159,22 @@ class Verified:
 
     def _of(self, case: Case) -> tuple[UnitVerifier, Material, float]:
         """Return the verifier of a case's shape, the material in it, and ms that it took: 0 for the shape just seen."""
-        cloud = case.sheet.cloud_mm.tobytes()
-        if cloud in self._made:
-            return *self._made[cloud], 0.0
+        shape = shape_of(case)
+        if shape in self._made:
+            return *self._made[shape], 0.0
         begin = time.process_time()
-        self._keep(cloud, prepared(case.sheet.cloud_mm, self._skin), STILL)
-        return *self._made[cloud], 1e3 * (time.process_time() - begin)
+        self._keep(shape, prepared(case.sheet.cloud_mm, self._skin), STILL)
+        return *self._made[shape], 1e3 * (time.process_time() - begin)
 
-    def _keep(self, cloud: bytes, verifier: UnitVerifier, material: Material) -> None:
+    def _keep(self, shape: bytes, verifier: UnitVerifier, material: Material) -> None:
         if not self._keeps:
             self._made.clear()
-        self._made[cloud] = verifier, material
+        self._made[shape] = verifier, material
+
+
+def shape_of(case: Case) -> bytes:
+    """Return what tells one sheet at one shape from another: not its scan alone, which shows no uneven stretch."""
+    return case.sheet.cloud_mm.tobytes() + case.sheet.untouched.tobytes()
 
 
 def noise_shown(reference_V: npt.NDArray[np.float64], spread_V: npt.NDArray[np.float64]) -> Noise:
