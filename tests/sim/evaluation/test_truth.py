@@ -20,7 +20,7 @@ def phantoms(scene: dict[str, Any], truth: str = "area") -> tuple[Phantom, ...]:
     return parse_phantoms([{"name": "good", "scene": {}}, {"name": "a", "truth": truth, "scene": scene}])
 
 
-LONG = {"sheet": {"size_mm": [220, 90]}, "touches": [{"disc_mm": [160, 45, 8], "contrast": 20}]}
+LONG = {"sheet": {"size_mm": [160, 100]}, "touches": [{"disc_mm": [152, 45, 8], "contrast": 20}]}
 COVERED = [{"disc_mm": [75, 50, 10], "contrast": 20}, {"rect_mm": [60, 30, 90, 70], "contrast": 1}]
 
 
@@ -30,9 +30,11 @@ COVERED = [{"disc_mm": [75, 50, 10], "contrast": 20}, {"rect_mm": [60, 30, 90, 7
         (
             LONG,
             "area",
-            r"touches\[0\] is off the map: its middle is \(160, 45\) mm, on a sheet of 220 x 90 mm",
+            r"touches\[0\] is off the map: its middle is \(152, 45\) mm, on a sheet of 160 x 100 mm",
         ),
         (LONG, "units", r"expected 150 x 100 mm, that of skin 'paper': give the skin of this sheet with --skin FILE"),
+        ({"sheet": {"size_mm": [75, 50]}}, "area", "sheet is 75 x 50 mm; expected 150 x 100 mm, each within a tenth"),
+        ({"sheet": {"size_mm": [150, 90 - 1e-3]}}, "units", "give the skin of this sheet with --skin FILE"),
         ({"touches": [{"disc_mm": [75, 50, 3]}]}, "units", "no unit is touched: its touches cover none by half"),
         ({"touches": COVERED}, "area", "nothing is touched: holes take its touches out"),
     ],
@@ -48,13 +50,14 @@ def test_a_sheet_that_is_off_by_a_little_is_the_device_as_it_is() -> None:
     longer = {"sheet": {"size_mm": [155, 100]}, "touches": [{"rect_mm": [143, 40, 155, 52]}]}
     check_truths(phantoms(longer))
     check_truths(phantoms({}, "units"))
+    check_truths(phantoms({"sheet": {"size_mm": [165, 90]}}))
 
 
 def test_a_touch_is_on_the_map_of_its_own_skin() -> None:
     far = {"touches": [{"disc_mm": [180, 50, 8]}]}
     own = parse_phantoms([{"scene": far}], SECOND)
     check_truths(own, SECOND)
-    with pytest.raises(SceneError, match="off the map"):
+    with pytest.raises(SceneError, match="its sheet is 220 x 90 mm"):
         check_truths(own, PAPER)
 
 

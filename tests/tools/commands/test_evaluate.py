@@ -219,13 +219,13 @@ def test_the_papers_table_has_the_means_that_its_text_gives():
     assert np.mean(TABLE_2["rie"]["vd2t"]) == pytest.approx(0.1086, abs=1e-4)
 
 
-def test_a_phantom_whose_touch_the_map_does_not_show_is_one_line(tmp_path, capsys):
+def test_a_phantom_of_another_sheet_than_the_map_is_one_line(tmp_path, capsys):
     path = tmp_path / "phantoms.json"
-    scene = {"sheet": {"size_mm": [220, 90]}, "touches": [{"disc_mm": [160, 45, 8], "contrast": 20}]}
+    scene = {"sheet": {"size_mm": [220, 90]}, "touches": [{"disc_mm": [60, 45, 8], "contrast": 20}]}
     path.write_text(json.dumps([{"name": "a", "scene": scene}]))
     assert cli.main(["evaluate", "--phantoms", str(path), "--solver", "tikhonov"]) == 1
     said = capsys.readouterr().err
-    assert said.startswith(f"eitskin evaluate: {path}: phantoms[0] 'a': touches[0] is off the map")
+    assert said.startswith(f"eitskin evaluate: {path}: phantoms[0] 'a': its sheet is 220 x 90 mm; expected 150")
     assert said.count("\n") == 1
 
 

@@ -1,11 +1,12 @@
 """The truth of a phantom, on the map of the skin in use; refused where it would be empty though something touches.
 
-A phantom's scene is the true device, whose sheet may be a little longer or shorter than the map. A touch whose middle
-lies beyond the map is of another sheet.
+A phantom's scene is the true device, whose sheet may be a little longer or shorter than the map. One that is off by
+more is another sheet, whose touches a solver would see elsewhere; so is one with a touch whose middle is off the map.
 """
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,9 @@ from eitskin_sim.scene.strict_json import SceneError
 
 Array = npt.NDArray[np.float64]
 
+OTHER_SHEET: Final = 0.1
+"""A side that is off by a larger part of the map's is another sheet's."""
+
 
 @lru_cache(maxsize=256)
 def truth_map(phantom: Phantom, grid: Grid = PAPER.grid) -> Array:
@@ -33,7 +37,7 @@ def truth_map(phantom: Phantom, grid: Grid = PAPER.grid) -> Array:
 
 
 def check_truths(phantoms: Sequence[Phantom], skin: Skin = PAPER) -> None:
-    """Raise SceneError where a phantom's touches are not on the map, or leave its truth empty.
+    """Raise SceneError where a phantom is of another sheet than the map, or its touches leave its truth empty.
 
     Args:
         phantoms: What is to be evaluated.
@@ -53,14 +57,19 @@ def check_truths(phantoms: Sequence[Phantom], skin: Skin = PAPER) -> None:
 
 def _check_on_map(phantom: Phantom, skin: Skin, where: str) -> None:
     length, width = skin.grid.size_mm
+    along, across = phantom.scene.sheet.size_mm
+    whose = f"that of skin {quoted(skin.name)}: give the skin of this sheet with --skin FILE"
+    if max(abs(along / length - 1.0), abs(across / width - 1.0)) > OTHER_SHEET + 1e-9:
+        raise SceneError(
+            f"{where}: its sheet is {along:g} x {across:g} mm; expected {length:g} x {width:g} mm, each within a "
+            f"tenth, {whose}"
+        )
     for number, touch in enumerate(phantom.scene.touches):
         for shape in touch.shapes:
             x0, y0, x1, y1 = shape.bounds_mm
             x, y = (x0 + x1) / 2, (y0 + y1) / 2
             if x > length or y > width:
-                along, across = phantom.scene.sheet.size_mm
                 raise SceneError(
                     f"{where}: touches[{number}] is off the map: its middle is ({x:g}, {y:g}) mm, on a sheet of "
-                    f"{along:g} x {across:g} mm; expected {length:g} x {width:g} mm, that of skin {quoted(skin.name)}: "
-                    "give the skin of this sheet with --skin FILE"
+                    f"{along:g} x {across:g} mm; expected {length:g} x {width:g} mm, {whose}"
                 )
