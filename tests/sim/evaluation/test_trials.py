@@ -6,6 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from eitskin_proto.skin.parts import Map, Outline
+from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.evaluation import harness, trials
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Bend
@@ -51,6 +54,23 @@ def test_shift_of_units_or_by_more_than_a_pixel_is_refused(phantoms):
         shifted(phantoms[0], 0.5, np.random.default_rng(0))
     with pytest.raises(ValueError, match="from 0 to 1"):
         shifted(phantoms[1], 1.5, np.random.default_rng(0))
+
+
+SMALL = Skin(
+    outline=Outline("rectangle", (50.0, 50.0)),
+    electrodes=replace(PAPER.electrodes, arc_length_mm=Quantity(tuple(12.5 * (k + 0.4) for k in range(16)))),
+    map=Map((15, 15), (2, 5)),
+)
+
+
+def test_a_sheet_has_no_room_for_any_number_of_touches():
+    with pytest.raises(ValueError, match=r"12 touches .* have no room on a sheet of 50 x 50 mm; ask for fewer"):
+        trials.random((12, 12), 1, 1, "A", "area", SMALL)
+    with pytest.raises(ValueError, match=r"11 to 12 touches on 10 units; ask for at most 10"):
+        trials.random((11, 12), 1, 1, "A", "units", SMALL)
+    for count in range(1, 5):  # as many as devices are tried with
+        drawn = trials.random((count, count), 3, 5, "A", "area", SMALL)
+        assert {len(one.scene.touches) for one in drawn} == {count}
 
 
 def test_trials_can_be_solved_are_drawn_once_and_share_no_bend_with_any_data_set():

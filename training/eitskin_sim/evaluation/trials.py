@@ -37,6 +37,12 @@ SIZES_MM: Final = (6.0, 22.0)
 APART_MM: Final = 6.0
 """Random touches anywhere keep this distance between their boxes."""
 
+TRIES: Final = 1000
+"""Draws in a row that find no place, after which a set of touches anywhere is begun anew."""
+
+STARTS: Final = 20
+"""Beginnings, after which a sheet is too small for so many."""
+
 Labels = Literal["units", "area"]
 """What the truth's pixels mean."""
 
@@ -138,10 +144,13 @@ def random(
         skin: What is touched.
 
     Raises:
-        ValueError: The counts are none, or the wrong way round.
+        ValueError: The counts are none, or the wrong way round, or the sheet has no room for so many.
     """
     if not 1 <= counts[0] <= counts[1] <= 12:
         raise ValueError(f"{counts[0]} to {counts[1]} touches: expected from 1 to 12, the smaller number first")
+    if labels == "units" and counts[1] > skin.grid.n_units:
+        most = skin.grid.n_units
+        raise ValueError(f"{counts[0]} to {counts[1]} touches on {most} units; ask for at most {most}")
 
     def units(rng: np.random.Generator) -> tuple[Touch, ...]:
         grid = skin.grid
@@ -154,12 +163,15 @@ def random(
 
     def anywhere(rng: np.random.Generator) -> tuple[Touch, ...]:
         wanted = int(rng.integers(counts[0], counts[1] + 1))
-        shapes: list[Shape] = []
-        while len(shapes) < wanted:
-            shape = _shape(rng, skin.grid)
-            if all(_apart(shape, other) for other in shapes):
-                shapes.append(shape)
-        return tuple(Touch((shape,)) for shape in shapes)
+        for _ in range(STARTS):
+            shapes = _drawn(wanted, rng, skin.grid)
+            if len(shapes) == wanted:
+                return tuple(Touch((shape,)) for shape in shapes)
+        along, across = skin.grid.size_mm
+        raise ValueError(
+            f"{wanted} touches of {SIZES_MM[0]:g} to {SIZES_MM[1]:g} mm, {APART_MM:g} mm apart, have no room on a "
+            f"sheet of {along:g} x {across:g} mm; ask for fewer"
+        )
 
     return _phantoms(units if labels == "units" else anywhere, deformations, each, family, labels, skin)
 
@@ -192,6 +204,19 @@ def _phantoms(
 
 def _square(x_mm: float, y_mm: float, size_mm: float) -> Touch:
     return Touch((Rect(x_mm, y_mm, x_mm + size_mm, y_mm + size_mm),))
+
+
+def _drawn(wanted: int, rng: np.random.Generator, grid: Grid) -> list[Shape]:
+    """Return so many shapes that are apart, or fewer where no more find a place."""
+    shapes: list[Shape] = []
+    tries = 0
+    while len(shapes) < wanted and tries < TRIES:
+        shape = _shape(rng, grid)
+        tries += 1
+        if all(_apart(shape, other) for other in shapes):
+            shapes.append(shape)
+            tries = 0
+    return shapes
 
 
 def _shape(rng: np.random.Generator, grid: Grid) -> Shape:

@@ -126,7 +126,8 @@ def drawn_trials(deformations: int, each: int, skin: Skin = PAPER) -> list[Trial
 
 def sets_of_touches(labels: Literal["units", "area"], deformations: int, each: int, skin: Skin) -> tuple[Phantom, ...]:
     """Return sets of touches anywhere, or of units, for a sheet that the paper's phantoms are not on."""
-    return tuple(trials.random((1, 6 if labels == "units" else 4), deformations, each, "A", labels, skin))
+    most = min(6, skin.grid.n_units) if labels == "units" else 4
+    return tuple(trials.random((1, most), deformations, each, "A", labels, skin))
 
 
 def run_rows(
