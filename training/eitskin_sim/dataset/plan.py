@@ -181,7 +181,7 @@ def make_plan(
         seed: Where all draws come from.
         deformations: Deformations to train on.
         touch_sets: Touch sets in all; for "paper", the first so many of its 10,259.
-        per_deformation: Touch sets shown at each deformation to train on.
+        per_deformation: Touch sets shown at each deformation to train on; "paper" shows all.
         kept: Deformations of A kept apart, and as many of B; "paper" has none.
         near: Share of the sets drawn with touches near to each other; for "free" alone.
         touches: "hard", the paper's; "press", that lower conductance; "raise"; "both"; "skin", as the
@@ -193,6 +193,7 @@ def make_plan(
         ValueError: A number is outside its bounds.
     """
     _check_together(set_name, touch_sets, near, touches, devices)
+    _check_paper(set_name, per_deformation, kept)
     if seed < 0:
         raise ValueError(f"seed is {seed}; it must be at least 0")
     ranges_of(touches, PAPER if skin is None else skin)
@@ -243,6 +244,19 @@ def _check_together(set_name: str, touch_sets: int | None, near: float | None, t
         raise ValueError(f"devices {devices!r} are unknown; expected one of {', '.join(DEVICE_KINDS)}")
     if set_name == "paper" and devices != "ideal":
         raise ValueError(f"devices: found {devices!r}, expected 'ideal': the paper's set is as the paper says")
+
+
+def _check_paper(set_name: str, per_deformation: int | None, kept: int | None) -> None:
+    """Refuse numbers that the paper's set has no choice of."""
+    if set_name != "paper":
+        return
+    if per_deformation is not None:
+        raise ValueError(
+            f"touch sets shown at a deformation: found {per_deformation}, expected none for the paper's set: each "
+            "shows all; give the touch sets in all"
+        )
+    if kept:
+        raise ValueError(f"deformations kept apart: found {kept}, expected none: the paper's set trains on all")
 
 
 def _check(what: str, value: float, low: float, high: float) -> None:

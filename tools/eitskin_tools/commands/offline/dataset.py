@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--deformations", "--bends", type=int, metavar="N", help="deformations to train on (default 10, 140, 140)"
     )
-    parser.add_argument("--kept", type=int, metavar="N", help="kept apart, of A and of B each (default 20)")
+    parser.add_argument("--kept", type=int, metavar="N", help="kept apart, of A and of B each (default 0, 20, 20)")
     parser.add_argument(
         "--touch-sets", type=int, metavar="N", help="in all (default 10259, 60000); free has one a sample"
     )
