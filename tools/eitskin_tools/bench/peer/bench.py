@@ -51,12 +51,34 @@ def run(arguments: argparse.Namespace) -> int:
         "returned_hz": whole["rate_hz"],
         "age_us": whole["latency_us"],
     }
-    found = {"peer": PACKAGE, "rate_hz": arguments.rate, "rows": rows, "machine": machine()}
     if arguments.json:
-        print(json.dumps(found))
+        told = {"rows": flat_rows(rows), "summary": summary(rows)}
+        print(json.dumps({"peer": PACKAGE, "rate_hz": arguments.rate, **told, "machine": machine()}))
         return 0
     for name, row in rows.items():
         age, bad = row["age_us"], row.get("flipped")
         text = f"{name}: {row['returned']} of {row['sent']} frames, age p50 {age['p50']} us, p99 {age['p99']} us"
         print(text + (f"; of {bad['sent']} damaged ones {bad['corrupt_accepted']} accepted" if bad else ""))
     return 0
+
+
+def flat_rows(readers: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return a row for each reader, with what each of its parts holds beside the rest."""
+    found = []
+    for name, row in readers.items():
+        flat = {"what": name}
+        for key, value in row.items():
+            flat |= {f"{key}_{part}": one for part, one in value.items()} if isinstance(value, dict) else {key: value}
+        found.append(flat)
+    return found
+
+
+def summary(readers: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return, by reader, the median age of its frames and how many damaged ones it took for intact."""
+    return {
+        name: {
+            "age_p50_us": row["age_us"]["p50"],
+            "corrupt_accepted": row["flipped"]["corrupt_accepted"] if "flipped" in row else None,
+        }
+        for name, row in readers.items()
+    }

@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--frames must be at least 20, --bends at least 2 and --touches at least 1")
     found = measure(arguments.bundle, arguments.frames, arguments.bends, arguments.seed, touches=arguments.touches)
     if arguments.json:
-        print(json.dumps(found))
+        print(json.dumps({"rows": flat_rows(found["skips"]), "summary": summary(found["skips"]), **found}))
     else:
         _print(found)
     return 0
@@ -83,6 +83,23 @@ def measure(path: Path | None, frames: int, bends: int, seed: int = 0, *, touche
     else:
         found["idle"] = idle
     return {"skips": found, "missing": missing, "bundle": bundle.id, "bends": bends, "machine": machine()}
+
+
+def flat_rows(skips: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return a row for each skip: its numbers, and the mean CPU time of a frame each way."""
+    return [
+        {
+            "what": name,
+            **{key: value for key, value in row.items() if isinstance(value, int | float | str)},
+            **{f"{way}_us": times["cpu_mean"] for way, times in row.get("us", {}).items()},
+        }
+        for name, row in skips.items()
+    ]
+
+
+def summary(skips: dict[str, Any]) -> dict[str, float]:
+    """Return which share of a frame's CPU time each skip leaves."""
+    return {f"{name}_cpu_left": row["cpu_left"] for name, row in skips.items() if "cpu_left" in row}
 
 
 def _say(text: str) -> None:

@@ -26,7 +26,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from eitskin_tools.bench.tradeoff.front import mark_front, markdown
+from eitskin_tools.bench.tradeoff.front import flat_rows, mark_front, markdown, summary
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.threads import one_blas_thread
@@ -84,7 +84,8 @@ def run(arguments: argparse.Namespace) -> int:
 
         plot(found, arguments.plot)
     if arguments.json:
-        print(json.dumps({"noise": arguments.noise, "seeds": arguments.seeds, "files": found, "machine": machine()}))
+        told = {"rows": flat_rows(found), "summary": summary(found), "files": found}
+        print(json.dumps({"noise": arguments.noise, "seeds": arguments.seeds, **told, "machine": machine()}))
     else:
         for name, rows in found.items():
             print(f"\n{name}\n")

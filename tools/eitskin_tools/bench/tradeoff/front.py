@@ -1,6 +1,6 @@
 """Which variants nothing beats in both, and the table that says so."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 GATE: Final = "gate alone"
@@ -19,6 +19,22 @@ def _beaten(row: dict[str, Any], rows: Sequence[dict[str, Any]]) -> bool:
         other["whole"] and other["error"] <= row["error"] and other["p50"] <= row["p50"] and other is not row
         for other in rows
     )
+
+
+def flat_rows(panels: Mapping[str, Sequence[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """Return the rows of all panels in one list, each with its panel's name."""
+    return [{"panel": name, **row} for name, rows in panels.items() for row in rows]
+
+
+def summary(panels: Mapping[str, Sequence[dict[str, Any]]]) -> dict[str, Any]:
+    """Return, by panel, what gives the most accurate whole map, and what is on the front."""
+    return {
+        name: {
+            "most_accurate": min((row for row in rows if row["whole"]), key=lambda row: row["error"])["variant"],
+            "on_front": [row["variant"] for row in rows if row["pareto"]],
+        }
+        for name, rows in panels.items()
+    }
 
 
 def markdown(rows: Sequence[dict[str, Any]]) -> str:

@@ -1,0 +1,51 @@
+"""What ``--json`` of a benchmark promises: ``rows``, a list of flat objects, and ``summary``."""
+
+from typing import Any
+
+from eitskin_tools.bench.peer import bench as peer
+from eitskin_tools.bench.skip import bench as skip
+from eitskin_tools.bench.tradeoff import front
+
+
+def is_flat(rows: list[dict[str, Any]]) -> bool:
+    return all(not isinstance(value, dict | list) for row in rows for value in row.values())
+
+
+def test_skips_are_flat_rows_with_the_time_of_each_way() -> None:
+    us = {"with": {"cpu_mean": 2.0, "cpu_p50": 1.9}, "without": {"cpu_mean": 8.0, "cpu_p50": 7.9}}
+    skips = {
+        "untouched": {"us": us, "cpu_saved_us": 6.0, "cpu_left": 0.25, "error": {"missed": {}}},
+        "idle": {"drives": [0, 4], "error": {}},
+    }
+    rows = skip.flat_rows(skips)
+    assert is_flat(rows)
+    assert rows[0] == {"what": "untouched", "cpu_saved_us": 6.0, "cpu_left": 0.25, "with_us": 2.0, "without_us": 8.0}
+    assert skip.summary(skips) == {"untouched_cpu_left": 0.25}
+
+
+def test_readers_are_flat_rows() -> None:
+    ours = {"sent": 9, "age_us": {"p50": 80.0, "p99": 90.0}, "flipped": {"sent": 5, "corrupt_accepted": 0}}
+    readers = {"eitskin": ours, "eitskin, stream": {"sent": 9, "age_us": {"p50": 300.0, "p99": 400.0}}}
+    rows = peer.flat_rows(readers)
+    assert is_flat(rows)
+    assert rows[0] == {
+        "what": "eitskin", "sent": 9, "age_us_p50": 80.0, "age_us_p99": 90.0, "flipped_sent": 5,
+        "flipped_corrupt_accepted": 0,
+    }  # fmt: skip
+    assert peer.summary(readers)["eitskin"] == {"age_p50_us": 80.0, "corrupt_accepted": 0}
+    assert peer.summary(readers)["eitskin, stream"]["corrupt_accepted"] is None
+
+
+def test_variants_of_all_panels_are_flat_rows() -> None:
+    rows = [
+        {"variant": "vd2t", "error": 0.02, "p50": 400.0, "whole": True},
+        {"variant": "gate alone", "error": 0.0, "p50": 1.0, "whole": False},
+    ]
+    front.mark_front(rows)
+    panels = {"paper_mm": rows, "paper_units": rows[:1]}
+    flat = front.flat_rows(panels)
+    assert is_flat(flat)
+    assert [(row["panel"], row["variant"]) for row in flat] == [
+        ("paper_mm", "vd2t"), ("paper_mm", "gate alone"), ("paper_units", "vd2t"),
+    ]  # fmt: skip
+    assert front.summary(panels)["paper_mm"] == {"most_accurate": "vd2t", "on_front": ["vd2t"]}
