@@ -10,7 +10,7 @@ from eitskin_sim.evaluation.harness import Conditions, solve_l1
 from eitskin_sim.measurement.noise import Kind
 from eitskin_tools.bench.tradeoff.front import mark_front, markdown
 from eitskin_tools.bench.tradeoff.picture import style
-from eitskin_tools.bench.tradeoff.seen import of_devices
+from eitskin_tools.bench.tradeoff.seen import of_devices, of_phantoms
 from eitskin_tools.bench.tradeoff.variants import variants, whole_error
 from eitskin_tools.cli import main
 
@@ -66,6 +66,17 @@ def test_a_part_of_the_map_that_nothing_beats_is_a_red_ring_and_beats_nobody() -
     assert style(rows[2]) == {"edgecolors": "tab:red", "facecolors": "white"}
     full = [{**row, "p99": row["p50"]} for row in rows]
     assert "| vd2t, quarter of the sheet | 0.0100 | 200 | 200 | yes, for its part |" in markdown(full)
+
+
+def test_phantoms_that_nothing_touches_have_no_error(tmp_path: Path) -> None:
+    path = tmp_path / "phantoms.json"
+    path.write_text(json.dumps([*PHANTOMS, {"name": "free", "truth": PHANTOMS[0]["truth"], "scene": {}}]))
+    panels = list(of_phantoms(str(path), "N2", 1))
+    assert sum(len(one.cases) for one in panels) == len(PHANTOMS)
+    assert all(truth.any() for one in panels for _, truth in one.cases)
+    path.write_text(json.dumps([{"scene": {}}]))
+    with pytest.raises(ValueError, match="holds no phantom that anything touches"):
+        list(of_phantoms(str(path), "N2", 1))
 
 
 def test_phantoms_are_asked_for(capsys: pytest.CaptureFixture[str]) -> None:

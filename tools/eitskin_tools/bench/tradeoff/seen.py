@@ -41,8 +41,14 @@ class Panel:
 
 
 def of_phantoms(path: str, noise: Kind, seeds: int) -> Iterator[Panel]:
-    """Yield a panel for each kind of labels and touches in a file of phantoms."""
-    phantoms = load_phantoms(files.find(path, files.PHANTOMS))
+    """Yield a panel for each kind of labels and touches in a file of phantoms; those that nothing touches have no CC.
+
+    Raises:
+        ValueError: Nothing is touched in any of them.
+    """
+    phantoms = [one for one in load_phantoms(files.find(path, files.PHANTOMS)) if one.scene.touches]
+    if not phantoms:
+        raise ValueError(f"{path} holds no phantom that anything touches; expected at least one: the error is 1 - CC")
     kinds = dict.fromkeys((one.truth, one.scene.touch_kind) for one in phantoms)
     for labels, touches in kinds:
         group = [one for one in phantoms if (one.truth, one.scene.touch_kind) == (labels, touches)]
