@@ -38,6 +38,15 @@ def test_tikhonov_of_orthonormal_rows_is_the_transpose_shrunk():
     assert np.allclose(tikhonov_matrix(operator, 0.25, 0.0), operator.T / 1.25, atol=1e-12)
 
 
+@pytest.mark.parametrize("rms", [1e-6, 1e-9, 1e-16])
+def test_sbl_goes_by_data_however_small(units, rms):
+    data = np.random.default_rng(2).standard_normal(len(units.relative_jacobian))
+    usual, small = (
+        sbl_image(units.relative_jacobian, size * data, units.shape, upper=SATURATED) / size for size in (1e-3, rms)
+    )
+    assert np.allclose(small, usual, rtol=1e-3, atol=1e-3 * usual.max())
+
+
 @pytest.mark.parametrize("factor", [0.0, -1.0, float("nan")])
 def test_tikhonov_without_regularisation_is_refused(factor):
     with pytest.raises(ValueError, match="above 0"):
