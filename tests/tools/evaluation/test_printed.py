@@ -34,3 +34,10 @@ def test_an_untouched_phantom_has_dashes(capsys):
     head, row, mean = capsys.readouterr().out.splitlines()[1:]
     assert row.split()[:4] == ["bare", "-", "120.00", "-"]
     assert len(row) == len(mean) == len(head)
+
+
+def test_a_name_forges_no_line_and_moves_no_cursor(capsys):
+    print_report({**REPORT, "solver": "vd2t", "phantoms": [{"name": "\x1b[2J\n\ud800", **SCORES}]})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 4
+    assert lines[2].startswith(r"\x1b[2J\x0a\ud800")

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from eitskin_proto.files.plain import plain
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.evaluation.harness import Conditions
 from eitskin_sim.scene.parts import Phantom
@@ -68,7 +69,7 @@ def comparison(
     for measure, title, digits in PER_PHANTOM:
         header = ["phantom", *(one["solver"] for one in own)]
         rows = [
-            [phantom.name, *(_text(one["phantoms"][i][measure], digits) for one in own)]
+            [plain(phantom.name), *(_text(one["phantoms"][i][measure], digits) for one in own)]
             for i, phantom in enumerate(phantoms)
         ]
         rows.append(["**mean**", *(f"**{_text(one['mean'][measure], digits)}**" for one in own)])

@@ -3,6 +3,7 @@
 import json
 from typing import Any
 
+from eitskin_proto.files.plain import plain
 from eitskin_tools.evaluation.paper import PHANTOMS, TABLE_2
 
 
@@ -19,7 +20,7 @@ def print_report(found: dict[str, Any]) -> None:
     rows = [*found["phantoms"], {"name": "mean", **found["mean"]}]
     papers = [*paper, sum(paper) / len(paper)] if paper else [None] * len(rows)
     for row, theirs in zip(rows, papers, strict=True):
-        line = f"{row['name']:8}{cell(row['cc'], 7, '.4f')}{row['psnr_db']:9.2f}{cell(row['rie'], 9, '.4f')}"
+        line = f"{plain(row['name']):8}{cell(row['cc'], 7, '.4f')}{row['psnr_db']:9.2f}{cell(row['rie'], 9, '.4f')}"
         line += f"{row['localisation_mm']:17.2f}{row['exact']:7.2f}{row['touches']:9.1f}{row['true_touches']:4.1f}"
         line += f"{cell(row['two_point_mm'], 14, '.1f')}{cell(row['distance_error'], 8, '.4f')}"
         line += "" if theirs is None else f"{theirs:12.4f}"
