@@ -146,6 +146,9 @@ def test_a_trial_is_read_by_people_a_line_each(tiny, capsys):
 
 def test_picture_shows_every_phantom_and_solver(tiny, file, tmp_path, capsys):
     pytest.importorskip("matplotlib", reason="the picture needs the extra 'plot'")
+    (tmp_path / "phantoms.json").write_text(
+        json.dumps([{**FILE[0], "name": "$\\frac{$ \a"}])
+    )  # no formula, and no bell
     words = [
         "evaluate",
         "--phantoms",

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.files.plain import plain
 from eitskin_sim.evaluation.harness import Case, Conditions, Run, Solver, evaluate_all
 from eitskin_sim.evaluation.metrics import correlation
 from eitskin_sim.evaluation.truth import truth_map
@@ -93,8 +94,8 @@ def draw(rows: Sequence[Row], path: str | Path) -> None:
             axes.set_axis_off()
             title = ("truth", *SOLVERS)[column] if index == 0 else ""
             axes.set_title(title, fontsize=10, pad=0)
-            note = f"phantom {row.phantom.name}" if column == 0 else f"CC {_alike(image, row.truth)}"
-            axes.text2D(0.5, 0.02, note, transform=axes.transAxes, ha="center", fontsize=8)
+            note = f"phantom {plain(row.phantom.name)}" if column == 0 else f"CC {_alike(image, row.truth)}"
+            axes.text2D(0.5, 0.02, note, transform=axes.transAxes, ha="center", fontsize=8, parse_math=False)
     figure.subplots_adjust(left=0.0, right=1.0, bottom=0.01, top=0.97, wspace=0.0, hspace=0.0)
     try:
         save(figure, path)
