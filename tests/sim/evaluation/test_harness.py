@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -54,6 +55,19 @@ def test_the_reference_matters_as_in_the_paper(phantoms):
     }
     assert cc["pre"] < cc["post"] - 0.1
     assert cc["predicted"] > cc["pre"] + 0.1
+
+
+def test_a_phantom_has_its_own_noise_whatever_is_evaluated_beside_it(phantoms):
+    def seen(which, numbers=None):
+        found = []
+        runs = [harness.Run(lambda case: found.append(case.voltages) or np.zeros(PAPER.grid.shape), "pre")]
+        harness.evaluate_all(which, runs, harness.Conditions(), numbers=numbers)
+        return found
+
+    second = seen(phantoms)[1]
+    assert np.array_equal(seen(phantoms[1:], [1])[0], second)
+    other = [replace(phantoms[1], name="again"), phantoms[1]]
+    assert not np.array_equal(*seen(other)), "no two of one file have the same"
 
 
 def test_a_perfect_solver_gets_perfect_scores_and_sees_noise_by_seed(phantoms):

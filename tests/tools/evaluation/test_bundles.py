@@ -39,18 +39,23 @@ def test_the_bundle_is_the_one_for_labels_and_touches(monkeypatch, tmp_path):
 
 
 def test_presses_and_touches_of_one_list_have_a_bundle_each(monkeypatch):
-    asked = []
+    asked, numbered = [], []
 
     def noted(request, labels, skin=PAPER, touches="raising", conditions=None):
         asked.append((labels, touches))
         return named(Request("tikhonov"), labels, skin, touches)
 
+    def evaluated(group, runs, conditions, step, numbers):
+        numbered.append(numbers)
+        return [[(one, ()) for one in group]]
+
     monkeypatch.setattr(solvers, "named", noted)
-    monkeypatch.setattr(solvers, "evaluate_all", lambda group, runs, conditions, step: [[(one, ()) for one in group]])
+    monkeypatch.setattr(solvers, "evaluate_all", evaluated)
     phantoms = [*single(10.0, 1, 1), *single(16.0, 1, 1, "A", Softness(0.4, 4.0)), *single(8.0, 1, 1)]
     ((by_group, results),) = evaluate_named(phantoms, [Request("vd2t")], Conditions("none"))
     assert asked == list(by_group) == [("area", "raising"), ("area", "lowering")]
     assert [phantom for phantom, _ in results] == phantoms
+    assert numbered == [[0, 2], [1]], "each has the noise of its own place in the file"
 
 
 @pytest.mark.parametrize("name", ["lab", "hydrogel"])

@@ -47,14 +47,14 @@ def collect(phantoms: Sequence[Phantom], conditions: Conditions, bundle: str | P
         bundle: The network's file; None takes the shipped one of the phantoms' labels.
     """
     rows = []
-    for phantom in phantoms:
+    for number, phantom in enumerate(phantoms):
         maps: list[Array] = []
         runs = []
         for name in SOLVERS:
             request = Request(name, bundle=bundle)
             run = named(request, phantom.truth, conditions.skin, phantom.scene.touch_kind).run
             runs.append(Run(_keep(run.solver, maps), run.reference))
-        evaluate_all([phantom], runs, conditions)
+        evaluate_all([phantom], runs, conditions, numbers=[number])
         rows.append(Row(phantom, truth_map(phantom, conditions.skin.grid), tuple(maps[: len(SOLVERS)])))
     return rows
 

@@ -283,6 +283,7 @@ def evaluate_named(
         for request in requests
     ]
     results: list[Results] = [[] for _ in requests]
+    order = {id(one): index for index, one in enumerate(phantoms)}
     done = 0
 
     def step(now: int, _: int) -> None:
@@ -290,11 +291,10 @@ def evaluate_named(
             progress(done + now, len(phantoms))
 
     for key, group in groups.items():
-        found = evaluate_all(group, [one[key].run for one in solvers], conditions, step)
+        runs, numbers = [one[key].run for one in solvers], [order[id(one)] for one in group]
+        found = evaluate_all(group, runs, conditions, step, numbers)
         for kept, scores in zip(results, found, strict=True):
             kept.extend(scores)
         done += len(group)
-    order = {id(one): index for index, one in enumerate(phantoms)}
-    for kept in results:
-        kept.sort(key=lambda pair: order[id(pair[0])])
-    return list(zip(solvers, results, strict=True))
+    ordered = [sorted(kept, key=lambda pair: order[id(pair[0])]) for kept in results]
+    return list(zip(solvers, ordered, strict=True))

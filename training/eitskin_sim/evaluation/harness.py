@@ -207,6 +207,7 @@ def evaluate_all(
     runs: Sequence[Run],
     conditions: Conditions,
     progress: Callable[[int, int], None] | None = None,
+    numbers: Sequence[int] | None = None,
 ) -> list[Results]:
     """Return the results of several runs, which all see the same voltages and clouds.
 
@@ -218,6 +219,7 @@ def evaluate_all(
         runs: Solvers and references.
         conditions: Noise, seeds and shifts.
         progress: Called with the phantoms done and all phantoms.
+        numbers: Of the phantoms in their file, by which their noise and shifts are drawn; None counts these from 0.
 
     Raises:
         ValueError: No phantoms, no seeds, an unknown reference or noise, or touches that the map does not show.
@@ -230,14 +232,15 @@ def evaluate_all(
     results: list[Results] = [[] for _ in runs]
     skin, grid = conditions.skin, conditions.skin.grid
     check_truths(phantoms, skin)
-    for index, phantom in enumerate(phantoms):
+    numbers = range(len(phantoms)) if numbers is None else numbers
+    for done, (number, phantom) in enumerate(zip(numbers, phantoms, strict=True), 1):
         bare = phantom.scene.untouched()
         flat = voltages_of(phantom.scene.reference())
         scores: list[list[Score]] = [[] for _ in runs]
         shown, truth, clean = None, np.zeros(0), np.zeros(0)
         for seed in range(conditions.seeds):
-            rng = np.random.default_rng([seed, index])
-            own = np.random.default_rng([SHIFT_SEED, seed, index])
+            rng = np.random.default_rng([seed, number])
+            own = np.random.default_rng([SHIFT_SEED, seed, number])
             moved = shifted(phantom, conditions.shift_px, own, grid)
             if moved != shown:
                 shown, truth, clean = moved, truth_map(moved, grid), voltages_of(moved.scene)
@@ -250,7 +253,7 @@ def evaluate_all(
         for result, kept in zip(results, scores, strict=True):
             result.append((phantom, kept))
         if progress is not None:
-            progress(index + 1, len(phantoms))
+            progress(done, len(phantoms))
     return results
 
 
