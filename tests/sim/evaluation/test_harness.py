@@ -70,6 +70,13 @@ def test_a_phantom_has_its_own_noise_whatever_is_evaluated_beside_it(phantoms):
     assert not np.array_equal(*seen(other)), "no two of one file have the same"
 
 
+@pytest.mark.parametrize(("kind", "along"), [("scan", 155.0), ("flat", 150.0)])
+def test_a_scan_is_of_the_sheet_as_it_is_cut(kind, along):
+    (phantom,) = parse_phantoms([{"scene": {"sheet": {"size_mm": [155, 100]}}}])
+    cloud = harness._cloud(phantom.scene, kind, 0, PAPER)
+    assert np.ptp(cloud[0].mean(axis=0)) == pytest.approx(along * 44 / 45, abs=0.2)
+
+
 def test_a_perfect_solver_gets_perfect_scores_and_sees_noise_by_seed(phantoms):
     seen = []
 

@@ -245,7 +245,7 @@ def evaluate_all(
             if moved != shown:
                 shown, truth, clean = moved, truth_map(moved, grid), voltages_of(moved.scene)
             noisy = add_noise(clean, flat, conditions.noise, conditions.snr_db, rng)
-            sheet = Sheet(_cloud(bare.bend, conditions.cloud, seed, skin), voltages_of(bare), skin)
+            sheet = Sheet(_cloud(bare, conditions.cloud, seed, skin), voltages_of(bare), skin)
             for run, kept in zip(runs, scores, strict=True):
                 held = _reference(run.reference, sheet, flat)
                 case = Case(noisy, held, flat, sheet, phantom.truth, phantom.scene.touch_kind == "lowering")
@@ -272,10 +272,12 @@ def _reference(kind: Reference, sheet: Sheet, flat: Array) -> Array:
     return sheet.predicted() * flat / flat_voltages(sheet.skin)
 
 
-def _cloud(bend: Bend, kind: CloudKind, seed: int, skin: Skin) -> Array:
+def _cloud(bare: Scene, kind: CloudKind, seed: int, skin: Skin) -> Array:
+    """Return the scan of a scene's own sheet, or what solvers are told in its place."""
+    bend = bare.bend
     if kind == "flat":
         bend = Bend()
     elif kind == "other":
         bend = next(other for other in draw("A", 2 + seed, CLOUD_SEED, skin)[seed:] if other != bend)
-    rng = np.random.default_rng([CLOUD_SEED, seed])
-    return np.asarray(measured_cloud(bend, rng, skin=skin), dtype=np.float64)
+    rng, own = np.random.default_rng([CLOUD_SEED, seed]), bare.sheet if kind == "scan" else None
+    return np.asarray(measured_cloud(bend, rng, skin=skin, sheet=own), dtype=np.float64)

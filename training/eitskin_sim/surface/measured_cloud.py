@@ -14,7 +14,7 @@ from eitskin_proto.skin.cloud import align_cloud
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.scene.bend import surface
 from eitskin_sim.scene.nominal import nominal_sheet
-from eitskin_sim.scene.parts import Bend
+from eitskin_sim.scene.parts import Bend, Sheet
 from eitskin_sim.surface.smooth_surface import by_arc_length, nodes_of
 
 NOISE_MM: Final = 0.1
@@ -22,7 +22,11 @@ NOISE_MM: Final = 0.1
 
 
 def measured_cloud(
-    bend: Bend, rng: np.random.Generator | None = None, noise_mm: float = NOISE_MM, skin: Skin = PAPER
+    bend: Bend,
+    rng: np.random.Generator | None = None,
+    noise_mm: float = NOISE_MM,
+    skin: Skin = PAPER,
+    sheet: Sheet | None = None,
 ) -> npt.NDArray[np.float32]:
     """Return the (3, rows, columns) mm cloud of a bend.
 
@@ -31,8 +35,9 @@ def measured_cloud(
         rng: Source of the noise; None leaves it out.
         noise_mm: Standard deviation of every coordinate.
         skin: What is bent.
+        sheet: The true one, which may be cut longer or shorter; None is as the skin states it.
     """
-    sheet = nominal_sheet(skin)
+    sheet = sheet or nominal_sheet(skin)
     columns, rows = (
         np.linspace(0.0, extent, 2 * n - 1) for extent, n in zip(sheet.size_mm, nodes_of(sheet.size_mm), strict=True)
     )
