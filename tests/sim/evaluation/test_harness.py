@@ -11,7 +11,7 @@ import pytest
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import harness, trials
 from eitskin_sim.evaluation import report as reports
-from eitskin_sim.scene.scene import parse_phantoms
+from eitskin_sim.scene.scene import SceneError, parse_phantoms
 
 pytestmark = pytest.mark.heavy
 
@@ -68,6 +68,12 @@ def test_a_phantom_has_its_own_noise_whatever_is_evaluated_beside_it(phantoms):
     assert np.array_equal(seen(phantoms[1:], [1])[0], second)
     other = [replace(phantoms[1], name="again"), phantoms[1]]
     assert not np.array_equal(*seen(other)), "no two of one file have the same"
+
+
+def test_a_phantom_that_cannot_be_solved_is_named():
+    fine = [{"name": "good", "scene": {}}, {"name": "fine", "scene": {"element_size_mm": 0.2}}]
+    with pytest.raises(SceneError, match=r"^phantoms\[1\] 'fine': the scene needs a mesh of \d+ elements"):
+        harness.evaluate(parse_phantoms(fine), lambda case: np.zeros(PAPER.grid.shape), noise="none")
 
 
 @pytest.mark.parametrize(("kind", "along"), [("scan", 155.0), ("flat", 150.0)])

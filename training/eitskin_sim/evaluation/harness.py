@@ -19,6 +19,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.files.plain import quoted
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.evaluation.metrics import Score, scaled, score
 from eitskin_sim.evaluation.truth import check_truths, truth_map
@@ -27,6 +28,7 @@ from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Bend, Phantom, Scene
 from eitskin_sim.scene.phantoms.shift import shifted
+from eitskin_sim.scene.strict_json import SceneError
 from eitskin_sim.solvers.l1 import ITERATIONS, l1_image
 from eitskin_sim.solvers.operators import (
     SATURATED,
@@ -234,8 +236,8 @@ def evaluate_all(
     check_truths(phantoms, skin)
     numbers = range(len(phantoms)) if numbers is None else numbers
     for done, (number, phantom) in enumerate(zip(numbers, phantoms, strict=True), 1):
-        bare = phantom.scene.untouched()
-        flat = voltages_of(phantom.scene.reference())
+        bare, where = phantom.scene.untouched(), f"phantoms[{number}] {quoted(phantom.name)}"
+        flat = _solved(phantom.scene.reference(), where)
         scores: list[list[Score]] = [[] for _ in runs]
         shown, truth, clean = None, np.zeros(0), np.zeros(0)
         for seed in range(conditions.seeds):
@@ -243,9 +245,9 @@ def evaluate_all(
             own = np.random.default_rng([SHIFT_SEED, seed, number])
             moved = shifted(phantom, conditions.shift_px, own, grid)
             if moved != shown:
-                shown, truth, clean = moved, truth_map(moved, grid), voltages_of(moved.scene)
+                shown, truth, clean = moved, truth_map(moved, grid), _solved(moved.scene, where)
             noisy = add_noise(clean, flat, conditions.noise, conditions.snr_db, rng)
-            sheet = Sheet(_cloud(bare, conditions.cloud, seed, skin), voltages_of(bare), skin)
+            sheet = Sheet(_cloud(bare, conditions.cloud, seed, skin), _solved(bare, where), skin)
             for run, kept in zip(runs, scores, strict=True):
                 held = _reference(run.reference, sheet, flat)
                 case = Case(noisy, held, flat, sheet, phantom.truth, phantom.scene.touch_kind == "lowering")
@@ -255,6 +257,13 @@ def evaluate_all(
         if progress is not None:
             progress(done, len(phantoms))
     return results
+
+
+def _solved(scene: Scene, where: str) -> Array:
+    try:
+        return voltages_of(scene)
+    except SceneError as error:
+        raise SceneError(f"{where}: {error}") from error
 
 
 @lru_cache(maxsize=256)
