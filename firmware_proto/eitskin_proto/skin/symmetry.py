@@ -48,9 +48,23 @@ def images(skin: Skin) -> tuple[Image, ...]:
 
 
 def near_images(skin: Skin) -> tuple[Image, ...]:
-    """Return the images that lie on the skin within ``NEAR_MM``, whatever the electrodes' sizes and impedances."""
-    found = (_image(skin, x, y, NEAR_MM) for x, y in MIRRORS)
-    return tuple(image for image in found if image is not None)
+    """Return the images that lie on the skin within ``NEAR_MM``, whatever the electrodes' sizes and impedances.
+
+    Where two mirrors do, what is left after both is an image as well, though it may lie farther off: what keeps two
+    symmetries keeps the third. So there are four, two or one.
+    """
+    near = (_image(skin, x, y, NEAR_MM) for x, y in MIRRORS)
+    found = tuple(image for image in near if image is not None)
+    return found if len(found) < 3 else _group(*found[:3]) or found[:2]
+
+
+def _group(itself: Image, one: Image, other: Image) -> tuple[Image, ...] | None:
+    """Return the four images that two mirrors make; None where the order of the two makes a difference."""
+    both = tuple(one.electrodes[k] for k in other.electrodes)
+    if any(both[both[k]] != k for k in range(N_ELECTRODES)):
+        return None
+    third = Image(one.x != other.x, one.y != other.y, both)
+    return tuple(sorted((itself, one, other, third), key=lambda image: MIRRORS.index((image.x, image.y))))
 
 
 def mirrored_arc_mm(skin: Skin, x: bool, y: bool) -> npt.NDArray[np.float64]:

@@ -64,6 +64,24 @@ def test_a_ring_that_is_off_by_millimetres_is_nearly_symmetric_and_has_the_image
     assert len(near_images(_with(far))) == 1
 
 
+@pytest.mark.parametrize("far", [(0, 8), (0, 12), (0, 4)])
+def test_two_near_mirrors_bring_the_third_which_lies_farther_off(far):
+    off_mm = np.zeros(16)  # the electrodes of one mirror's pair part by more, those of the others' by less
+    off_mm[list(far)] = (0.6 * NEAR_MM, -0.6 * NEAR_MM if far == (0, 8) else 0.6 * NEAR_MM)
+    assert near_images(_with(PAPER.arc_length_mm + off_mm)) == images(PAPER)
+
+
+def test_near_images_are_a_group_however_far_electrodes_are_off():
+    generator = np.random.default_rng(3)
+    for _ in range(40):
+        found = near_images(_with(PAPER.arc_length_mm + generator.normal(0.0, 1.3, 16)))
+        turns = {one.electrodes: (one.x, one.y) for one in found}
+        for one in found:
+            for other in found:
+                both = tuple(one.electrodes[k] for k in other.electrodes)
+                assert turns[both] == (one.x != other.x, one.y != other.y)
+
+
 @pytest.mark.parametrize(("first", "count"), [(0.0, 4), (0.5, 4), (0.2, 2)])
 def test_a_disc_is_symmetric_where_its_ring_is(first, count):
     step = np.pi * 100.0 / 16
