@@ -18,6 +18,9 @@ from eitskin_proto.files.reading import FileError, kind_of
 SYSTEM: Final = ("/dev/", "/proc/", "/sys/")
 """Where names stand for devices and processes; /dev/shm is a folder like any."""
 
+CUT_OFF: Final = ".part"
+"""How names of files end that are being written."""
+
 
 def check_target(path: str | Path) -> Path:
     """Return the path of a file that is to be written, or refuse one that must not be replaced.
@@ -56,7 +59,7 @@ def replacing(path: str | Path, mode: int = 0o666) -> Iterator[BinaryIO]:
     """
     where = check_target(path)
     begun = os.fsdecode(os.fsencode(where.name)[:200])
-    beside = where.with_name(f".{begun}.{secrets.token_hex(6)}.part")
+    beside = where.with_name(f".{begun}.{secrets.token_hex(6)}{CUT_OFF}")
     try:
         handle = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, mode)
         with open(handle, "wb") as stream:
@@ -76,6 +79,11 @@ def replacing(path: str | Path, mode: int = 0o666) -> Iterator[BinaryIO]:
         os.fsync(folder)  # the new name is on disk too
     finally:
         os.close(folder)
+
+
+def is_empty(folder: Path) -> bool:
+    """Whether a folder holds nothing, but for files of which the writing was ended by force, which nobody will read."""
+    return all(one.name.startswith(".") and one.name.endswith(CUT_OFF) for one in folder.iterdir())
 
 
 def write_bytes(path: str | Path, content: bytes, mode: int = 0o666) -> None:

@@ -114,6 +114,15 @@ def test_a_folder_with_something_else_in_it_is_left_alone(copy: Path, tmp_path: 
     assert [path.name for path in strange.iterdir()] == ["dear.txt"]
 
 
+def test_a_folder_whose_first_file_was_cut_off_by_force_is_begun_again(copy: Path) -> None:
+    made = {path.name: path.read_bytes() for path in copy.iterdir()}
+    for path in copy.iterdir():
+        path.unlink()
+    (copy / ".plan.json.0123456789ab.part").write_bytes(b"{")
+    generate(PLAN, copy, workers=0)
+    assert {path.name: path.read_bytes() for path in copy.iterdir() if path.name in made} == made
+
+
 def test_a_file_that_changed_is_refused(copy: Path) -> None:
     path = copy / "deformation-0001.npz"
     content = bytearray(path.read_bytes())

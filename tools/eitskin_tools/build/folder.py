@@ -19,7 +19,7 @@ from typing import Any, Final
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import stated
 from eitskin_proto.files.reading import FileError, read_json
-from eitskin_proto.files.writing import write_bytes
+from eitskin_proto.files.writing import is_empty, write_bytes
 from eitskin_tools.build.recipe import BuildRecipe, Data, Leg
 
 LARGEST_FILE: Final = 16 << 20
@@ -42,7 +42,7 @@ def begun(folder: Path, recipe: BuildRecipe, hours: float | None) -> dict[str, A
     """
     path = folder / "build.json"
     if not path.exists():
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        if folder.exists() and (not folder.is_dir() or not is_empty(folder)):
             raise OtherBuildError(f"{folder} is there and holds no half-made bundle; name another with --work")
         return None
     found = stored(path)

@@ -12,6 +12,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -20,7 +21,7 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.files.arrays import pack_arrays
 from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.reading import FileError, read_bytes
-from eitskin_proto.files.writing import write_bytes
+from eitskin_proto.files.writing import is_empty, write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.toml import to_toml
 from eitskin_sim.dataset.cluster import Certificates, Made, shards_on_cluster
@@ -61,7 +62,7 @@ def generate(
 
     Raises:
         DataSetError: The folder holds another data set.
-        SkinError: The scheduler cannot be reached, or its certificates are missing or useless.
+        SkinError: The scheduler cannot be reached, or its certificates are missing or useless; a worker was ended.
         ValueError: ``workers`` is negative, or the scheduler's address is none.
     """
     if workers < 0:
@@ -100,7 +101,7 @@ def _claim(plan: Plan, out: Path) -> None:
                 f"{out} holds another data set, or one of another version; give --out a new folder, or remove that one"
             )
         return
-    if out.exists() and any(out.iterdir()):
+    if out.exists() and not is_empty(out):
         raise DataSetError(f"{out} is not empty and holds no data set; give --out a new folder")
     out.mkdir(parents=True, exist_ok=True)
     write_bytes(path, content)
@@ -128,6 +129,11 @@ def _in_processes(jobs: list[dict[str, Any]], workers: int) -> Iterator[Made]:
         try:
             for future in as_completed(list(waiting)):
                 yield waiting.pop(future), future.result()
+        except BrokenProcessPool as error:
+            raise SkinError(
+                "a process that made data was ended from outside, mostly because memory is short; the same command goes "
+                "on where it was, and fewer --workers take less"
+            ) from error
         except BaseException:  # nobody takes what they are at, which may last minutes
             for worker in set(multiprocessing.active_children()).difference(others):
                 worker.terminate()
