@@ -78,6 +78,30 @@ def test_a_run_is_not_overwritten_or_resumed_with_something_else(toy_data: Any, 
         train.train(replace(data, digest="other"), tiny(epochs=1), tmp_path, resume=True)
 
 
+def test_a_run_has_its_folder_for_itself(toy_data: Any, tmp_path: Path) -> None:
+    data, tried = toy_data("area"), []
+
+    def beside(now: train.Progress) -> None:
+        if now.finished and now.epoch == 1:  # from here on the weights of its first epoch would take the best ones' place
+            with pytest.raises(SkinError, match=r"is in use: another process trains there; wait until it has ended"):
+                train.train(data, tiny(epochs=2), tmp_path, resume=True)
+            tried.append(now)
+
+    train.train(data, tiny(epochs=2), tmp_path, progress=beside)
+    assert len(tried) == 1
+    train.train(data, tiny(epochs=2), tmp_path, resume=True)
+
+
+def test_where_the_disk_is_full_no_epoch_counts_of_which_a_file_is_missing(toy_data: Any, tmp_path: Path) -> None:
+    data = toy_data("area")
+    (tmp_path / "history.json").mkdir()  # cannot be replaced
+    with pytest.raises(SkinError, match="history.json is a folder"):
+        train.train(data, tiny(epochs=1), tmp_path)
+    (tmp_path / "history.json").rmdir()
+    train.train(data, tiny(epochs=1), tmp_path, resume=True)
+    assert [epoch.number for epoch in curves.history_of(tmp_path)] == [1]
+
+
 def test_a_run_begins_where_another_ended_and_says_so(toy_data: Any, tmp_path: Path) -> None:
     data, other = toy_data("area", samples=1500), replace(toy_data("area"), digest="other")
     first = train.train(data, tiny(epochs=6, learning_rate=5e-3), tmp_path / "first", seed=3)

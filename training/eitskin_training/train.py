@@ -22,6 +22,7 @@ from typing import Any
 import torch
 
 from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_proto.files.holding import held
 from eitskin_proto.files.plain import plain
 from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
@@ -97,23 +98,31 @@ def train(
 
     Raises:
         MismatchError: The data or the checkpoint was made for something else.
-        SkinError: The folder already holds a run and ``resume`` is False, or the loss stopped being a number.
+        SkinError: The folder already holds a run and ``resume`` is False, another process trains there, or the loss
+            stopped being a number.
     """
     data.require(recipe)
     out.mkdir(parents=True, exist_ok=True)
-    checkpoint = out / "checkpoint.pt"
-    if checkpoint.exists() and not resume:
-        raise SkinError(f"{out} already holds a run; continue it with --resume or name another folder")
-    steps_per_epoch = max(1, len(data.train) // recipe.batch)
-    run = _start(recipe, seed, data)
-    run.sources = sources
-    if start is not None:
-        _start_from(run, narrowed(start, recipe, data) if fits(start, recipe) else start)
-    if resume and checkpoint.exists():
-        _restore(run, checkpoint)
-    steps = steps_per_epoch * recipe.epochs
+    with held(out, "another process trains there", "wait until it has ended, or name another folder"):
+        checkpoint = out / "checkpoint.pt"
+        if checkpoint.exists() and not resume:
+            raise SkinError(f"{out} already holds a run; continue it with --resume or name another folder")
+        run = _start(recipe, seed, data)
+        run.sources = sources
+        if start is not None:
+            _start_from(run, narrowed(start, recipe, data) if fits(start, recipe) else start)
+        if checkpoint.exists():
+            _restore(run, checkpoint)
+        _epochs(run, data, out, min(recipe.epochs, stop_after or recipe.epochs), progress)
+    return run
+
+
+def _epochs(run: Run, data: TrainingData, out: Path, last: int, progress: Callable[[Progress], None]) -> None:
+    """Go on until an epoch, and leave each in the folder."""
+    recipe = run.recipe
+    steps = max(1, len(data.train) // recipe.batch) * recipe.epochs
     epoch_of = _passes(run, data, steps)
-    for number in range(len(run.history) + 1, min(recipe.epochs, stop_after or recipe.epochs) + 1):
+    for number in range(len(run.history) + 1, last + 1):
         began = time.monotonic()
         run.model.train()
         if run.still:
@@ -123,7 +132,6 @@ def train(
         run.history.append(epoch)
         _save(run, out)
         progress(Progress(number, recipe.epochs, run.step, steps, epoch))
-    return run
 
 
 def _told(progress: Callable[[Progress], None], run: Run, steps: int, number: int) -> None:
@@ -205,8 +213,8 @@ def _save(run: Run, out: Path) -> None:
     }
     if run.best is run.history[-1]:
         write_file(out / "best.pt", {**common, "weights": run.averaged})
-    write_file(out / "checkpoint.pt", state)
     write_bytes(out / "history.json", (json.dumps(common["history"], indent=1) + "\n").encode())
+    write_file(out / "checkpoint.pt", state)  # the last one: whoever is stopped before it does the epoch again
 
 
 def _restore(run: Run, path: Path) -> None:

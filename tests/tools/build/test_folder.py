@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from eitskin_proto.files.holding import held
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build.folder import OtherBuildError, begin, begun, scaled_as_before
+from eitskin_tools.cli import main
 
 TINY = recipes.load("tiny")
 SMALLER = replace(TINY, training=(replace(TINY.training[0], epochs=1),))
@@ -61,3 +63,14 @@ def _raise(error: type[BaseException]) -> Callable[..., None]:
         raise error
 
     return function
+
+
+def test_two_builds_in_one_folder_are_one_too_many(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    work = tmp_path / "b.eitskin.build"
+    work.mkdir()
+    with held(work, "another process makes a bundle there", "wait"):
+        assert main(["build", "tiny", "--out", str(tmp_path / "b.eitskin")]) == 1
+    said = capsys.readouterr().err
+    assert f"{work} is in use: another process makes a bundle there" in said
+    assert said.count("\n") == 1
+    assert not list(work.iterdir())

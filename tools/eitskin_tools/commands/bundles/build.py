@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from eitskin_proto.files.holding import held
 from eitskin_tools.console.say import note
 
 if TYPE_CHECKING:
@@ -97,7 +98,9 @@ def make(
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     began = time.monotonic()
-    with Stages() as tell:
+    work.mkdir(parents=True, exist_ok=True)
+    hint = "wait until it has ended, or name another folder with --work"
+    with held(work, "another process makes a bundle there", hint), Stages() as tell:
         making = Making(steps.processes(arguments.workers), tell, note)
         own = 1.0 - sum(hours.SHARES[name] for name in others)
         made = making.made(asked, work, hours_asked, share=own, presses=presses)
