@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from eitskin_proto.errors import MismatchError
+from eitskin_sim.scene.family import draw
+from eitskin_sim.scene.parts import Bend
 from eitskin_training.samples.batches import TrainingData, assemble
 from eitskin_training.samples.joined import join
 
@@ -60,6 +62,38 @@ def test_what_one_set_holds_out_stays_held_out(pair: tuple[TrainingData, Trainin
     np.testing.assert_array_equal(both.held_out["A"], in_a)
     np.testing.assert_array_equal(both.held_out["B"], second.held_out["B"] + start)
     assert not set(both.touch_set[both.train]) & set(both.touch_set[both.validation])
+
+
+def test_bends_that_another_set_learned_from_are_held_out_no_more(pair: tuple[TrainingData, TrainingData]) -> None:
+    few, many = draw("A", 3, 4), (*draw("A", 3, 4)[:2], Bend(), draw("A", 3, 4)[2])
+    # of one seed and of two sizes: what the first keeps apart, its last, the second learns from; flat sheets are alike
+    first = replace(pair[0], bends=few, held_out={"A": _at(pair[0], 2)}, train=_at(pair[0], 0))
+    second = replace(pair[1], bends=many, held_out={"A": _at(pair[1], 2)}, train=_at(pair[1], 2, 3))
+    both = join((first, second))
+    np.testing.assert_array_equal(both.held_out["A"], second.held_out["A"] + len(first.voltages))
+    assert both.bends == (*few, *many)
+    unknown = join((first, replace(second, bends=())))
+    np.testing.assert_array_equal(unknown.held_out["A"][: len(first.held_out["A"])], first.held_out["A"])
+    nothing = join((first, replace(second, held_out={})))
+    assert nothing.held_out == {}
+
+
+def test_touch_sets_of_units_that_another_set_learned_from_are_held_out_no_more(toy_data: Any) -> None:
+    one, other = toy_data("units", seed=1), toy_data("units", seed=2)
+    both = join((one, replace(other, digest="other", reference=one.reference)))
+    learned = {both.labels[number].tobytes() for number in both.touch_set[both.train]}
+    for rows, before in (
+        (both.validation, [one.validation, other.validation]),
+        (both.held_out["A"], [one.held_out["A"], other.held_out["A"]]),
+    ):
+        found = [both.labels[number] for number in both.touch_set[rows]]
+        assert not any(bits.tobytes() in learned for bits in found if bits.any())
+        assert sum(not bits.any() for bits in found) == 2 * 2, "nobody touches at two bends of each"
+        assert len(found) < sum(map(len, before))
+
+
+def _at(data: TrainingData, *bends: int) -> Any:
+    return np.flatnonzero(np.isin(data.deformation, bends))
 
 
 def test_a_joined_set_has_the_touches_of_all(pair: tuple[TrainingData, TrainingData]) -> None:

@@ -26,6 +26,7 @@ from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.measurement.consistency import SAMPLES, Filler, fit
 from eitskin_sim.measurement.noise import Kind, add_noise
+from eitskin_sim.scene.parts import Bend
 from eitskin_training.network.mirror import Mirror, mirrors
 from eitskin_training.network.model import features
 from eitskin_training.recipes import Recipe
@@ -63,6 +64,7 @@ class TrainingData:
         touch_kind: Which way its touches change conductance: what a network learned from it knows.
         drift: (N,) by which each sample's resistances had changed since the reference, of random devices of the skin;
             None of the nominal device.
+        bends: (D,) deformations, None for one that nobody knows; empty where all are such.
     """
 
     voltages: npt.NDArray[np.float32]
@@ -83,6 +85,7 @@ class TrainingData:
     skin: Skin = PAPER
     touch_kind: TouchKind = "raising"
     drift: npt.NDArray[np.float32] | None = None
+    bends: tuple[Bend | None, ...] = ()
 
     @property
     def apart(self) -> npt.NDArray[np.intp]:

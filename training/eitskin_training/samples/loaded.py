@@ -39,4 +39,5 @@ def load(directory: str) -> TrainingData:
         skin=found.skin,
         touch_kind=found.touch_kind,
         drift=found.drift,
+        bends=found.bends,
     )
