@@ -82,7 +82,7 @@ def test_a_run_has_its_folder_for_itself(toy_data: Any, tmp_path: Path) -> None:
     data, tried = toy_data("area"), []
 
     def beside(now: train.Progress) -> None:
-        if now.finished and now.epoch == 1:  # from here on the weights of its first epoch would take the best ones' place
+        if now.finished and now.epoch == 1:  # from here on its first epoch's weights would take the best ones' place
             with pytest.raises(SkinError, match=r"is in use: another process trains there; wait until it has ended"):
                 train.train(data, tiny(epochs=2), tmp_path, resume=True)
             tried.append(now)
@@ -95,7 +95,7 @@ def test_a_run_has_its_folder_for_itself(toy_data: Any, tmp_path: Path) -> None:
 def test_where_the_disk_is_full_no_epoch_counts_of_which_a_file_is_missing(toy_data: Any, tmp_path: Path) -> None:
     data = toy_data("area")
     (tmp_path / "history.json").mkdir()  # cannot be replaced
-    with pytest.raises(SkinError, match="history.json is a folder"):
+    with pytest.raises(SkinError, match=r"history\.json is a folder"):
         train.train(data, tiny(epochs=1), tmp_path)
     (tmp_path / "history.json").rmdir()
     train.train(data, tiny(epochs=1), tmp_path, resume=True)

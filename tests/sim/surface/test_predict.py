@@ -1,5 +1,7 @@
 """The predicted reference: exact where a cloud shows everything, with its error stated where it cannot."""
 
+import errno
+
 import numpy as np
 import pytest
 
@@ -107,6 +109,17 @@ def test_predictions_of_a_data_set_are_computed_once_and_again_for_another(tmp_p
         assert (prediction_cache.predicted_log_of(tmp_path, a_data_set("two")) == 7.0).all()
         patch.setattr(prediction_cache, "model", lambda skin: "another")
         assert (prediction_cache.predicted_log_of(tmp_path, a_data_set("one")) == 7.0).all()
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC, errno.EACCES])
+def test_where_nothing_can_be_kept_predictions_are_computed_all_the_same(tmp_path, monkeypatch, number):
+    def refuse(*_):
+        raise OSError(number, "no")
+
+    monkeypatch.setattr(prediction_cache, "replacing", refuse)
+    monkeypatch.setattr(prediction_cache, "predicted_log", lambda clouds, skin: np.full((len(clouds), 104), 7.0))
+    assert (prediction_cache.predicted_log_of(tmp_path, a_data_set("one")) == 7.0).all()
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("content", [b"", b"junk", b"PK\x03\x04 broken"])

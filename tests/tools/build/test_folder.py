@@ -1,6 +1,5 @@
 """The folder of a half-made bundle: it is that bundle's alone, and goes on with the sizes that it began with."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -50,19 +49,16 @@ def test_whoever_is_killed_while_the_folder_s_first_file_is_written_begins_again
     class Killed(BaseException):
         """No process is there to tidy up."""
 
-    with pytest.raises(Killed), pytest.MonkeyPatch.context() as patch:
+    def killed(*_: object) -> None:
+        raise Killed
+
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Path, "unlink", lambda _: None)
-        patch.setattr("os.fsync", _raise(Killed))
-        begin(tmp_path / "b", TINY, TINY, None)
+        patch.setattr("os.fsync", killed)
+        with pytest.raises(Killed):
+            begin(tmp_path / "b", TINY, TINY, None)
     assert len(list((tmp_path / "b").iterdir())) == 1
     assert begun(tmp_path / "b", TINY, None) is None
-
-
-def _raise(error: type[BaseException]) -> Callable[..., None]:
-    def function(*_: object) -> None:
-        raise error
-
-    return function
 
 
 def test_two_builds_in_one_folder_are_one_too_many(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -131,8 +131,8 @@ def _in_processes(jobs: list[dict[str, Any]], workers: int) -> Iterator[Made]:
                 yield waiting.pop(future), future.result()
         except BrokenProcessPool as error:
             raise SkinError(
-                "a process that made data was ended from outside, mostly because memory is short; the same command goes "
-                "on where it was, and fewer --workers take less"
+                "a process that made data was ended from outside, mostly because memory is short; the same command "
+                "goes on where it was, and fewer --workers take less"
             ) from error
         except BaseException:  # nobody takes what they are at, which may last minutes
             for worker in set(multiprocessing.active_children()).difference(others):

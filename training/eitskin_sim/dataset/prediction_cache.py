@@ -40,7 +40,7 @@ def predicted_log_of(folder: str | Path, data: DataSet) -> npt.NDArray[np.float3
     if kept is not None:
         return kept
     found = predicted_log(data.clouds, data.skin)
-    with contextlib.suppress(PermissionError, FileError), replacing(path) as file:
+    with contextlib.suppress(OSError, FileError), replacing(path) as file:
         np.savez(file, digest=data.digest, model=model(data.skin), flat=flat, log_predicted=found)
     return found
 
