@@ -1,4 +1,5 @@
 import json
+import resource
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -90,6 +91,19 @@ def test_a_run_has_its_folder_for_itself(toy_data: Any, tmp_path: Path) -> None:
     train.train(data, tiny(epochs=2), tmp_path, progress=beside)
     assert len(tried) == 1
     train.train(data, tiny(epochs=2), tmp_path, resume=True)
+
+
+def test_a_file_that_the_disk_does_not_take_is_an_error_of_the_disk(tmp_path: Path) -> None:
+    path, (soft, hard) = tmp_path / "checkpoint.pt", resource.getrlimit(resource.RLIMIT_FSIZE)
+    run_files.write_file(path, {"weights": torch.zeros(10)})
+    before = path.read_bytes()
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))
+    try:
+        with pytest.raises(OSError, match=r"checkpoint\.pt"):
+            run_files.write_file(path, {"weights": torch.zeros(10_000)})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == {"checkpoint.pt": before}
 
 
 def test_where_the_disk_is_full_no_epoch_counts_of_which_a_file_is_missing(toy_data: Any, tmp_path: Path) -> None:

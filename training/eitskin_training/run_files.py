@@ -5,6 +5,7 @@ A run's folder holds ``checkpoint.pt`` and ``best.pt`` (:mod:`eitskin_training.t
 ``weights_only``.
 """
 
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from torch import Tensor
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.plain import plain, stated
 from eitskin_proto.files.reading import opened
-from eitskin_proto.files.writing import replacing
+from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import parse, to_toml
@@ -160,8 +161,9 @@ def skin_of(content: Mapping[str, Any], path: Path) -> Skin:
 
 def write_file(path: Path, content: dict[str, Any]) -> None:
     """Write a run's .pt file beside and rename it, so that an interruption leaves the one before whole."""
-    with replacing(path) as file:
-        torch.save(content, file)
+    whole = io.BytesIO()
+    torch.save(content, whole)  # of a file that cannot take it torch would make an error of its own
+    write_bytes(path, whole.getvalue())
 
 
 def read(path: Path) -> dict[str, Any]:
