@@ -16,7 +16,7 @@ from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import DISC, gather
-from eitskin_tools.build import adaptation, press_lesson, steps
+from eitskin_tools.build import adaptation, checks, press_lesson, steps
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build.adaptation import FEW_STEPS, Adaptation
 from eitskin_tools.build.recipe import CardWork, GateWork
@@ -104,12 +104,14 @@ def test_the_shipped_network_of_an_even_ring_goes_on_at_an_uneven_one():
 
 
 def test_a_sheet_of_another_map_is_refused_before_its_data_is_made(monkeypatch):
-    found = replace(adapted("press"), skin=load(EXAMPLE))
+    fits = adapted("press")
+    fits = replace(fits, data={name: replace(one, deformations=2) for name, one in fits.data.items()})
+    found = replace(fits, skin=load(EXAMPLE))
     own = steps.fitted_to(found, found.training[0], STATED).architecture
-    monkeypatch.setattr(steps, "start_of", lambda *_: Start({}, own, STATED, {}))
+    monkeypatch.setattr(checks, "start_of", lambda *_: Start({}, own, STATED, {}))
     with pytest.raises(MismatchError, match=r"network to start from: map: found 30 x 45 .*, expected 18 x 45 pixels"):
-        steps._check_start(found, found.training[0])
-    steps._check_start(adapted("press"), found.training[0])
+        checks.check(found)
+    checks.check(fits)
 
 
 def test_of_a_bundle_with_two_networks_both_are_adapted():

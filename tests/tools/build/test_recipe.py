@@ -17,6 +17,11 @@ from eitskin_tools.command_line import files
 
 TINY = (Path(recipes.__file__).parents[1] / "recipes" / "tiny.toml").read_text(encoding="utf-8")
 
+ROOT = Path(__file__).parents[3]
+
+AGAIN = TINY[TINY.index("[data.presses]") : TINY.index("[[training]]")].replace("presses", "again")
+"""The data set once more, by another name."""
+
 
 def parsed(text: str) -> recipes.BuildRecipe:
     return recipes.parse(tomllib.loads(text))
@@ -95,9 +100,15 @@ def test_a_file_that_is_neither_skin_nor_recipe_is_told_of_both(tmp_path: Path, 
 
 
 def test_what_would_fail_hours_later_is_refused_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    odd = (ROOT / "docs/examples/skin.toml").read_text().replace("[18, 45]", "[20, 44]").replace("[9, 15]", "[10, 11]")
+    (tmp_path / "odd.toml").write_text(odd)
     for old, new, said in (
         ('touches = "press"', 'touches = "soft"', "[data.presses] touches 'soft' are unknown"),
         ("epochs = 2", "epochs = 2\nstart_from = 'gone.eitskin'", "gone.eitskin"),
+        ("kept = 2", "kept = 0", "the gate has 0 deformations kept apart to choose and measure it"),
+        ("[[training]]", AGAIN + "[[training]]", "[data.again] and [data.presses] are the same; give one"),
+        ("[[training]]", AGAIN + 'skin = "lab"\n[[training]]', "learns from skins hydrogel and lab, in [data.again]"),
+        ('"hydrogel"', '"odd.toml"', "a map of 20 x 44 pixels cannot be sharpened"),
     ):
         (tmp_path / "r.toml").write_text(TINY.replace(old, new))
         assert main(["build", str(tmp_path / "r.toml"), "--out", str(tmp_path / "b.eitskin")]) == 1

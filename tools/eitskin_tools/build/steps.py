@@ -45,35 +45,6 @@ def _plan(data: Data, skin: Skin) -> Any:
     )
 
 
-def check(recipe: BuildRecipe) -> None:
-    """Refuse what would fail hours later: data that cannot be planned, a start that is not there or does not fit.
-
-    Raises:
-        SkinError: A file is missing or is no bundle.
-        ValueError: A number is outside its bounds, or things do not go together.
-    """
-    for name, data in recipe.data.items():
-        try:
-            plan_of(recipe, data)
-        except ValueError as error:
-            raise ValueError(f"[data.{name}] {error}") from error
-    for leg in recipe.training:
-        _network(recipe, leg)
-    _check_start(recipe, recipe.training[0])
-
-
-def _check_start(recipe: BuildRecipe, leg: Leg) -> None:
-    """Refuse a network to start from that is of another shape, or of another map than what it is to learn."""
-    from eitskin_training.narrowed import fits
-
-    if (start := start_of(recipe, leg)) is None:
-        return
-    skin = recipe.skin_of(next(recipe.data[name] for name in leg.data or recipe.data))
-    wanted = fitted_to(recipe, leg, skin)
-    if not fits(start, wanted):
-        start.require(wanted.architecture, skin)
-
-
 def share_data(recipe: BuildRecipe, folder: Path, other: BuildRecipe, made: Path) -> None:
     """Take the data sets that another recipe has made, where the same are wanted: a link to each."""
     for name, data in recipe.data.items():

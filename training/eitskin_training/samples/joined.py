@@ -83,17 +83,17 @@ def join(sets: Sequence[TrainingData]) -> TrainingData:
         )
         for family in dict.fromkeys(family for one in sets for family in one.held_out)
     }
-    bends = tuple(bend for one in sets for bend in one.bends or (None,) * len(one.clouds))
+    every = tuple(bend for one in sets for bend in one.bends or (None,) * len(one.clouds))
     deformation, touch_set = numbered_on["deformation"], numbered_on["touch_set"]
     learned = numbered_on["train"]
     seen = np.zeros(len(whole["labels"]), dtype=np.bool_)
     if first.labels_kind == "units":
         seen = _seen_touches(whole["labels"], touch_set[learned])
     numbered_on["validation"] = numbered_on["validation"][~seen[touch_set[numbered_on["validation"]]]]
-    known = _seen_bends(bends, deformation[learned])[deformation] | seen[touch_set]
+    known = _seen_bends(every, deformation[learned])[deformation] | seen[touch_set]
     held_out = {family: apart for family, rows in held_out.items() if len(apart := rows[~known[rows]])}
     kinds: dict[str, Any] = {"touch_kind": together(one.touch_kind for one in sets), "drift": _drift(sets)}
-    return replace(first, **whole, **numbered_on, **kinds, bends=bends, held_out=held_out, digest="+".join(digests))
+    return replace(first, **whole, **numbered_on, **kinds, bends=every, held_out=held_out, digest="+".join(digests))
 
 
 def _seen_bends(bends: Sequence[Bend | None], learned: Index) -> npt.NDArray[np.bool_]:

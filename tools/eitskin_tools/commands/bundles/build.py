@@ -79,6 +79,7 @@ def make(
 
     from eitskin_tools.build import folder as half_made
     from eitskin_tools.build import hours, press_lesson, steps
+    from eitskin_tools.build.checks import check
     from eitskin_tools.build.making import Making
     from eitskin_tools.command_line import files, kinds
     from eitskin_tools.errors import UsageError
@@ -93,7 +94,7 @@ def make(
     if (many := sum(one.deformations for one in asked.data.values())) > MANY:
         note(f"drawing {many:,} deformations, some {many // MANY} min; then the first data set")
     for one in (asked, *others.values()):
-        steps.check(one)
+        check(one)
     half_made.begun(work, asked, hours_asked)
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
