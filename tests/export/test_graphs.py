@@ -176,24 +176,6 @@ def test_the_graphs_of_another_skin_carry_its_id_and_have_its_shapes(second: tup
         assert props["grid_id"] == SECOND.grid_id
 
 
-def test_parity_fails_for_another_network() -> None:
-    model = trained_looking(ARCHITECTURES["residual"])
-    geometry, head = split(model)
-    with torch.no_grad():
-        model.out.bias += 1e-3
-    with pytest.raises(SkinError, match="differ from the network"):
-        parity.parity(model, graphs.geometry_graph(geometry), graphs.head_graph(head))
-
-
-def test_parity_fails_where_a_map_is_not_a_number() -> None:
-    model = trained_looking(ARCHITECTURES["residual"])
-    geometry, head = split(model)
-    with torch.no_grad():
-        head.out.bias[0] = torch.nan  # of one pixel
-    with pytest.raises(SkinError, match="differ from the network"):
-        parity.parity(model, graphs.geometry_graph(geometry), graphs.head_graph(head))
-
-
 def test_a_network_in_training_mode_is_not_exported() -> None:
     _, head = split(trained_looking(ARCHITECTURES["residual"]))
     with pytest.raises(SkinError, match="training mode"):

@@ -1,5 +1,6 @@
 """Recipes of bundles: what they say, and one line for whatever is wrong with one."""
 
+import os
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -8,8 +9,9 @@ import pytest
 from tests.second_skin import SECOND
 
 from eitskin_proto.skin.toml import named, to_toml
+from eitskin_sim.dataset.generate import ONE_THREAD
 from eitskin_tools.build import recipe as recipes
-from eitskin_tools.build.hours import REST_S, Pace, scaled, seconds
+from eitskin_tools.build.hours import REST_S, Pace, measure, scaled, seconds
 from eitskin_tools.build.recipe import Leg
 from eitskin_tools.build.steps import fitted_to, plan_of
 from eitskin_tools.cli import main
@@ -116,6 +118,20 @@ def test_what_would_fail_hours_later_is_refused_at_once(tmp_path: Path, capsys: 
         assert (out, line.count("\n")) == ("", 1)
         assert said in line
         assert not (tmp_path / "b.eitskin.build").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_a_machine_is_measured_at_what_it_will_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    for name in ONE_THREAD:
+        monkeypatch.setenv(name, "64")  # which of no worker is true
+    pace = measure(recipes.load("tiny"), 2, told.append)
+    assert told == ["measuring this machine"]
+    assert os.environ[ONE_THREAD[0]] == "64"
+    assert 0.0 < pace.deformation_s < 60.0
+    assert 0.0 < pace.sample_s < 0.1
+    assert 0.0 < pace.trained_s < 0.1
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
 """``--hours``: how large data and training may be so that a bundle is built in so long on this machine.
 
-A few hundred samples are made and trained on. What a deformation, a sample and a sample trained on take follows from
+A thousand samples are made and trained on. What a deformation, a sample and a sample trained on take follows from
 that; the deformations and the epochs of the recipe are then scaled alike, up or down. Gate, export and card take what
 they take, ``REST_S`` is kept for them. A network that is built besides gets its share of the time, ``SHARES``.
 """
@@ -9,7 +9,7 @@ import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from eitskin.model.manifest import GENTLE, SMALL
 from eitskin_tools.build.recipe import BuildRecipe
@@ -21,8 +21,8 @@ REST_S: Final = 600.0
 SHARES: Final = {SMALL: 0.35, GENTLE: 0.1}
 """Of networks besides: they begin as the bundle's own and need few epochs, but data of their own take as long."""
 
-SAMPLES: Final = (50, 250)
-"""Samples a deformation of the two small data sets."""
+SAMPLES: Final = (50, 550)
+"""Samples a deformation of the two small data sets, as far from each other as tells a sample's time from noise."""
 
 LEAST_DEFORMATIONS: Final = 2
 
@@ -40,8 +40,11 @@ class Pace:
 
 
 def measure(recipe: BuildRecipe, workers: int, tell: Tell) -> Pace:
-    """Make a few hundred samples of a recipe's first data set, train on them, and return the pace."""
-    from eitskin_sim.dataset.generate import generate
+    """Make a thousand samples of a recipe's first data set, train on them, and return the pace.
+
+    They are made as the recipe's are, by a process of one thread: how fast many are says nothing of it.
+    """
+    from eitskin_sim.dataset.generate import processes
     from eitskin_training import train
     from eitskin_training.recipes import fitted
     from eitskin_training.recipes import recipe as network_named
@@ -50,19 +53,31 @@ def measure(recipe: BuildRecipe, workers: int, tell: Tell) -> Pace:
     tell("measuring this machine")
     first = next(iter(recipe.data.values()))
     with tempfile.TemporaryDirectory(prefix="eitskin-build-") as name:
-        folder, taken = Path(name), []
-        for number, each in enumerate((SAMPLES[0], *SAMPLES)):  # the first one warms up
-            small = replace(first, deformations=2, kept=0, per_deformation=each, touch_sets=None)
-            began = time.perf_counter()
-            generate(plan_of(recipe, small), folder / str(number), workers=0)
-            taken.append(time.perf_counter() - began)
+        folder = Path(name)
+        sizes = (SAMPLES[0], *SAMPLES)  # the first one warms up
+        small = [replace(first, deformations=2, kept=0, per_deformation=each, touch_sets=None) for each in sizes]
+        with processes(1) as pool:
+            taken = pool.submit(_made, [plan_of(recipe, one) for one in small], folder).result()
         data = load_all([str(folder / "2")])
         network = fitted(replace(network_named(recipe.network), epochs=2), data.skin)
         history = train.train(data, network, folder / "run").history
-    samples = 2 * SAMPLES[1]
+    batch = min(network.batch, len(data.train))
+    trained = len(data.train) // batch * batch
     sample_s = max(1e-4, (taken[2] - taken[1]) / (2 * (SAMPLES[1] - SAMPLES[0])))
     deformation_s = max(1e-3, taken[1] / 2 - SAMPLES[0] * sample_s)
-    return Pace(deformation_s / workers, sample_s / workers, history[-1].seconds / samples)
+    return Pace(deformation_s / workers, sample_s / workers, history[-1].seconds / trained)
+
+
+def _made(plans: list[Any], folder: Path) -> list[float]:
+    """Make data sets in this process, in folders by their numbers, and return how long each took."""
+    from eitskin_sim.dataset.generate import generate
+
+    taken = []
+    for number, plan in enumerate(plans):
+        began = time.perf_counter()
+        generate(plan, folder / str(number), workers=0)
+        taken.append(time.perf_counter() - began)
+    return taken
 
 
 def scaled(recipe: BuildRecipe, hours: float, pace: Pace) -> BuildRecipe:

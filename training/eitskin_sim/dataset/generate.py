@@ -123,12 +123,23 @@ def _run(
 
 
 def _in_processes(jobs: list[dict[str, Any]], workers: int) -> Iterator[Made]:
+    with processes(workers) as pool:
+        waiting = {pool.submit(make_shard, job): job["deformations"] for job in jobs}
+        for future in as_completed(list(waiting)):
+            yield waiting.pop(future), future.result()
+
+
+@contextmanager
+def processes(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Give processes that compute with one thread each, and end with this one.
+
+    Raises:
+        SkinError: One was ended from outside.
+    """
     context, others = multiprocessing.get_context("spawn"), multiprocessing.active_children()
     with _one_thread(), ProcessPoolExecutor(workers, mp_context=context, initializer=_follow_parent) as pool:
-        waiting = {pool.submit(make_shard, job): job["deformations"] for job in jobs}
         try:
-            for future in as_completed(list(waiting)):
-                yield waiting.pop(future), future.result()
+            yield pool
         except BrokenProcessPool as error:
             raise SkinError(
                 "a process that made data was ended from outside, mostly because memory is short; the same command "
