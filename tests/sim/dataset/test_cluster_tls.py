@@ -15,6 +15,9 @@ from eitskin_sim.dataset.generate import generate
 from eitskin_sim.dataset.plan import make_plan
 from eitskin_tools import cli
 
+# Dask warns, and a warning is an error, where a busy disk takes a second for a folder.
+pytestmark = pytest.mark.filterwarnings("ignore:Creating scratch directories is taking")
+
 PLAN = make_plan("paper", 0, deformations=1, touch_sets=10, kept=0)
 FILES = ("deformation-0000.npz", "index.json", "plan.json", "touches.npz")
 
