@@ -43,7 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
     found = trained(source)
     data = data_of(found, arguments.data)
     adapted = adapt.adapt(found.model, found.recipe, data, plan, seed=arguments.seed, tell=note)
-    content = {**found.content, "data": arguments.data or found.content["data"]}
+    sources = [str(Path(one).resolve()) for one in arguments.data or ()]
+    content = {**found.content, "data": sources or found.content["data"]}
     path = adapt.write(out, content, adapted)
     stored.hand_on(source, out)
     if arguments.json:
