@@ -103,6 +103,17 @@ def test_steps_can_be_skipped_and_gone_back_to():
     assert sum("at (40, 30)" in one for one in sheet.told) == 2, "the first press was repeated"
 
 
+def test_what_is_gone_back_to_and_skipped_is_left_out():
+    sheet = Sheet([SCAN, (r"at \(75, 50\)", "b"), ("Press 1", "s")])
+    found = guided(sheet)
+    assert len(found["bent_V"]) == 1
+    assert found["press_xy_mm"].tolist() == [[75.0, 50.0]]
+    assert "what was recorded of it before is left out" in sheet.told
+    sheet = Sheet([SCAN, ("Press 1", "b"), ("bend the sheet", "s")])
+    assert "bent_V" in guided(Sheet([SCAN]))
+    assert "bent_V" not in guided(sheet)
+
+
 def test_the_reference_cannot_be_skipped_and_a_strange_word_is_answered():
     sheet = Sheet([("Lay the sheet", "s"), ("Lay the sheet", "what"), SCAN])
     assert "reference_V" in guided(sheet)

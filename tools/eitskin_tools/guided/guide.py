@@ -108,8 +108,17 @@ class Guide:
             word = steps[at]()
             if word == QUIT:
                 raise GuideError("stopped on request; nothing was written; the same command begins anew")
+            if word == SKIP and at:
+                self._leave_out(at - 1)
             at = max(at - 1, 0) if word == BACK else at + (1 if word != SKIP or at else 0)
         return self._arrays()
+
+    def _leave_out(self, number: int) -> None:
+        """Forget what came of a step that was gone back to, of those after the reference."""
+        bends, found = self._plan.bends, self._found
+        gone = found.bents.pop(number, None) if number < bends else found.presses.pop(number - bends, None)
+        if gone is not None:
+            self._talk.tell("what was recorded of it before is left out")
 
     def _reference(self) -> str | None:
         how = "Lay the sheet flat" if self._plan.lying_mm is None else "Leave the sheet as it was scanned"
