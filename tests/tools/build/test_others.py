@@ -9,7 +9,7 @@ from tests.export.test_pair import made as tiny_bundle
 
 from eitskin.model.bundle import load_bundle
 from eitskin_export import unfold
-from eitskin_tools.build import making, steps
+from eitskin_tools.build import hours, making, steps
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build.hours import SHARES
 from eitskin_tools.build.recipe import BuildRecipe
@@ -122,6 +122,22 @@ def test_all_are_made_go_into_one_bundle_and_its_card_is_of_all(
     given = maker.with_others(large, {}, work, 3.0, gentle_of=out)
     assert load_bundle(given.bundle).beside == {"gentle": 8}
     assert load_bundle(given.bundle).id == given.identity
+
+
+def test_a_time_too_little_for_one_of_them_is_refused_before_any_is_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hours, "measure", lambda *_: hours.Pace(1.0, 0.01, 1e-3))
+    recipe, work, maker = recipes.load("tiny"), tmp_path / "work", making.Making(1, print, print)
+    parts = [(recipe, work, 0.9), (recipe, work / "gentle", 0.1)]
+    said = r"--hours 1 is too little for tiny, whose share is 10 %, on this machine, expected 1\.\d+ or more"
+    with pytest.raises(ValueError, match=said):
+        maker.begin(parts, 1.0)
+    assert not work.exists()
+    maker.begin(parts, 3.0)
+    before = [(folder / "build.json").stat().st_mtime_ns for folder in (work, work / "gentle")]
+    maker.begin(parts, 3.0)
+    assert [(folder / "build.json").stat().st_mtime_ns for folder in (work, work / "gentle")] == before
 
 
 def test_one_of_the_same_shape_begins_with_the_network_just_made(

@@ -80,24 +80,25 @@ def _made(plans: list[Any], folder: Path) -> list[float]:
     return taken
 
 
-def scaled(recipe: BuildRecipe, hours: float, pace: Pace) -> BuildRecipe:
+def scaled(recipe: BuildRecipe, hours: float, pace: Pace, share: float = 1.0) -> BuildRecipe:
     """Return a recipe whose data and training fit into a time.
 
     Args:
         recipe: As it was written.
         hours: For everything.
         pace: Of this machine.
+        share: Of the hours that are this recipe's.
 
     Raises:
         ValueError: Not even the smallest fits; the text says what would.
     """
-    budget = 3600.0 * hours - REST_S
+    budget = 3600.0 * share * hours - REST_S
     fixed, linear, square = _costs(recipe, pace)
     least = fixed + linear * 1e-2 + square * 1e-4
     if budget < least:
-        raise ValueError(
-            f"--hours {hours:g} is too little on this machine, expected {(REST_S + least) / 3600:.2f} or more"
-        )
+        enough = (REST_S + least) / (3600.0 * share)
+        named = "" if share == 1.0 else f" for {recipe.name}, whose share is {100 * share:.0f} %,"
+        raise ValueError(f"--hours {hours:g} is too little{named} on this machine, expected {enough:.2f} or more")
     left = budget - fixed
     factor = 2.0 * left / (linear + (linear * linear + 4.0 * square * left) ** 0.5)
     data = {

@@ -1,5 +1,6 @@
 """A recipe's bundle in a folder: begun, scaled to a time, made step by step, or gone on with."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,27 @@ class Making:
     say: steps.Tell
     """Told how each epoch went."""
 
+    def begin(self, parts: Sequence[tuple[BuildRecipe, Path, float]], given: float | None) -> None:
+        """Begin the folders of half-made bundles that are none yet, once all recipes fit into their time.
+
+        Args:
+            parts: What is asked for, where, and with which share of the time.
+            given: Hours to scale all of it to; None leaves recipes as they are.
+
+        Raises:
+            OtherBuildError: A folder holds another one.
+            ValueError: The time is too little for one.
+        """
+        new = [(recipe, work, share) for recipe, work, share in parts if half_made.begun(work, recipe, given) is None]
+        scaled = [recipe for recipe, _, _ in new]
+        if given is not None:
+            paces = (hours.measure(recipe, self.workers, self.tell) for recipe, _, _ in new)
+            scaled = [
+                hours.scaled(recipe, given, pace, share) for (recipe, _, share), pace in zip(new, paces, strict=True)
+            ]
+        for (recipe, work, _), wanted in zip(new, scaled, strict=True):
+            half_made.begin(work, recipe, wanted, given)
+
     def made(
         self,
         recipe: BuildRecipe,
@@ -61,14 +83,10 @@ class Making:
         Raises:
             OtherBuildError: The folder holds another one.
         """
+        self.begin([(recipe, work, share)], given)
         begun = half_made.begun(work, recipe, given)
-        if begun is not None:
-            wanted = half_made.scaled_as_before(recipe, begun)
-        else:
-            wanted = recipe
-            if given is not None:
-                wanted = hours.scaled(recipe, share * given, hours.measure(recipe, self.workers, self.tell))
-            half_made.begin(work, recipe, wanted, given)
+        assert begun is not None
+        wanted = half_made.scaled_as_before(recipe, begun)
         if beside is not None:
             steps.share_data(wanted, work, *beside)
         steps.make_data(wanted, work, self.workers, self.tell)

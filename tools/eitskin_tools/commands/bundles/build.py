@@ -104,6 +104,8 @@ def make(
     with held(work, "another process makes a bundle there", hint), Stages() as tell:
         making = Making(steps.processes(arguments.workers), tell, note)
         own = 1.0 - sum(hours.SHARES[name] for name in others)
+        parts = [(other, work / name, hours.SHARES[name]) for name, other in others.items()]
+        making.begin([(asked, work, own), *parts], hours_asked)
         made = making.made(asked, work, hours_asked, share=own, presses=presses)
         made = making.with_others(made, others, work, hours_asked, gentle_of)
         found, identity = making.finished(made, work, arguments.out)
