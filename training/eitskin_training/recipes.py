@@ -18,6 +18,9 @@ Labels = Literal["units", "area"]
 Schedule = Literal["constant", "onecycle"]
 Noise = Literal["N1", "N2", "N3"]
 
+MOST_SEED: Final = 1_000_000_000
+"""Of a run: every epoch's draws follow from it and the epoch's number, within 64 bits."""
+
 PAPER_BATCH: Final = 512
 """Samples a step (paper section V.A)."""
 

@@ -27,8 +27,11 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_tools.errors import UsageError
     from eitskin_training import adapt
     from eitskin_training.gate import stored
+    from eitskin_training.recipes import MOST_SEED
     from eitskin_training.run_files import data_of, trained
 
+    if not 0 <= arguments.seed <= MOST_SEED:
+        raise UsageError(f"--seed is {arguments.seed}; expected 0 to {MOST_SEED}")
     if arguments.threads < 0:
         raise UsageError(f"--threads is {arguments.threads}; expected 1 or more, or 0 for torch's choice")
     try:

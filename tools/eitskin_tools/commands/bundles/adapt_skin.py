@@ -50,11 +50,14 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin.model.manifest import GENTLE
     from eitskin.model.skin_in_use import check_touches
     from eitskin_tools.build import adaptation
+    from eitskin_training.recipes import MOST_SEED
 
     chosen = {name: getattr(arguments, name) for name in ("deformations", "per_deformation", "epochs", "seed")}
     for name, value in chosen.items():
         if value < (0 if name == "seed" else 1):
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected at least {0 if name == 'seed' else 1}")
+    if arguments.seed > MOST_SEED:
+        raise UsageError(f"--seed is {arguments.seed}, expected at most {MOST_SEED}")
     bundle = load_bundle(files.find(arguments.bundle, files.BUNDLE), lazily=True)
     twin, work = skins.read(arguments.skin), replace(adaptation.Adaptation(), **chosen)
     check_touches(bundle, twin)
