@@ -67,6 +67,19 @@ def test_the_file_knows_where_a_scanner_far_away_saw_the_sheet(name, tmp_path):
     assert np.array_equal(result.surface().measured_mm, found.measured_mm)
 
 
+def test_the_corner_of_one_scan_is_the_hint_for_the_next_while_the_sheet_turns_all_round():
+    raw = Raw(BENDS["skewed"], 6_000, outliers=0.0)
+    middle = raw.points.mean(axis=0)
+    points, true = raw.points - middle, np.array(raw.corner()) - middle
+    corner = true
+    for degrees in range(0, 361, 30):
+        cos, sin = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+        turn, away = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, 0.1 * degrees, 0.0])
+        found = ordered_cloud.organise(points @ turn.T + away, corner).surface()
+        corner = found.measured_mm[:, 0, 0]
+        assert np.linalg.norm(corner - turn @ true - away) < 10.0, degrees
+
+
 @pytest.mark.parametrize(("x", "y", "flips"), [(0, 0, ""), (150, 0, "x"), (0, 100, "y"), (150, 100, "xy")])
 def test_corner_hint_decides_between_all_four_ways_to_lay_the_grid(x, y, flips):
     raw = Raw(BENDS["skewed"], 20_000)
@@ -94,6 +107,11 @@ def test_corner_hint_in_the_middle_is_refused_with_both_distances():
     raw = Raw(BENDS["flat"], 5_000)
     with pytest.raises(ordered_cloud.PointCloudError, match="two nearest corners"):
         ordered_cloud.organise(raw.points, raw.corner(75, 50))
+
+
+def test_corner_hint_of_another_shape_is_refused():
+    with pytest.raises(ordered_cloud.PointCloudError, match=r"shape \(2,\), expected x, y and z"):
+        ordered_cloud.organise(Raw(BENDS["flat"], 6_000).points, (1.0, 2.0))
 
 
 def test_holes_up_to_15_mm_are_filled_even_at_the_border():

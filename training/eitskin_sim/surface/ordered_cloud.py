@@ -103,14 +103,12 @@ class OrderedCloud:
         return Surface(self.cloud_mm, predicted_V, flat_V, self.rotation, self.translation_mm)
 
 
-def organise(
-    points_mm: npt.ArrayLike, corner_mm: tuple[float, float, float] | None = None, grid: Grid = PAPER.grid
-) -> OrderedCloud:
+def organise(points_mm: npt.ArrayLike, corner_mm: npt.ArrayLike | None = None, grid: Grid = PAPER.grid) -> OrderedCloud:
     """Return the ordered cloud of raw points.
 
     Args:
         points_mm: (n, 3) unordered points, in any pose.
-        corner_mm: A point near the sheet's corner (0, 0), in the points' frame.
+        corner_mm: (3,) near the sheet's corner (0, 0), in the points' frame; where it was in the scan before will do.
         grid: Of the skin: the sheet's size, and whose pixels the cloud has.
 
     Raises:
@@ -126,7 +124,7 @@ def organise(
         ) from error
 
 
-def _organise(points: Array, corner_mm: tuple[float, float, float] | None, grid: Grid) -> OrderedCloud:
+def _organise(points: Array, corner_mm: npt.ArrayLike | None, grid: Grid) -> OrderedCloud:
     flat_mm = max(grid.size_mm), min(grid.size_mm)  # as the chart has it: the longer side first
     try:
         chart = unroll(points, flat_mm)
@@ -234,13 +232,15 @@ def _ways(surface: Array, size_mm: tuple[float, float]) -> list[Array]:
 
 
 def _choose_corner(
-    candidates: list[Array], corner_mm: tuple[float, float, float] | None, size_mm: tuple[float, float]
+    candidates: list[Array], corner_mm: npt.ArrayLike | None, size_mm: tuple[float, float]
 ) -> tuple[Array, str]:
     """The surface with (0, 0) first, and what decided."""
     turned = np.array([_alignment(candidate, size_mm) for candidate in candidates])
     if corner_mm is None:
         return candidates[int(np.argmax(turned))], "scanner frame"
     hint = np.asarray(corner_mm, dtype=np.float64)
+    if hint.shape != (3,):
+        raise PointCloudError(f"the corner hint has shape {hint.shape}, expected x, y and z in mm")
     corners = np.array([candidate[:, 0, 0] for candidate in candidates])
     distance = np.linalg.norm(corners - hint, axis=1)
     at_it = np.all(corners == corners[int(np.argmin(distance))], axis=1)  # two candidates where x may go either way
