@@ -16,7 +16,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet --retries 10 --timeout 60
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --dist loadfile --durations 10
 
-# One more than there are cores: a fifth of the time tests wait for the processes that they have started.
+# One more than there are cores: many tests wait for the processes that they have started.
 export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell echo $$(($$(nproc) + 1)))
 
 SECONDS_DEMO ?= 20

@@ -42,7 +42,7 @@ class Skin(Node):
         self.fields = [*fields, PointField(name="id", offset=POINT.fields["id"][1], datatype=6, count=1)]
 
     def publish(self, frame: eitskin.Frame) -> None:
-        """Publish a frame with the time at which its scan began."""
+        """Publish a frame with the time at which its scan ended."""
         stamp = (self.get_clock().now() - Duration(nanoseconds=round(1e9 * frame.age_s))).to_msg()
         header = Header(stamp=stamp, frame_id=self.frame_id)
         points = np.zeros(len(frame.touches), dtype=POINT)

@@ -22,7 +22,7 @@ from eitskin_tools import cli
         ("adapt r --out o --seed 99999999999999", "--seed is 99999999999999; expected 0 to 1000000000"),
         (
             "adapt-skin press --skin lab --out o.eitskin --seed 99999999999999",
-            "--seed is 99999999999999, expected at most 1000000000",
+            "--seed is 99999999999999; expected 0 to 1000000000",
         ),
         ("calibrate r.npz --out s.toml --bends 0", "without --guided nothing is recorded now: leave --bends out"),
         ("calibrate r.npz --out s.toml --full-scan --stamp 16", "leave --full-scan, --stamp out"),

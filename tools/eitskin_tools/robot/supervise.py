@@ -5,7 +5,6 @@ the end of a process, a signal, the time of a new start, or of a sign of life to
 touches no other.
 """
 
-import fcntl
 import os
 import selectors
 import signal
@@ -16,8 +15,8 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Final
 
-from eitskin.errors import RobotError
 from eitskin.robot.described import FILE, write_states
+from eitskin_proto.files.holding import held
 from eitskin_tools.processes.signals import endings
 from eitskin_tools.robot.child import SkinProcess
 from eitskin_tools.robot.life import Life
@@ -63,11 +62,12 @@ class Family:
         """Run until told to stop by SIGTERM, SIGINT or SIGHUP, or until no skin is left; return the exit status.
 
         Raises:
-            RobotError: Another process runs skins in the folder.
+            HeldError: Another process runs skins in the folder.
         """
         with ExitStack() as stack:
             stack.callback(self._selector.close)
-            _lock(self._folder, stack)
+            who = "another 'eitskin run --config' runs skins there"
+            stack.enter_context(held(self._folder, who, "stop it, or state another folder"))
             stack.callback(self._forget)
             self._hear_signals(stack)
             stack.callback(self._end_all)
@@ -232,15 +232,3 @@ class Family:
     def _forget(self) -> None:
         with suppress(OSError):
             (self._folder / FILE).unlink()
-
-
-def _lock(folder: Path, stack: ExitStack) -> None:
-    """Hold the folder for this process; the kernel lets go of it with the process."""
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    stack.callback(os.close, handle)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise RobotError(
-            f"{folder} is in use: another 'eitskin run --config' runs skins there; stop it, or state another folder"
-        ) from None

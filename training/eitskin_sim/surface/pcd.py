@@ -31,8 +31,8 @@ def read_pcd(data: bytes) -> Array:
     """
     header, form, body = _header(data)
     names, count = header["FIELDS"], int(header["POINTS"][0])
-    if not 0 <= count < 1 << 48:
-        raise ValueError("a negative number of points, or one that no file can hold")
+    if count < 0:
+        raise ValueError(f"{count} points are announced")
     check_count(count)
     repeated = [int(word) for word in header.get("COUNT", ["1"] * len(names))]
     if not {"x", "y", "z"} <= set(names):

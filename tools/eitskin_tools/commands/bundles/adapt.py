@@ -24,14 +24,13 @@ def run(arguments: argparse.Namespace) -> int:
     import torch
 
     from eitskin_tools.command_line import files
+    from eitskin_tools.command_line.seeds import check_seed
     from eitskin_tools.errors import UsageError
     from eitskin_training import adapt
     from eitskin_training.gate import stored
-    from eitskin_training.recipes import MOST_SEED
     from eitskin_training.run_files import data_of, trained
 
-    if not 0 <= arguments.seed <= MOST_SEED:
-        raise UsageError(f"--seed is {arguments.seed}; expected 0 to {MOST_SEED}")
+    check_seed(arguments.seed)
     if arguments.threads < 0:
         raise UsageError(f"--threads is {arguments.threads}; expected 1 or more, or 0 for torch's choice")
     try:

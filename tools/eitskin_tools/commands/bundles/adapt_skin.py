@@ -11,6 +11,7 @@ from typing import Any
 
 from eitskin_proto.errors import SkinError
 from eitskin_tools.command_line import files, skins
+from eitskin_tools.command_line.seeds import check_seed
 from eitskin_tools.commands.bundles.build import add_making, make
 from eitskin_tools.errors import UsageError
 
@@ -50,14 +51,12 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin.model.manifest import GENTLE
     from eitskin.model.skin_in_use import check_touches
     from eitskin_tools.build import adaptation
-    from eitskin_training.recipes import MOST_SEED
 
     chosen = {name: getattr(arguments, name) for name in ("deformations", "per_deformation", "epochs", "seed")}
     for name, value in chosen.items():
-        if value < (0 if name == "seed" else 1):
-            raise UsageError(f"--{name.replace('_', '-')} is {value}, expected at least {0 if name == 'seed' else 1}")
-    if arguments.seed > MOST_SEED:
-        raise UsageError(f"--seed is {arguments.seed}, expected at most {MOST_SEED}")
+        if name != "seed" and value < 1:
+            raise UsageError(f"--{name.replace('_', '-')} is {value}, expected at least 1")
+    check_seed(arguments.seed)
     bundle = load_bundle(files.find(arguments.bundle, files.BUNDLE), lazily=True)
     twin, work = skins.read(arguments.skin), replace(adaptation.Adaptation(), **chosen)
     check_touches(bundle, twin)

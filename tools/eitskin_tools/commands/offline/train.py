@@ -35,11 +35,12 @@ def run(arguments: argparse.Namespace) -> int:
     import torch
 
     from eitskin_tools.command_line import files
+    from eitskin_tools.command_line.seeds import check_seed
     from eitskin_tools.errors import UsageError
     from eitskin_tools.stages import Stages
     from eitskin_training import curves, train
     from eitskin_training.gate import stored
-    from eitskin_training.recipes import MOST_SEED, fitted, recipe
+    from eitskin_training.recipes import fitted, recipe
     from eitskin_training.samples.joined import load_all
 
     changes = {
@@ -51,8 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
         chosen = replace(recipe(arguments.recipe), **changes)
     except ValueError as error:
         raise UsageError(str(error)) from error
-    if not 0 <= arguments.seed <= MOST_SEED:
-        raise UsageError(f"--seed is {arguments.seed}; expected 0 to {MOST_SEED}")
+    check_seed(arguments.seed)
     if arguments.threads < 0:
         raise UsageError(f"--threads is {arguments.threads}; expected 1 or more, or 0 for torch's choice")
     if arguments.threads:
