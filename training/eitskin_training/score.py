@@ -46,7 +46,7 @@ def loss_of(logits: Tensor, labels: Tensor, grid: Grid) -> Tensor:
 
 
 def training_loss(logits: Tensor, labels: Tensor, correlation_weight: float, grid: Grid) -> Tensor:
-    """Return :func:`loss_of` plus so much of the mean of 1 - Pearson's r over the touched samples.
+    """Return :func:`loss_of` plus so much of 1 - Pearson's r of the touched samples, added up over the number of all.
 
     Cross-entropy alone spends a network on how surely untouched pixels are untouched; what a map is judged by, and what
     places a touch, is its correlation with the truth (paper section V.B).

@@ -26,15 +26,18 @@ def test_plans_of_hard_touches_have_the_digests_that_they_had() -> None:
 
 @pytest.mark.parametrize("name", ["units", "free"])
 def test_a_kind_of_touches_is_part_of_the_plan(name: str) -> None:
-    digests = {make_plan(name, 7, deformations=2, touches=kind).digest for kind in ("hard", "press", "raise", "both")}
-    assert len(digests) == 4
+    kinds = ("hard", "firm", "press", "raise", "both")
+    digests = {make_plan(name, 7, deformations=2, touches=kind).digest for kind in kinds}
+    assert len(digests) == len(kinds)
     assert make_plan(name, 7, deformations=2).touches == "hard"
 
 
 def test_what_no_set_has_is_refused() -> None:
     with pytest.raises(ValueError, match="touches: found 'press', expected 'hard': the paper's set is as"):
         make_plan("paper", touches="press")
-    with pytest.raises(ValueError, match="touches 'soft' are unknown; expected one of hard, press, raise, both, skin"):
+    with pytest.raises(
+        ValueError, match="touches 'soft' are unknown; expected one of hard, firm, press, raise, both, skin"
+    ):
         make_plan("free", touches="soft")
 
 
@@ -46,7 +49,7 @@ def test_a_set_says_which_way_its_touches_go(said: dict[str, str], way: str) -> 
     own = {"touch_kind": "skin", "skin": to_toml(hydrogel), "skin_digest": hydrogel.digest}
     assert touch_kind_of(own) == "lowering"
     for wrong in ("soft", 1):
-        with pytest.raises(ValueError, match=r"touch_kind is .*, expected one of hard, press, raise, both, skin"):
+        with pytest.raises(ValueError, match=r"touch_kind is .*, expected one of hard, firm, press, raise, both, skin"):
             touch_kind_of({"touch_kind": wrong})
 
 

@@ -168,6 +168,16 @@ def test_presses_are_on_the_sheet_and_of_the_sizes_borders_and_contrasts_they_sa
     assert len(np.unique(pieces[:, 6])) == CLASSES
 
 
+def test_firm_touches_conduct_well_and_have_narrow_edges() -> None:
+    pieces = pool_of("firm", 640, np.random.default_rng(1)).pieces
+    assert 5.0 <= pieces[:, 6].min() < 10.0
+    assert 100.0 < pieces[:, 6].max() <= 200.0
+    graded = pieces[pieces[:, 7] > 0.0]
+    assert 0.3 < len(graded) / len(pieces) < 0.45
+    assert graded[:, 7].min() >= 0.5
+    assert graded[:, 7].max() <= 4.0
+
+
 def test_presses_are_as_strong_as_measured_ones(sheet: InvertedSheet) -> None:
     pool = pool_of("press", 160, np.random.default_rng(2))
     pieces = pool.pieces
@@ -184,7 +194,9 @@ def test_hard_touches_are_drawn_as_ever() -> None:
     assert np.array_equal(hard.pieces, ever.pieces)
     assert hard.pieces.shape[1] == 7
     assert hard.pieces[:, 6].min() >= CONTRAST[0]
-    with pytest.raises(ValueError, match="touches 'soft' are unknown; expected one of hard, press, raise, both, skin"):
+    with pytest.raises(
+        ValueError, match="touches 'soft' are unknown; expected one of hard, firm, press, raise, both, skin"
+    ):
         pool_of("soft", 1, np.random.default_rng(0))
 
 

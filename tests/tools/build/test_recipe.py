@@ -8,14 +8,18 @@ from pathlib import Path
 import pytest
 from tests.second_skin import SECOND
 
+from eitskin.model.bundle import load_bundle
+from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.toml import named, to_toml
 from eitskin_sim.dataset.generate import ONE_THREAD
+from eitskin_tools.build import checks
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build.hours import REST_S, Pace, measure, scaled, seconds
 from eitskin_tools.build.recipe import Leg
 from eitskin_tools.build.steps import fitted_to, plan_of
 from eitskin_tools.cli import main
 from eitskin_tools.command_line import files
+from eitskin_training.recipes import RANKS
 
 TINY = (Path(recipes.__file__).parents[1] / "recipes" / "tiny.toml").read_text(encoding="utf-8")
 
@@ -52,6 +56,33 @@ def test_a_recipe_says_skin_data_and_legs() -> None:
     assert [leg.start_from for leg in recipes.load("press").training] == ["free"]
 
 
+NARROWED = TINY.replace('network = "tiny"', 'network = "small"').replace(
+    "[[training]]", '[[training]]\nnetwork = "free"\nepochs = 1\n\n[[training]]'
+)
+"""A larger network in the first leg; the bundle's own begins as that one narrowed."""
+
+
+def test_a_leg_before_the_last_may_have_a_larger_network(tmp_path: Path) -> None:
+    found = parsed(NARROWED)
+    first, last = (fitted_to(found, leg, found.skin).architecture for leg in found.training)
+    assert (first.ranks, replace(last, ranks=())) == ((), first)
+    checks.check(found)
+    assert [leg.get("network") for leg in found.as_dict()["training"]] == ["free", None]
+    assert "network" not in parsed(TINY).as_dict()["training"][0]
+    unlike = parsed(NARROWED.replace('network = "free"', 'network = "tiny"'))
+    with pytest.raises(MismatchError, match="network to start from: found widths"):
+        checks.check(unlike)
+
+
+@pytest.mark.slow
+def test_a_bundle_is_built_by_way_of_a_larger_network(tmp_path: Path) -> None:
+    (tmp_path / "narrowed.toml").write_text(NARROWED)
+    assert main(["build", str(tmp_path / "narrowed.toml"), "--out", str(tmp_path / "b.eitskin")]) == 0
+    bundle = load_bundle(tmp_path / "b.eitskin")
+    assert bundle.manifest["recipe"]["name"] == "small"
+    assert bundle.manifest["training"]["started_from"]["narrowed_to"] == list(RANKS)
+
+
 def test_training_has_the_noise_of_a_skin_s_own_front_end(tmp_path: Path) -> None:
     front_end = replace(SECOND.front_end, snr_db=(44.0, 56.0))
     for own, known in ((replace(SECOND, front_end=front_end), (44.0, 56.0)), (SECOND, 50.0)):
@@ -80,6 +111,14 @@ def test_a_skin_s_file_is_built_as_it_is_touched(tmp_path: Path) -> None:
         ("seed = 4", 'data = ["soft"]', "names data 'soft', known are presses"),
         ("seed = 4", 'data = "presses"', "data in .* expected a list of names"),
         ("seed = 4", "[[training]]\nepochs = 1\nstart_from = 'free'", "only the first leg may"),
+        (
+            "seed = 4",
+            "network = 'free'",
+            "network in .* 1 is 'free', expected one of the same labels as tiny, in a leg",
+        ),
+        ("seed = 4", "network = 'units'\n[[training]]\nepochs = 1", "'units', expected one of the same labels as tiny"),
+        ("seed = 4", "network = 'huge'\n[[training]]\nepochs = 1", "no recipe is called 'huge'"),
+        ("seed = 4", "network = 1", "network in .* is 1, expected a text"),
         ("seed = 1", "seed = -1", r"seed in \[data.presses\] is -1, expected a whole number of at least 0"),
         ("version = 1", "version = 2", "version is 2, expected 1"),
         ('set = "free"', 'set = "units"', "set is 'units', network tiny learns from 'free'"),

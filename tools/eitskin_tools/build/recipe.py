@@ -14,6 +14,7 @@
     [[training]]                   one leg of training, on all data sets or on those that ``data`` names; the next one
     epochs = 10                    begins with its best weights. learning_rate, schedule, seed, noise; of the first
     start_from = "free"            leg start_from: a shipped bundle, or a file beside this one
+    network = "free"               of a leg before the last: a larger network, which the next one begins narrowed from
 
     [gate]                         untouched sheets that are solved for it (0: the data's own), and steps of its fit
     [card]                         how much is tried for the card: deformations, each, draws
@@ -76,6 +77,8 @@ class Leg:
     start_from: str | None = None
     noise: str | None = None
     """``skin``: from level to level as the skin's front end says."""
+    network: str | None = None
+    """What is trained in this leg; None is the bundle's own, as in the last leg."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +132,9 @@ class BuildRecipe:
         for name in ("presses", *BESIDE, "missing_electrodes", "networks"):
             if not found[name]:
                 del found[name]
+        for leg in found["training"]:
+            if leg["network"] is None:
+                del leg["network"]
         return found
 
     @property
@@ -234,6 +240,11 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
             raise ValueError(f"[[training]] {number} names data {quoted(missing[0])}, known are {', '.join(data)}")
         if leg.noise not in (None, SKIN):
             raise ValueError(f"noise in [[training]] {number} is {quoted(leg.noise)}, expected {SKIN!r} or none")
+        if leg.network is not None and (number == len(training) or network_named(leg.network).labels != network.labels):
+            raise ValueError(
+                f"network in [[training]] {number} is {quoted(leg.network)}, expected one of the same labels as "
+                f"{network.name}, in a leg before the last"
+            )
         if number > 1 and leg.start_from is not None:
             raise ValueError(f"[[training]] {number} has start_from; only the first leg may, the next go on from it")
     for name, one in data.items():

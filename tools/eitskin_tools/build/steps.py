@@ -204,7 +204,7 @@ def _network(recipe: BuildRecipe, leg: Leg) -> Any:
     if leg.noise is not None:
         low, high = recipe.skin.front_end.snr_db
         given["snr_db"] = low if low == high else (low, high)
-    return replace(network_named(recipe.network), epochs=leg.epochs, **given)
+    return replace(network_named(leg.network or recipe.network), epochs=leg.epochs, **given)
 
 
 def fitted_to(recipe: BuildRecipe, leg: Leg, skin: Any) -> Any:

@@ -7,7 +7,7 @@ from eitskin_proto.skin.toml import unknown
 
 KINDS: Final[dict[str, tuple[type, ...]]] = {
     "set": (str,), "touches": (str,), "devices": (str,), "skin": (str,), "schedule": (str,), "start_from": (str,),
-    "noise": (str,),
+    "noise": (str,), "network": (str,),
     "data": (list,), "near": (int, float), "learning_rate": (int, float),
 }  # fmt: skip
 """Of the keys of tables; all others are whole numbers."""

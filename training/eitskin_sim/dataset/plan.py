@@ -184,8 +184,8 @@ def make_plan(
         per_deformation: Touch sets shown at each deformation to train on; "paper" shows all.
         kept: Deformations of A kept apart, and as many of B; "paper" has none.
         near: Share of the sets drawn with touches near to each other; for "free" alone.
-        touches: "hard", the paper's; "press", that lower conductance; "raise"; "both"; "skin", as the
-            skin's file says; "paper" has hard ones alone.
+        touches: "hard", the paper's; "firm", of good conductors; "press", that lower conductance; "raise"; "both";
+            "skin", as the skin's file says; "paper" has hard ones alone.
         devices: "ideal", or "random": a device for every few deformations; "paper" has the ideal one alone.
         skin: What is bent and touched; None is the paper's, or for random devices the shipped skin "lab".
 

@@ -8,6 +8,7 @@ to 22 mm, strength follows it with that spread, and size follows from both; one 
     press    all lower conductance, contrast 0.2 to 0.85, by strength as above
     raise    all raise it, contrast 1.2 to 200 log-uniform: half of them any size from 8 to 25 mm with borders as
              below, half of the sharp shapes of hard touches, bars and L's among them
+    firm     as raise, contrast 5 to 200, borders of up to 4 mm
     both     half of the touches lower it so; a quarter raises it, contrast 1.2 to 200 log-uniform, any size from 8 to
              25 mm; a quarter has that contrast and the sharp shapes of hard touches, bars and L's among them
 

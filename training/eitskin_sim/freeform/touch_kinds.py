@@ -1,8 +1,9 @@
 """Which touches a data set draws: by name, or as the skin's description says.
 
-``hard`` are the paper's, contrast 20 to 200 and sharp. ``press``, ``raise`` and ``both`` have the ranges that measured
-presses of hydrogel skins have. ``skin`` takes directions, contrasts, sizes and borders from ``[touches]``; where these
-have all sizes of hard touches, half of those that raise conductance have their shapes too.
+``hard`` are the paper's, contrast 20 to 200 and sharp; ``firm`` are such as good conductors make on a sheet of a lab,
+contrast 5 to 200 with edges of up to 4 mm. ``press``, ``raise`` and ``both`` have the ranges that measured presses of
+hydrogel skins have. ``skin`` takes directions, contrasts, sizes and borders from ``[touches]``; where these have all
+sizes of hard touches, half of those that raise conductance have their shapes too.
 """
 
 from dataclasses import dataclass
@@ -13,12 +14,19 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_sim.freeform.patterns import LARGEST_MM, SMALLEST_MM
 from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
 
-TouchKind = Literal["hard", "press", "raise", "both", "skin"]
-"""The paper's touches; presses that lower conductance; touches that raise it; both ways; as the skin says."""
+TouchKind = Literal["hard", "firm", "press", "raise", "both", "skin"]
+"""The paper's touches; those of good conductors on a sheet of a lab; presses that lower conductance; touches that raise
+it; both ways; as the skin says."""
 
 TOUCH_KINDS: Final[tuple[TouchKind, ...]] = get_args(TouchKind)
 
-WAYS: Final[dict[str, ways.TouchKind]] = {"hard": "raising", "raise": "raising", "press": "lowering", "both": "both"}
+WAYS: Final[dict[str, ways.TouchKind]] = {
+    "hard": "raising",
+    "firm": "raising",
+    "raise": "raising",
+    "press": "lowering",
+    "both": "both",
+}
 """Kind of touches that were drawn -> which way they change conductance; the skin's own go the skin's way."""
 
 LARGEST_SHARE: Final = 0.7
@@ -48,6 +56,10 @@ class Ranges:
     """Whether half of those that raise conductance have the sharp shapes of hard touches, of any size."""
 
 
+FIRM: Final = Ranges("raising", raising=(5.0, 200.0), borders_mm=(LEAST_BORDER_MM, 4.0))
+"""Of ``firm``."""
+
+
 def ranges_of(kind: str, skin: Skin) -> Ranges:
     """Return what touches of a kind are drawn from on a skin.
 
@@ -56,6 +68,8 @@ def ranges_of(kind: str, skin: Skin) -> Ranges:
     """
     if kind not in TOUCH_KINDS:
         raise ValueError(f"touches {kind!r} are unknown; expected one of {', '.join(TOUCH_KINDS)}")
+    if kind == "firm":
+        return FIRM
     if kind != "skin":
         return Ranges(WAYS[kind])
     said = skin.touches

@@ -41,10 +41,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--touches",
-        choices=("hard", "press", "raise", "both", "skin"),
+        choices=("hard", "firm", "press", "raise", "both", "skin"),
         default="hard",
-        help="hard touches of contrast 20 to 200 (50 on the grid), presses that lower conductance to 0.2 to 0.85 of "
-        "it, touches that raise it 1.2 to 200 times, both ways, or as [touches] of the skin says (default hard)",
+        help="hard touches of contrast 20 to 200 (50 on the grid), firm ones of 5 to 200 with edges up to 4 mm, "
+        "presses that lower conductance to 0.2 to 0.85 of it, touches that raise it 1.2 to 200 times, both ways, or "
+        "as [touches] of the skin says (default hard)",
     )
     parser.add_argument(
         "--devices",
