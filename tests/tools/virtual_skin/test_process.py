@@ -40,11 +40,11 @@ def sim(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def stream(port: str, frames: int) -> tuple[m.Hello, list[m.Frame]]:
-    """Shake hands, take some frames, stop."""
+    """Shake hands, take some frames, stop; who reads too late misses some, as of a device, and takes later ones."""
     found: list[m.Message] = []
     with serial.Serial(port, timeout=30.0, exclusive=True) as line:
         deframer = Deframer()
-        line.write(b"\0" + encode(m.HelloRequest(1).pack()) + encode(m.Start(2, frames=frames).pack()))
+        line.write(b"\0" + encode(m.HelloRequest(1).pack()) + encode(m.Start(2).pack()))
         while sum(isinstance(message, m.Frame) for message in found) < frames:
             data = line.read(max(1, line.in_waiting))
             assert data, "the virtual skin fell silent"
@@ -105,7 +105,8 @@ def test_noise_is_50_db_of_each_voltage_and_repeats_with_its_seed() -> None:
         with sim("--json", "--seed=5") as process:
             port = json.loads(process.stdout.readline())["port"]
             runs.append(np.array([frame.counts for frame in stream(port, 100)[1]], dtype=np.float64))
-    assert np.array_equal(runs[0], runs[1])
+    drawn = [{frame.tobytes() for frame in run} for run in runs]
+    assert len(drawn[0] & drawn[1]) > 50, "a frame that was missed is in one run alone"
     spread = (runs[0] / runs[0].mean(axis=0) - 1.0).std()
     # 10^(-50/20) = 3.16e-3; 10,400 draws leave 0.7 % of it
     assert spread == pytest.approx(3.16e-3, rel=0.05)
