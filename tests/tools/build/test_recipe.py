@@ -75,6 +75,7 @@ def test_a_leg_before_the_last_may_have_a_larger_network(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
+@pytest.mark.process
 def test_a_bundle_is_built_by_way_of_a_larger_network(tmp_path: Path) -> None:
     (tmp_path / "narrowed.toml").write_text(NARROWED)
     assert main(["build", str(tmp_path / "narrowed.toml"), "--out", str(tmp_path / "b.eitskin")]) == 0
