@@ -62,7 +62,7 @@ NARROWED = TINY.replace('network = "tiny"', 'network = "small"').replace(
 """A larger network in the first leg; the bundle's own begins as that one narrowed."""
 
 
-def test_a_leg_before_the_last_may_have_a_larger_network(tmp_path: Path) -> None:
+def test_a_leg_before_the_last_may_have_a_larger_network() -> None:
     found = parsed(NARROWED)
     first, last = (fitted_to(found, leg, found.skin).architecture for leg in found.training)
     assert (first.ranks, replace(last, ranks=())) == ((), first)

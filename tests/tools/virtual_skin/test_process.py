@@ -106,7 +106,7 @@ def test_noise_is_50_db_of_each_voltage_and_repeats_with_its_seed() -> None:
             port = json.loads(process.stdout.readline())["port"]
             runs.append(np.array([frame.counts for frame in stream(port, 100)[1]], dtype=np.float64))
     drawn = [{frame.tobytes() for frame in run} for run in runs]
-    assert len(drawn[0] & drawn[1]) > 50, "a frame that was missed is in one run alone"
+    assert drawn[0] & drawn[1], "frames that either reader missed are in one run alone, but another seed shares none"
     spread = (runs[0] / runs[0].mean(axis=0) - 1.0).std()
     # 10^(-50/20) = 3.16e-3; 10,400 draws leave 0.7 % of it
     assert spread == pytest.approx(3.16e-3, rel=0.05)

@@ -27,7 +27,7 @@ GAUGE = 1.2
 """More than a sheet is likely to have."""
 
 UNLIKELY_GAUGE = 2.0
-"""Even touches that nobody made explain no frame of such a sheet, whatever its noise."""
+"""No touches, made or not, explain a frame of such a sheet: of 1.2 they explain some, by its noise and by rounding."""
 
 PIECES = np.array([[0, 40.0, 35.0, 10.0, 10.0, 0.0, 50.0, 0.0], [0, 100.0, 60.0, 10.0, 10.0, 0.0, 50.0, 0.0]])
 NOTHING = np.zeros((0, 8))
