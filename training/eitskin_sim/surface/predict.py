@@ -114,11 +114,16 @@ def noise_tangents(xy_mm: Array, grid: Grid = PAPER.grid) -> tuple[Array, Array]
         direction of space, each of one standard deviation.
     """
     parts = []
-    for axis, (to, extent) in enumerate(zip(_fitters(grid), grid.size_mm, strict=True)):
-        root = linalg.cholesky(to @ to.T, lower=True)
-        parts.append([_basis(xy_mm[:, axis], extent, len(to), derivative) @ root for derivative in (0, 1)])
+    for axis, (root, extent) in enumerate(zip(noise_roots(grid), grid.size_mm, strict=True)):
+        parts.append([_basis(xy_mm[:, axis], extent, len(root), derivative) @ root for derivative in (0, 1)])
     (x, by_x), (y, by_y) = parts
     along_x, along_y = (np.einsum("ni,nj->nij", *pair).reshape(len(xy_mm), -1) for pair in ((by_x, y), (x, by_y)))
+    return along_x, along_y
+
+
+def noise_roots(grid: Grid = PAPER.grid) -> tuple[Array, Array]:
+    """Return the (nx, nx) and (ny, ny) coefficients along x and along y of the ways of :func:`noise_tangents`."""
+    along_x, along_y = (np.asarray(linalg.cholesky(to @ to.T, lower=True)) for to in _fitters(grid))
     return along_x, along_y
 
 

@@ -20,9 +20,12 @@ from eitskin_sim.freeform.sheet import assembled_metric
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_sheet
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import Solved, TouchedSheet
-from eitskin_sim.surface.predict import FittedSurface, fit_cloud
+from eitskin_sim.surface.predict import fit_cloud
+from eitskin_sim.surface.smoothed import Scan, exact, smoothed
 from eitskin_sim.verification.at_rest import MOST_SCALE, AtRest, at_rest
 from eitskin_sim.verification.free.sheet.unseen import Unseen, unseen
+from eitskin_sim.verification.free.sheet.usual_waves import Lying, usual_waves
+from eitskin_sim.verification.free.sheet.waves import waves_of
 from eitskin_sim.verification.residual import Noise, Whitener
 from eitskin_sim.verification.scan_noise import scan_noise_mm
 from eitskin_sim.verification.spreads import Spreads, usual
@@ -73,7 +76,8 @@ class Model:
 
     touched: TouchedSheet
     metric: Metric
-    surface: FittedSurface
+    scan: Scan
+    lying: Lying
     unseen: Unseen
     flat_V: Array
     """(104,) of the model's flat sheet."""
@@ -210,16 +214,15 @@ class Model:
         held, waves = np.zeros(len(self.held)), self.unseen.n_waves
         for kept in (slice(waves), waves + self.unseen.names.index("gauge")):
             held[kept] = amplitudes[kept]
-        moved = self.unseen.waves.moved(self.surface.metric, self.unseen.mixed @ held[:waves])
         try:
-            return _model(moved, self.surface, self.spreads, self.skin, held, self._gauge(held))
+            return _model(self.scan, self.lying, self.spreads, self.skin, held, self._gauge(held))
         except (ValueError, np.linalg.LinAlgError):
             return None
 
     def looser(self, factor: float) -> "Model":
         """Return the model of the scan alone, with material that may lie so many times as far from where it seems."""
         spreads = replace(self.spreads, material=factor * self.spreads.material)
-        return _model(self.surface.metric, self.surface, spreads, self.skin)
+        return _model(self.scan, usual_waves(self.skin).anyhow(), spreads, self.skin)
 
     def _gauge(self, held: Array) -> float:
         """Return the gauge factor of amplitudes of the first columns."""
@@ -238,23 +241,24 @@ def model_of_cloud(cloud_mm: npt.ArrayLike, skin: Skin = PAPER, spreads: Spreads
         ValueError: The cloud is malformed, or folds in its own plane.
     """
     surface, known = fit_cloud(cloud_mm, skin.grid), spreads or usual(skin)
+    scan = exact(surface, skin.grid)
     if known.scan_mm:
-        known = replace(known, scan_mm=max(known.scan_mm, scan_noise_mm(cloud_mm, surface, skin.grid)))
-    return _model(surface.metric, surface, known, skin)
+        scan = smoothed(surface, max(known.scan_mm, scan_noise_mm(cloud_mm, surface, skin.grid)), skin.grid)
+    return _model(scan, usual_waves(skin).under(scan), known, skin)
 
 
 def _model(
-    metric: Metric,
-    surface: FittedSurface,
-    spreads: Spreads,
-    skin: Skin,
-    held: Array | None = None,
-    gauge: float = 0.0,
+    scan: Scan, lying: Lying, spreads: Spreads, skin: Skin, held: Array | None = None, gauge: float = 0.0
 ) -> Model:
+    """Return the model of a scan about amplitudes of its first columns; None of them is none."""
+    ways = spreads.material * lying.ways
+    own = np.zeros(ways.shape[1]) if held is None else held[: ways.shape[1]]
+    metric = waves_of(skin).moved(scan.surface.metric, lying.mean + ways @ own)
     sheet = _touched(metric, skin, gauge)
-    found = unseen(sheet, metric, surface, spreads, skin, nominal_sheet(skin).gauge_factor + gauge)
-    own = np.zeros(found.n_waves + len(found.names)) if held is None else held
-    return Model(sheet, metric, surface, found, flat_model_V(skin), spreads, skin, own)
+    found = unseen(sheet, metric, scan, ways, spreads, skin, nominal_sheet(skin).gauge_factor + gauge)
+    if held is None:
+        held = np.zeros(found.n_waves + len(found.names))
+    return Model(sheet, metric, scan, lying, found, flat_model_V(skin), spreads, skin, held)
 
 
 def _touched(metric: Metric, skin: Skin, gauge: float = 0.0) -> TouchedSheet:

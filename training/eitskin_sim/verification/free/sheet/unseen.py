@@ -1,16 +1,16 @@
 """What may differ between the sheet and the model of its scan, all linear, on one deformation, from one factorisation.
 
 The model has the metric of a smooth surface through the scanned points. A scan without marks divides rows and columns
-by arc length, so it misses how stretch is distributed along them; and its noise bends the fitted surface a little. Both
-change the conductance tensor K = sigma t0 g^-1 of every element, and so do conductivities that drifted. With the fields
-X of the untouched sheet every such change answers as
+by arc length, so it misses how stretch is distributed along them; and noise leaves the surface unsure. Both change the
+conductance tensor K = sigma t0 g^-1 of every element, and so do conductivities that drifted. With the fields X of the
+untouched sheet every such change answers as
 
     dU = - sum over elements of X_e^T dS_e X_e,      dS_e = dK_xx S_xx + dK_xy S_xy + dK_yy S_yy
 
 so the three powers of every element are made once, and a change costs one small product. ::
 
     stretch     the material lies elsewhere under the scan's points: waves along x and y, none across the border
-    scan        random noise of the scanner, through the same fit, which is linear: all of it
+    scan        what the scanner's noise leaves unsure of the surface, in every way in which it moves it
     drift, tilt x, tilt y, gauge       of the conductivity, as in eitskin_sim.verification.nuisance
 """
 
@@ -26,8 +26,7 @@ from eitskin_sim.fem.mesh import MM, Metric
 from eitskin_sim.freeform.mesh import KEPT, MIDDLE, with_contacts
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import TouchedSheet
-from eitskin_sim.surface.predict import FittedSurface, noise_tangents
-from eitskin_sim.verification.free.sheet.usual_waves import usual_waves
+from eitskin_sim.surface.smoothed import Scan
 from eitskin_sim.verification.free.sheet.waves import Waves, waves_of
 from eitskin_sim.verification.spreads import Spreads, layer_fields
 
@@ -74,7 +73,8 @@ def powers(touched: TouchedSheet) -> Array:
 def unseen(
     touched: TouchedSheet,
     metric: Metric,
-    surface: FittedSurface | None,
+    scan: Scan,
+    ways: Array,
     spreads: Spreads,
     skin: Skin = PAPER,
     gauge: float = 0.0,
@@ -84,7 +84,8 @@ def unseen(
     Args:
         touched: Its sheet.
         metric: The sheet's.
-        surface: The fitted one, for what noise does to it; None for a metric that no scan gave.
+        scan: Its surface, and what that may be off by.
+        ways: (w, k) amplitudes of the waves by which its material may lie elsewhere, for one standard deviation.
         spreads: How much may differ.
         skin: Whose sheet.
         gauge: k of its model, where conductivity goes by (area stretch)^-k: it follows what changes the stretch.
@@ -110,28 +111,18 @@ def unseen(
         ]
     )  # (3, e, 104) V by E, F and G of each element
     waves = waves_of(skin)
-    mixed = spreads.material * usual_waves(skin)
-    moved = sum(by.T @ rate for by, rate in zip(by_metric, waves.rates(metric, at), strict=True))
+    moved, noise = (
+        sum(by.T @ rate for by, rate in zip(by_metric, rates, strict=True))
+        for rates in (waves.rates(metric, at), scan.rates(at))
+    )
     fields = layer_fields(at, first, skin, spreads)
     layer = np.array([by_log_sigma.T @ (size * one) for one, size in fields.values()]).T
-    parts = [moved @ mixed, layer]
-    if surface is not None and spreads.scan_mm > 0.0:
-        parts.append(_strongest(spreads.scan_mm * _scans(surface, at, by_metric, skin)))
-    return Unseen(tuple(fields), np.concatenate(parts, axis=1), waves, mixed, by_log_sigma)
-
-
-def _scans(surface: FittedSurface, at: Array, by_metric: Array, skin: Skin) -> Array:
-    """Return (104, m) V by a scanner's noise of 1 mm, which changes the surface's tangents, each of one sd."""
-    by_E, by_F, by_G = by_metric
-    dx, dy = noise_tangents(at, skin.grid)
-    found = []
-    for x, y in zip(*(tangents.T[:, :, None] for tangents in surface.tangents(at)), strict=True):
-        found.append((2.0 * by_E * x + by_F * y).T @ dx + (by_F * x + 2.0 * by_G * y).T @ dy)
-    return np.concatenate(found, axis=1)
+    parts = [moved @ ways, layer, _strongest(noise @ scan.unsure)]
+    return Unseen(tuple(fields), np.concatenate(parts, axis=1), waves, ways, by_log_sigma)
 
 
 def _strongest(columns: Array) -> Array:
     """Return (104, m) columns of nearly the same covariance, as few as do."""
     left, size, _ = np.linalg.svd(columns, full_matrices=False)
-    kept = int(np.sum(size > LEAST * size[0]))
+    kept = int(np.sum(size > LEAST * size.max(initial=0.0)))
     return np.asarray(left[:, :kept] * size[:kept])

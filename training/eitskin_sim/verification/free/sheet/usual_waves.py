@@ -1,56 +1,181 @@
-"""How a skin's deformations usually lay the material under the points of a scan: which waves come together.
+"""Where material usually lies under the points of a scan: what a shape says of it, and what no shape does.
 
-Deformations of the skin's family are drawn and scanned without noise, and the waves are found that turn the metric of
-each cloud into the sheet's own. Few directions carry nearly all: uneven stretch along the sheet, and what twist does.
-What other deformations do, bumps among them, is left to each wave alone, by a share of its own spread.
+Deformations of the skin's family are drawn, scanned without noise and mirrored, and the waves are found that turn the
+metric of each cloud into the sheet's own. What twist and skew do to material shows in the shape that they make, so the
+waves are a Gaussian process of what the scan shows. What the process misses of each deformation, learned from the
+others, stays unknown; so does uneven stretch, of which a scan shows nothing. A shape unlike those drawn says less. One
+with bumps shows them as a metric that no drawn one has: material then lies anywhere, farther the more of them there is.
 """
 
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_sim.scene.bend import metric
+from eitskin_sim.fem.mesh import Metric
+from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.nominal import nominal_sheet
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import fit_cloud
-from eitskin_sim.verification.free.sheet.waves import waves_of
+from eitskin_sim.surface.smoothed import Scan
+from eitskin_sim.verification.free.sheet.waves import Waves, waves_of
 
 SEED: Final = 44_217
 """Names the deformations."""
 
 DRAWS: Final = 32
-"""Deformations that are looked at: 3 s once a process and skin."""
+"""Deformations that are looked at, each with its mirror images: a second once a process and skin."""
 
-DIRECTIONS: Final = 8
-"""Of them that are kept."""
-
-ALONE: Final = 0.35
-"""Share of its spread that every wave has for itself."""
+PLACES: Final = (24, 16)
+"""Places along x and y where a metric is looked at."""
 
 ROUNDS: Final = 3
 """Derivatives taken until a metric is met."""
 
+PARTS: Final = 20
+"""Principal components of the metrics that a scan shows."""
+
+NOISE: Final = 0.015
+"""Root mean square of what 0.1 mm of noise makes of a component: one that varies less than that says little."""
+
+LENGTH: Final = 15.0
+"""Of the process's kernel exp(-d^2 / 2 length^2), d in standard deviations of all components together."""
+
+NUGGET: Final = 0.03
+"""Variance of what the shape does not say, over the process's own; of any third of to three times it the same."""
+
+ALONE: Final = 0.1
+"""Share of its spread that every wave has for itself,"""
+
+UNLIKE: Final = 0.35
+"""and under a shape unlike those drawn."""
+
+BUMPS: Final = 0.0125
+"""Root mean square of a metric beyond the components, with which every wave has its whole spread.
+
+As found of 100 deformations of family B.
+"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lying:
+    """Where material lies under a scan's points."""
+
+    mean: Array
+    """(w,) amplitudes of the waves that are likeliest."""
+    ways: Array
+    """(w, m) amplitudes for one standard deviation of every way in which it may lie elsewhere."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UsualWaves:
+    """What the shapes of a skin's deformations say of their material."""
+
+    waves: Waves
+    at: Array
+    """(n, 2) places where a metric is looked at."""
+    middle: Array
+    """(3 n,) of the metrics drawn."""
+    parts: Array
+    """(3 n, p) principal components."""
+    scale: Array
+    """(p,) by which their scores are multiplied."""
+    scores: Array
+    """(d, p) of the deformations."""
+    inverse: Array
+    """(d, d) of their covariance."""
+    weights: Array
+    """(d, w) of the waves, each over its spread."""
+    usual: Array
+    """(w, w) covariance of them all,"""
+    left: Array
+    """(w, w) and of what the shape does not say."""
+
+    def under(self, scan: Scan) -> Lying:
+        """Return where material lies under a scan."""
+        shown = _features(scan.surface.metric, self.at) - self.middle
+        beyond = shown - self.parts @ (self.parts.T @ shown)
+        bumps = max(float(beyond @ beyond - self._noise(scan)) / len(beyond), 0.0)
+        near = _kernel((self.scale * (shown @ self.parts))[None], self.scores)[0]
+        unlike = float(np.clip(1.0 - near @ self.inverse @ near, 0.0, 1.0))
+        alone = ALONE**2 + unlike * UNLIKE**2 + bumps / BUMPS**2
+        return self._lying(near @ self.weights, unlike * self.usual + self.left, alone)
+
+    def anyhow(self) -> Lying:
+        """Return where material lies under a shape that says nothing."""
+        return self._lying(np.zeros(len(self.waves.sd)), self.usual, UNLIKE**2)
+
+    def _lying(self, mean: Array, covariance: Array, alone: float) -> Lying:
+        size, way = np.linalg.eigh(covariance + alone * np.eye(len(mean)))
+        return Lying(self.waves.sd * mean, self.waves.sd[:, None] * way * np.sqrt(size))
+
+    def _noise(self, scan: Scan) -> float:
+        """Return the sum of squares beyond the components by which a scan is unsure."""
+        E, _, G = scan.surface.metric(self.at).T
+        by_E, by_F, by_G = scan.rates(self.at)
+        unsure = np.concatenate([by_E / E[:, None], by_F, by_G / G[:, None]]) @ scan.unsure
+        return float(np.sum(unsure**2) - np.sum((self.parts.T @ unsure) ** 2))
+
 
 @lru_cache(maxsize=4)
-def usual_waves(skin: Skin = PAPER) -> Array:
-    """Return (w, m) amplitudes of the waves for one standard deviation of every way in which they come."""
+def usual_waves(skin: Skin = PAPER) -> UsualWaves:
+    """Return what the shapes of a skin's deformations say of where their material lies."""
     sheet, waves = nominal_sheet(skin), waves_of(skin)
-    x, y = ((np.arange(n) + 0.5) * extent / n for n, extent in zip((24, 16), skin.outline.size_mm, strict=True))
+    x, y = ((np.arange(n) + 0.5) * extent / n for n, extent in zip(PLACES, skin.outline.size_mm, strict=True))
     at = np.stack([one.ravel() for one in np.meshgrid(x, y)], axis=-1)
-    found = []
+    shown, found = [], []
     for bend in draw("A", DRAWS, SEED, skin):
-        scanned, true = fit_cloud(measured_cloud(bend, None, skin=skin), skin.grid).metric, metric(bend, sheet, at)
-        total = np.zeros(len(waves.sd))
-        for _ in range(ROUNDS):
-            moved = waves.moved(scanned, total)
-            rates = np.concatenate(waves.rates(moved, at)) * waves.sd
-            left = (true - moved(at)).T.ravel()
-            held = rates.T @ rates + 1e-3 * np.eye(rates.shape[1])
-            total = total + waves.sd * np.linalg.solve(held, rates.T @ left)
-        found.append(total)
-    left_, size, _ = np.linalg.svd(np.array(found).T / np.sqrt(DRAWS), full_matrices=False)
-    return np.concatenate([left_[:, :DIRECTIONS] * size[:DIRECTIONS], np.diag(ALONE * waves.sd)], axis=1)
+        scanned = fit_cloud(measured_cloud(bend, None, skin=skin), skin.grid).metric
+        either = [
+            _amplitudes(waves, scanned, bend_metric(replace(bend, nonuniformity=uneven), sheet)(at), at)
+            for uneven in (bend.nonuniformity, -bend.nonuniformity)  # which have the same scan
+        ]
+        for mirrors in ((), (0,), (1,), (0, 1)):
+            shown.append(_mirrored(_features(scanned, at), mirrors))
+            found.append(np.array(either) * np.prod([waves.mirrored(axis) for axis in mirrors], axis=0))
+    features, (one, other) = np.array(shown), np.moveaxis(np.array(found), 1, 0)
+    values, uneven = (one + other) / 2.0, (one - other) / 2.0
+    middle = features.mean(axis=0)
+    _, size, way = np.linalg.svd(features - middle, full_matrices=False)
+    parts, spread = way[:PARTS].T, size[:PARTS] / np.sqrt(len(features))
+    scale = spread / (spread**2 + NOISE**2)
+    scores = scale * ((features - middle) @ parts)
+    inverse = np.linalg.inv(_kernel(scores, scores) + NUGGET * np.eye(len(scores)))
+    weights = inverse @ values
+    missed = weights / np.diag(inverse)[:, None]  # of each, by all others
+    usual, left = ((each.T @ each + uneven.T @ uneven) / len(each) for each in (values, missed))
+    return UsualWaves(waves, at, middle, parts, scale, scores, inverse, weights, usual, left)
+
+
+def _amplitudes(waves: Waves, scanned: Metric, true: Array, at: Array) -> Array:
+    """Return (w,) amplitudes, over their spreads, that turn the metric of a scan into the (n, 3) of a sheet."""
+    total = np.zeros(len(waves.sd))
+    for _ in range(ROUNDS):
+        moved = waves.moved(scanned, waves.sd * total)
+        rates = np.concatenate(waves.rates(moved, at)) * waves.sd
+        left = (true - moved(at)).T.ravel()
+        total = total + np.linalg.solve(rates.T @ rates + 1e-3 * np.eye(len(total)), rates.T @ left)
+    return total
+
+
+def _features(metric: Metric, at: Array) -> Array:
+    """Return (3 n,) what a metric shows at (n, 2) places: log E, F, log G."""
+    E, F, G = metric(at).T
+    return np.concatenate([np.log(E), F, np.log(G)])
+
+
+def _mirrored(features: Array, mirrors: tuple[int, ...]) -> Array:
+    """Return (3 n,) features of a shape mirrored along some axes."""
+    fields = features.reshape(3, *PLACES[::-1])
+    turned = np.flip(fields, axis=[2 - axis for axis in mirrors])
+    return (turned * np.array([1.0, (-1.0) ** len(mirrors), 1.0])[:, None, None]).ravel()
+
+
+def _kernel(one: Array, other: Array) -> Array:
+    """Return (a, b) how alike the shapes of (a, p) and (b, p) scores are."""
+    apart = np.sum(one**2, axis=1)[:, None] + np.sum(other**2, axis=1) - 2.0 * one @ other.T
+    return np.exp(-np.maximum(apart, 0.0) / (2.0 * LENGTH**2))

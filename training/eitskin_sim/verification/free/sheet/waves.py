@@ -82,6 +82,14 @@ class Waves:
             slope[axis, 1 - axis] = np.einsum("ko,ko->k", sines, rise)
         return move, slope
 
+    def mirrored(self, axis: int) -> Array:
+        """Return (n,) signs by which amplitudes are multiplied where the sheet is mirrored along an axis."""
+        signs = []
+        for own, count in enumerate(WAVES):
+            wave, order = np.meshgrid(np.arange(1, count + 1), np.arange(ORDERS), indexing="ij")
+            signs.append((-1.0) ** (wave if own == axis else order).ravel())
+        return np.concatenate(signs)
+
     def moved(self, metric: Metric, amplitudes: Array) -> Metric:
         """Return the metric of the material, if it lies so under that of the scan's points."""
         x, y = (np.linspace(0.0, extent, round(extent / GRID_MM) + 1) for extent in self.size_mm)

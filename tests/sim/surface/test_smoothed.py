@@ -1,0 +1,73 @@
+"""The surface that a scan shows: nearer than a fit, as unsure as it says, and with its bumps."""
+
+import numpy as np
+import pytest
+
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.scene.parts import Bend
+from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.surface.measured_cloud import measured_cloud
+from eitskin_sim.surface.predict import fit_cloud
+from eitskin_sim.surface.smoothed import Scan, exact, smoothed
+
+NOISE_MM = 0.1
+PLACES = np.stack([one.ravel() for one in np.meshgrid(np.linspace(0, 150, 19), np.linspace(0, 100, 13))], axis=-1)
+PLAIN = Bend(angle_deg=120.0, axis_deg=15.0, twist_deg=10.0, stretch_along=1.1)
+BUMPED = Bend(angle_deg=60.0, bumps_mm=((40.0, 50.0, 6.0, 15.0), (110.0, 35.0, -6.0, 20.0)))
+
+
+def scans(bend: Bend, seed: int) -> tuple[Array, Array, Scan]:
+    """Return how far the metric of a fit and of the smoothed surface are off, (n, 3), and the scan."""
+    clean = np.asarray(measured_cloud(bend, None), dtype=np.float64)
+    noisy = fit_cloud(clean + NOISE_MM * np.random.default_rng(seed).standard_normal(clean.shape))
+    scan, true = smoothed(noisy, NOISE_MM), fit_cloud(clean).metric(PLACES)
+    return noisy.metric(PLACES) - true, scan.surface.metric(PLACES) - true, scan
+
+
+@pytest.mark.parametrize(("bend", "most"), [(PLAIN, 0.4), (BUMPED, 0.85)])
+def test_a_smoothed_metric_is_nearer_to_the_surface_than_a_fit(bend: Bend, most: float) -> None:
+    fitted, found = (np.array(one) for one in list(zip(*(scans(bend, seed) for seed in range(6)), strict=True))[:2])
+    assert np.sqrt(np.mean(found**2)) < most * np.sqrt(np.mean(fitted**2))
+
+
+@pytest.mark.parametrize("bend", [PLAIN, BUMPED])
+def test_a_smoothed_metric_is_as_unsure_as_it_says(bend: Bend) -> None:
+    """By root mean square over all places and draws, within a half: the prior is one strength for all of the sheet."""
+    off, said = [], []
+    for seed in range(6):
+        _, found, scan = scans(bend, seed)
+        off.append(found)
+        said.append(np.sum((scan.rates(PLACES) @ scan.unsure) ** 2, axis=-1))
+    assert np.sqrt(np.mean(np.square(off)) / np.mean(said)) == pytest.approx(1.0, abs=0.5)
+
+
+def test_rates_are_quotients_of_the_metrics_of_moved_surfaces() -> None:
+    """One way of noise along one direction of space, added to the coefficients of the fit."""
+    cloud = np.asarray(measured_cloud(PLAIN, None), dtype=np.float64)
+    scan = exact(fit_cloud(cloud))
+    rates = scan.rates(PLACES)
+    assert rates.shape == (3, len(PLACES), 3 * scan.surface.coefficients[..., 0].size)
+    rng = np.random.default_rng(3)
+    step = 1e-4 * rng.standard_normal(cloud.shape)
+    high, low = (fit_cloud(cloud + sign * step).metric(PLACES) for sign in (1.0, -1.0))
+    quotient = (high - low).T.ravel() / 2.0
+    flat = rates.reshape(-1, rates.shape[-1])
+    along = np.linalg.lstsq(flat, quotient, rcond=None)[0]
+    assert np.linalg.norm(flat @ along - quotient) < 1e-5 * np.linalg.norm(quotient), "the ways of noise are all there"
+
+
+def test_an_exact_surface_is_off_by_nothing() -> None:
+    surface = fit_cloud(np.asarray(measured_cloud(PLAIN, None)))
+    scan = exact(surface)
+    assert scan.surface is surface
+    assert (scan.rates(PLACES) @ scan.unsure).shape == (3, len(PLACES), 0)
+
+
+def test_what_no_metric_shows_stays_as_it_was_fitted() -> None:
+    """A flat sheet that is turned and moved is smoothed to the same, turned and moved."""
+    cloud = np.asarray(PAPER.grid.flat_cloud_mm(), dtype=np.float64)
+    cloud = cloud + NOISE_MM * np.random.default_rng(9).standard_normal(cloud.shape)
+    turn = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
+    moved = np.einsum("ij,jrc->irc", turn, cloud) + np.array([10.0, -20.0, 5.0])[:, None, None]
+    one, other = (smoothed(fit_cloud(each), NOISE_MM).surface.metric(PLACES) for each in (cloud, moved))
+    assert other == pytest.approx(one, abs=1e-5)
