@@ -98,7 +98,7 @@ def test_waves_answer_as_a_sheet_with_them_does_whatever_the_gauge_factor(
     high, low = (model.about(amplitudes(model, gauge, (wave, sign * step))) for sign in (1.0, -1.0))
     quotient = (high.touched.untouched_V - low.touched.untouched_V) / (2.0 * step)
     column = model.about(amplitudes(model, gauge)).unseen.columns[:, wave]
-    assert np.linalg.norm(column - quotient) < 0.02 * np.linalg.norm(quotient)
+    assert np.linalg.norm(column - quotient) < 0.03 * np.linalg.norm(quotient)
 
 
 def test_what_a_model_has_is_as_unlikely_as_it_was(model: Model) -> None:

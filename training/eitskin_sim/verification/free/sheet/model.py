@@ -183,7 +183,10 @@ class Model:
             reference: (104,) V.
             noise: Of that mean.
         """
-        scale, found = self._rested(change, reference, noise)
+        begun = self
+        if self.lying.at_rest is not self.lying.ways:
+            begun = _model(self.scan, replace(self.lying, ways=self.lying.at_rest), self.spreads, self.skin)
+        scale, found = begun._rested(change, reference, noise)
         if scale > UNLIKE:
             other, looser = self.looser(LOOSER)._rested(change, reference, noise)
             if other < LIKER * scale:

@@ -68,7 +68,10 @@ class Lying:
     mean: Array
     """(w,) amplitudes of the waves that are likeliest."""
     ways: Array
-    """(w, m) amplitudes for one standard deviation of every way in which it may lie elsewhere."""
+    """(w, w) amplitudes for one standard deviation of every way in which it may lie elsewhere, the widest first."""
+    at_rest: Array
+    """(w, w) the same for what the sheet reads untouched, which is believed whatever it says: loose material would
+    explain too much, so bumps count no more than a shape unlike those drawn."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,8 +113,13 @@ class UsualWaves:
         return self._lying(np.zeros(len(self.waves.sd)), self.usual, UNLIKE**2)
 
     def _lying(self, mean: Array, covariance: Array, alone: float) -> Lying:
-        size, way = np.linalg.eigh(covariance + alone * np.eye(len(mean)))
-        return Lying(self.waves.sd * mean, self.waves.sd[:, None] * way * np.sqrt(size))
+        wide = self._ways(covariance, alone)
+        narrow = wide if alone <= UNLIKE**2 else self._ways(covariance, UNLIKE**2)
+        return Lying(self.waves.sd * mean, wide, narrow)
+
+    def _ways(self, covariance: Array, alone: float) -> Array:
+        size, way = np.linalg.eigh(covariance + alone * np.eye(len(covariance)))
+        return np.asarray(self.waves.sd[:, None] * way * np.sqrt(size))[:, ::-1]
 
     def _noise(self, scan: Scan) -> float:
         """Return the sum of squares beyond the components by which a scan is unsure."""
@@ -142,9 +150,9 @@ def usual_waves(skin: Skin = PAPER) -> UsualWaves:
     middle = features.mean(axis=0)
     _, size, way = np.linalg.svd(features - middle, full_matrices=False)
     parts, spread = way[:PARTS].T, size[:PARTS] / np.sqrt(len(features))
-    scale = spread / (spread**2 + NOISE**2)
+    scale = np.asarray(spread / (spread**2 + NOISE**2), dtype=np.float64)
     scores = scale * ((features - middle) @ parts)
-    inverse = np.linalg.inv(_kernel(scores, scores) + NUGGET * np.eye(len(scores)))
+    inverse = np.asarray(np.linalg.inv(_kernel(scores, scores) + NUGGET * np.eye(len(scores))), dtype=np.float64)
     weights = inverse @ values
     missed = weights / np.diag(inverse)[:, None]  # of each, by all others
     usual, left = ((each.T @ each + uneven.T @ uneven) / len(each) for each in (values, missed))
@@ -171,11 +179,11 @@ def _features(metric: Metric, at: Array) -> Array:
 def _mirrored(features: Array, mirrors: tuple[int, ...]) -> Array:
     """Return (3 n,) features of a shape mirrored along some axes."""
     fields = features.reshape(3, *PLACES[::-1])
-    turned = np.flip(fields, axis=[2 - axis for axis in mirrors])
-    return (turned * np.array([1.0, (-1.0) ** len(mirrors), 1.0])[:, None, None]).ravel()
+    turned = np.flip(fields, axis=tuple(2 - axis for axis in mirrors))
+    return np.asarray(turned * np.array([1.0, (-1.0) ** len(mirrors), 1.0])[:, None, None]).ravel()
 
 
 def _kernel(one: Array, other: Array) -> Array:
     """Return (a, b) how alike the shapes of (a, p) and (b, p) scores are."""
     apart = np.sum(one**2, axis=1)[:, None] + np.sum(other**2, axis=1) - 2.0 * one @ other.T
-    return np.exp(-np.maximum(apart, 0.0) / (2.0 * LENGTH**2))
+    return np.asarray(np.exp(-np.maximum(apart, 0.0) / (2.0 * LENGTH**2)))
