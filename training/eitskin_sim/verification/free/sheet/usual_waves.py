@@ -28,7 +28,7 @@ SEED: Final = 44_217
 """Names the deformations."""
 
 DRAWS: Final = 32
-"""Deformations that are looked at, each with its mirror images: a second once a process and skin."""
+"""Deformations that are looked at, each with its mirror images: two seconds once a process and skin."""
 
 PLACES: Final = (24, 16)
 """Places along x and y where a metric is looked at."""
@@ -46,7 +46,7 @@ LENGTH: Final = 15.0
 """Of the process's kernel exp(-d^2 / 2 length^2), d in standard deviations of all components together."""
 
 NUGGET: Final = 0.03
-"""Variance of what the shape does not say, over the process's own; of any third of to three times it the same."""
+"""Variance of what the shape does not say, over the process's own: a third of it or three times it misses no less."""
 
 ALONE: Final = 0.1
 """Share of its spread that every wave has for itself,"""
