@@ -42,7 +42,7 @@ def test_a_smoothed_metric_is_as_unsure_as_it_says(bend: Bend) -> None:
 
 
 def test_rates_are_quotients_of_the_metrics_of_moved_surfaces() -> None:
-    """One way of noise along one direction of space, added to the coefficients of the fit."""
+    """A cloud moved a little at every point changes the metric as some mixture of the ways says, and by no more."""
     cloud = np.asarray(measured_cloud(PLAIN, None), dtype=np.float64)
     scan = exact(fit_cloud(cloud))
     rates = scan.rates(PLACES)
