@@ -6,12 +6,16 @@ machine that does a small known piece of work in ``NOMINAL_S``, and grows where 
 shrinks. The piece is timed at the start, and again when a test is over its limit: beside much other work everything
 costs more CPU time than it did. The piece needs no cache, and so does not show all of that: where more wait for cores
 than there are, a test may use half as much again.
+
+A child counts as a whole when it is waited for, which may be long after the test that started it. So what a child had
+used before a test began is no use of that test's.
 """
 
 import os
 import resource
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Final
 
 import pytest
@@ -31,6 +35,24 @@ def cpu_s() -> float:
     """Return the CPU seconds of this process and of the children that it has waited for."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def children_s() -> dict[int, float]:
+    """Return the CPU seconds so far of each child that was not waited for yet, by its process id.
+
+    Those of a child's own children are in it as far as it has waited for them: what ``cpu_s`` grows by at its end.
+    Empty where the system has no ``/proc`` of Linux's kind.
+    """
+    ticks = os.sysconf("SC_CLK_TCK")
+    found = {}
+    for children in Path("/proc/self/task").glob("*/children"):
+        try:
+            for pid in children.read_text().split():
+                behind_name = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+                found[int(pid)] = sum(int(field) for field in behind_name[11:15]) / ticks  # utime to cstime of proc(5)
+        except (FileNotFoundError, ProcessLookupError):  # this thread or that child has just ended
+            continue
+    return found
 
 
 def _known_work_s() -> float:
@@ -60,9 +82,12 @@ class CpuLimit:
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item: pytest.Item) -> Iterator[None]:
         """Time the call of a test that is not marked ``slow``; fixtures are not counted, since tests share them."""
-        before_s = cpu_s()
+        children_before_s, before_s = children_s(), cpu_s()
         yield
         used_s = cpu_s() - before_s
+        if children_before_s:
+            there = children_s()
+            used_s -= sum(child_s for pid, child_s in children_before_s.items() if pid not in there)
         item.user_properties.append(("cpu_s", round(used_s, 2)))  # --junitxml writes it down
         if used_s <= self.limit_s or item.get_closest_marker("slow") is not None:
             return

@@ -57,6 +57,17 @@ def test_of_a_child(seconds):
 def test_that_starts_a_child():
     subprocess.run(CHILD, check=True)
 
+left = []
+
+@pytest.mark.process
+def test_that_waits_for_no_child():
+    code = f"import time\\nwhile time.process_time() < {LONG_S}: pass\\nprint()"
+    left.append(subprocess.Popen([sys.executable, "-I", "-S", "-c", code], stdout=subprocess.PIPE))
+    left[0].stdout.read()
+
+def test_that_waits_for_anothers():
+    left[0].wait()
+
 @pytest.fixture
 def child():
     if os.fork() == 0:
@@ -89,6 +100,8 @@ def test_what_computes_for_long_or_starts_processes_without_saying_so_fails(tmp_
         "test_of_a_child[short]": "PASSED",
         "test_of_a_child[long]": "FAILED",
         "test_that_starts_a_child": "FAILED",
+        "test_that_waits_for_no_child": "PASSED",
+        "test_that_waits_for_anothers": "PASSED",
         "test_whose_fixture_forks": "ERROR",
         "test_that_asks_a_compiler": "PASSED",
     }, done.stdout
