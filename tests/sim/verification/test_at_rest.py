@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from eitskin_sim.verification import at_rest as module
-from eitskin_sim.verification.at_rest import at_rest
+from eitskin_sim.verification.sheet import at_rest as module
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.sheet.at_rest import at_rest
 
 ROWS = 40
 NONE = np.zeros(ROWS)

@@ -7,7 +7,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.family import draw
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import fit_cloud
-from eitskin_sim.verification.scan_noise import MOST_MM, scan_noise_mm
+from eitskin_sim.verification.sheet.scan_noise import MOST_MM, scan_noise_mm
 
 
 @pytest.mark.parametrize("noise_mm", [0.0, 0.1, 0.3, 1.0])

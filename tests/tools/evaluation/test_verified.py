@@ -81,11 +81,10 @@ def test_bad_options_of_the_benchmark_are_one_line(
     [
         (["--single", "10", "--solver", "verified", "--at-rest", "-1"], 2, "--at-rest -1: expected a number of frames"),
         (["--single", "10", "--at-rest", "5"], 1, "--at-rest is for --solver verified"),
-        (["--phantoms", "paper_units", "--solver", "verified", "--at-rest", "5"], 1, "for touches anywhere"),
         (["--devices", "lab", "--solver", "verified", "--at-rest", "5"], 2, "--at-rest"),
     ],
 )
-def test_only_touches_anywhere_are_verified_on_sheets_seen_at_rest(
+def test_sheets_are_seen_at_rest_by_physics_alone(
     arguments: list[str], status: int, says: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["evaluate", *arguments]) == status

@@ -15,7 +15,7 @@ from eitskin_sim.reduced.exact import exact_sheet
 from eitskin_sim.reduced.model import rows_of
 from eitskin_sim.scene.nominal import flat_metric_of
 from eitskin_sim.verification.free.found import map_of
-from eitskin_sim.verification.free.sheet.model import model_of_cloud
+from eitskin_sim.verification.sheet.model import model_of_cloud
 from eitskin_tools.verifier.checkers import CannotVerifyError, FreeChecker, UnitChecker, checker_of
 from eitskin_tools.verifier.keeper import Keeper, Place
 from eitskin_tools.verifier.letters import LARGEST_ANSWER, STATE, FrameLetter, RestLetter, Setup, answered, frame_letter

@@ -18,7 +18,7 @@ from eitskin_tools.verifier.reasons import reason_of
     (0.001, False, True, UNEXPLAINED),
 ])  # fmt: skip
 def test_shapes(p_value, unfinished, contested, why):
-    verdict = FreeVerdict((), 100.0, 100, p_value, 0.01, 1, 0.1, (), unfinished, contested=contested)
+    verdict = FreeVerdict((), 100.0, 100, p_value, 0.01, 1, 0.1, unfinished, contested=contested)
     assert reason_of(verdict) == why
     assert verdict.flagged == bool(why)
 
@@ -27,4 +27,4 @@ def test_shapes(p_value, unfinished, contested, why):
     (0.4, False, ""), (0.4, True, ""), (0.001, False, UNEXPLAINED), (0.001, True, TIME),
 ])  # fmt: skip
 def test_units(p_value, unfinished, why):
-    assert reason_of(Verdict((), 100.0, 100, p_value, 0.01, 1, 0.1, (), unfinished)) == why
+    assert reason_of(Verdict((), 100.0, 100, p_value, 0.01, 1, 0.1, unfinished)) == why

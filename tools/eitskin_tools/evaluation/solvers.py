@@ -107,8 +107,8 @@ def named(
     """
     if request.reference is not None and request.reference not in REFERENCES:
         raise ValueError(f"reference {request.reference!r} is unknown; expected one of {', '.join(REFERENCES)}")
-    if request.at_rest and (request.name, labels) != (VERIFIED, "area"):
-        raise ValueError("--at-rest is for --solver verified, and for touches anywhere; leave it out")
+    if request.at_rest and request.name != VERIFIED:
+        raise ValueError("--at-rest is for --solver verified; leave it out")
     if request.name in SOLVERS:
         return Named(Run(SOLVERS[request.name], request.reference or "post"))
     if request.name == VERIFIED:
@@ -192,7 +192,7 @@ def _verified(request: Request, labels: str, skin: Skin, touches: TouchKind, con
 
     network = _network(replace(request, name="vd2t"), labels, skin, touches)
     noise = Noise(conditions.noise, conditions.snr_db)
-    verified: Verified | VerifiedFree = Verified(network.run, noise, skin)
+    verified: Verified | VerifiedFree = Verified(network.run, noise, skin, at_rest=request.at_rest)
     if labels != "units":
         verified = VerifiedFree(network.run, noise, touches, skin, at_rest=request.at_rest)
     return replace(network, run=verified.run, verified=verified)

@@ -14,33 +14,19 @@ from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.verification.free.found import FreeTouch
 from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
-from eitskin_sim.verification.prepared import prepared
-from eitskin_sim.verification.units import UnitTouch, UnitVerifier
-from eitskin_sim.verification.verdict import Verdict as Found
-from eitskin_tools.evaluation.verified.units import (
-    REBUILT,
-    STILL,
-    Material,
-    better_with_material,
-    material_shown,
-    noise_shown,
-    unit_heights,
-    unit_starts,
-)
+from eitskin_sim.verification.unit_sheet import Asked, UnitSheet
+from eitskin_sim.verification.units import UnitTouch
+from eitskin_tools.evaluation.verified.units import noise_shown, unit_heights, unit_starts
 from eitskin_tools.verifier.letters import Array, FrameLetter, RestLetter, Setup
 from eitskin_tools.verifier.reasons import reason_of
 
 FREE_BUDGET_S: Final = 0.2
 """What a frame of touches anywhere may take, unless told otherwise."""
 
-TRIED: Final = 4
-"""How often a model with other material is tried, for one surface."""
-
 UNLIKE_ITS_SCAN: Final = (
     "untouched, the sheet does not read as its cloud and reference say; send its cloud, or take a reference anew"
 )
 
-UnitVerdict = Found[UnitTouch]
 Three = tuple[float, float, float]
 
 Verdict = tuple[tuple[float, int, float, bool], tuple[VerifiedTouch, ...], str]
@@ -112,58 +98,38 @@ class UnitChecker:
     def __init__(self, setup: Setup) -> None:
         self._shape = _Shape(setup)
         self._budget_s = setup.budget_s or None
-        self._verifier = prepared(self._shape.cloud_mm, self._shape.skin)
+        self._sheet = UnitSheet(self._shape.cloud_mm, self._shape.skin)
         self._before: tuple[UnitTouch, ...] = ()
-        self._material: Material = STILL
-        self._shown: Material | None = None
-        self._last: tuple[FrameLetter, UnitVerdict] | None = None
-        self._rebuilt = self._tried = 0
 
     def check(self, frame: FrameLetter) -> Verdict:
         """Return the touched units that explain a frame best."""
-        found = self._verified(self._verifier, frame)
-        self._before, self._last = found.touches, (frame, found)
-        may = self._rebuilt < REBUILT and self._tried < TRIED
-        self._shown = material_shown(found, self._material) if may else None
-        verdict = found.chi_squared, found.degrees_of_freedom, found.p_value, found.flagged
-        return verdict, self._touches(found.touches), reason_of(found)
-
-    def _verified(self, verifier: UnitVerifier, frame: FrameLetter) -> UnitVerdict:
         shape = self._shape
         heights = unit_heights(frame.map.astype(np.float64), shape.grid)
-        return verifier.verify(
-            frame.change.astype(np.float64),
-            shape.reference_V,
-            unit_starts(heights),
-            shape.noise,
-            rows=shape.usable & ~frame.missing,
-            budget_s=self._budget_s,
-            before=self._before,
-            heights=heights,
+        change, usable = frame.change.astype(np.float64), shape.usable & ~frame.missing
+        starts, before = unit_starts(heights), self._before
+        found = self._sheet.verify(
+            Asked(change, shape.reference_V, shape.noise, starts, usable, self._budget_s, before, heights)
         )
+        self._before = found.touches
+        told = found.chi_squared, found.degrees_of_freedom, found.p_value, found.flagged
+        return told, self._touches(found.touches), reason_of(found)
 
     def rest(self, letter: RestLetter) -> str:
-        """Look where the untouched sheet's material lies."""
-        self.check(letter.as_frame(self._shape.grid.n_pixels))
-        self._before = ()
-        return ""
+        """Learn how the untouched sheet differs from its scan."""
+        shape = self._shape
+        if not shape.usable.all():
+            return ""  # rows that are missing say nothing of the sheet
+        known = self._sheet.rest(letter.change, shape.reference_V, shape.noise, letter.frames)
+        return "" if known else UNLIKE_ITS_SCAN
 
     @property
     def improves(self) -> bool:
-        """Whether the last frame has shown where material lies, which no scan can."""
-        return self._shown is not None
+        """Whether the last frame asks for another model of the sheet."""
+        return self._sheet.improves
 
     def improve(self) -> None:
-        """Make the model with it, and keep that if it explains the frame better that has shown it."""
-        if self._shown is None or self._last is None:
-            return
-        material, self._shown = self._shown, None
-        self._tried += 1
-        verifier = prepared(self._shape.cloud_mm, self._shape.skin, material=material)
-        frame, before = self._last
-        if better_with_material(self._verified(verifier, frame), before):
-            self._rebuilt += 1
-            self._material, self._verifier = material, verifier
+        """Make it, and keep it if it explains that frame better."""
+        self._sheet.improve()
 
     def _touches(self, units: tuple[UnitTouch, ...]) -> tuple[VerifiedTouch, ...]:
         grid = self._shape.grid

@@ -121,11 +121,6 @@ class RestLetter:
         setup, frames = _REST.unpack_from(letter)
         return cls(setup, frames, np.frombuffer(letter, dtype="<f8", offset=_REST.size))
 
-    def as_frame(self, pixels: int) -> FrameLetter:
-        """Return it as a frame, with a map of so many pixels that shows nothing."""
-        missing, empty = np.zeros(N_ROWS, dtype=np.bool_), np.zeros(pixels, dtype=np.float32)
-        return FrameLetter(self.setup, 0, 0, 0, 0, 0, missing, self.change.astype(np.float32), empty)
-
 
 def rest_letter(setup: int, frames: int, change: Array) -> bytes:
     """Return the letter of a sheet at rest; arguments as in :class:`RestLetter`."""

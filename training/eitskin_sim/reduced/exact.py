@@ -73,15 +73,16 @@ class ExactSheet:
         return np.split(flowing, np.cumsum([len(one) for one in dofs])[:-1]), self.untouched - load.T @ flowing
 
 
-def exact_sheet(metric: Metric, skin: Skin = PAPER, *, coarse: bool = False) -> ExactSheet:
+def exact_sheet(metric: Metric, skin: Skin = PAPER, *, coarse: bool = False, gauge: float = 0.0) -> ExactSheet:
     """Return the sheet that a skin states, at some first fundamental form.
 
     Args:
         metric: (n, 2) flat points in mm -> (n, 3) E, F, G.
         skin: Whose.
         coarse: Whether on three elements across a unit instead of five.
+        gauge: Added to the skin's gauge factor.
     """
-    parts, system = unit_system_of(metric, skin, coarse=coarse)
+    parts, system = unit_system_of(metric, skin, coarse=coarse, gauge=gauge)
     return ExactSheet(parts, system, *inverse_by_strips(parts, condense_units(parts, system, (system.background,))))
 
 

@@ -56,18 +56,19 @@ class Correction:
     """(contacts, NODES, r, r)"""
 
 
-def quick_model(metric: Metric, skin: Skin = PAPER, cloud_digest: str = "") -> ReducedModel:
+def quick_model(metric: Metric, skin: Skin = PAPER, cloud_digest: str = "", gauge: float = 0.0) -> ReducedModel:
     """Return the reduced model of a sheet of some first fundamental form.
 
     Args:
         metric: (n, 2) flat points in mm -> (n, 3) E, F, G.
         skin: Whose sheet.
         cloud_digest: Of the cloud that the metric comes from, empty if there is none.
+        gauge: Added to the skin's gauge factor.
 
     Raises:
         ValueError: The metric folds.
     """
-    lacking, sheet = _correction(skin), exact_sheet(metric, skin, coarse=True)
+    lacking, sheet = _correction(skin), exact_sheet(metric, skin, coarse=True, gauge=gauge)
     own = energies(sheet, lacking.patterns)
     turned = np.linalg.cholesky(own + LEAST_ENERGY * np.eye(RANK)) @ lacking.unturned
     roots = np.linalg.cholesky(own + turned @ lacking.energies @ turned.transpose(0, 2, 1))

@@ -15,7 +15,7 @@ unit's S_u.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
@@ -65,9 +65,14 @@ def unit_system(
     return parts, system_on(parts.mesh, true.sheet, true.electrodes, lambda xy: metric(bend, true.sheet, xy), nominal)
 
 
-def unit_system_of(first: Metric, skin: Skin, *, coarse: bool = False) -> tuple[UnitMesh, System]:
-    """Return a skin's mesh and the system of the sheet that it states, scaled to 1 S/m, at any metric."""
+def unit_system_of(first: Metric, skin: Skin, *, coarse: bool = False, gauge: float = 0.0) -> tuple[UnitMesh, System]:
+    """Return a skin's mesh and the system of the sheet that it states, scaled to 1 S/m, at any metric.
+
+    A ``gauge`` is added to the skin's gauge factor.
+    """
     parts, true = _nominal_mesh(skin, 1, coarse), ideal(skin)
+    if gauge:
+        true = replace(true, sheet=replace(true.sheet, gauge_factor=true.sheet.gauge_factor + gauge))
     return parts, system_on(parts.mesh, true.sheet, true.electrodes, first, true.electrodes)
 
 

@@ -4,28 +4,15 @@ Model and reading are compared as V over the flat, untouched V, so that gain and
 of the frame's own reading, the same for every set of touches that is tried on it, so that their chi-squared compare.
 """
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from eitskin_sim.verification.nuisance import Modes
-from eitskin_sim.verification.residual import FLOOR, Array, Noise, Rows, Whitener
-from eitskin_sim.verification.verdict import Fitted
+from eitskin_sim.verification.residual import Array, Noise, Rows, Whitener
+from eitskin_sim.verification.sheet.model import Model
 
 OWN: Final = 0.01
-"""What a model is off of what touches themselves change, as a share: elements, and what nuisances do to touches."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Doubts:
-    """How a model of one shape of the sheet may be off."""
-
-    modes: Modes
-    errors: Array
-    """(rows, m) log V for one standard deviation of each further error, those of the scan."""
-    floor: float = FLOOR
-    own: float = OWN
+"""What a model is off of what touches change, as a share: elements, and what the sheet's errors do to touches."""
 
 
 class Frame:
@@ -35,7 +22,7 @@ class Frame:
         change: (rows,) dV as read.
         reference: (rows,) V of the flat, untouched sheet.
         noise: Of the reading.
-        doubts: None is a model that is right.
+        sheet: What is known of the sheet; None is a model that is right.
         rows: (rows,) which rows there are; None is all.
         signal: (rows,) dV that touches make, by the best that is known.
     """
@@ -45,20 +32,20 @@ class Frame:
         change: Array,
         reference: Array,
         noise: Noise,
-        doubts: Doubts | None = None,
+        sheet: Model | None = None,
         rows: Rows | None = None,
         signal: Array | None = None,
     ) -> None:
-        self.ratio: Array = 1.0 + np.asarray(change, dtype=np.float64)
-        """(rows,) V over the flat, untouched V."""
-        self._modes = None if doubts is None else doubts.modes
-        sd, columns, floor = noise.sd(self.ratio - 1.0, reference), np.zeros((len(self.ratio), 0)), 0.0
-        if doubts is not None:
-            logs = np.hstack([doubts.modes.columns, doubts.errors])
-            columns, floor = self.ratio[:, None] * logs, doubts.floor
-            if signal is not None:
-                sd = np.hypot(sd, doubts.own * np.abs(signal))
-        self.white = Whitener(sd, columns, self.ratio, rows, floor)
+        read = np.asarray(change, dtype=np.float64)
+        self.ratio: Array = 1.0 + read
+        """(rows,) V over the flat, untouched V, less what is known that the model does not say."""
+        if sheet is None:
+            none = np.zeros((len(read), 0))
+            self.white = Whitener(noise.sd(read, reference), none, self.ratio, rows, 0.0)
+        else:
+            own = None if signal is None else OWN * np.abs(signal)
+            self.white = sheet.whitener(read, reference, noise, rows=rows, own=own)
+            self.ratio = self.ratio - sheet.expected(sheet.ratio(read))
 
     def chi_squared(self, ratio: Array) -> Array:
         """Return (...,) the chi-squared of modelled V over flat V (..., rows)."""
@@ -67,16 +54,6 @@ class Frame:
     def whiten(self, ratio: Array) -> Array:
         """Return (..., kept rows) whitened differences of modelled V over flat V (..., rows)."""
         return self.white.whiten(ratio)
-
-    def nuisances(self, ratio: Array) -> tuple[Fitted, ...]:
-        """Return what was fitted along with modelled V over flat V (rows,)."""
-        if self._modes is None:
-            return ()
-        values, errors = self.white.amplitudes(self.ratio - ratio)
-        return tuple(
-            Fitted(name, float(value * sd), float(error * sd))
-            for name, sd, value, error in zip(self._modes.names, self._modes.sd, values, errors, strict=False)
-        )
 
 
 def check_frame(voltages_V: Array, reference_V: Array, shares: Array | None = None) -> None:

@@ -22,12 +22,13 @@ import numpy.typing as npt
 from eitskin_sim.reduced.model import ReducedModel
 from eitskin_sim.reduced.state import State, state_of
 from eitskin_sim.verification.chi_squared import LEVEL, p_value
-from eitskin_sim.verification.frame import Doubts, Frame
+from eitskin_sim.verification.frame import Frame
 from eitskin_sim.verification.prior import Prior
 from eitskin_sim.verification.residual import Array, Noise, Rows
 from eitskin_sim.verification.sets.judge import Judge
 from eitskin_sim.verification.sets.price import UnitPrice
 from eitskin_sim.verification.sets.search import Search
+from eitskin_sim.verification.sheet.model import Model
 from eitskin_sim.verification.verdict import Verdict
 
 CONTRAST: Final = 50.0
@@ -67,7 +68,7 @@ class UnitVerifier:
     Args:
         model: The sheet at its present shape.
         flat_V: (rows,) V under 1 A of the same model's flat, untouched sheet.
-        doubts: How model and sheet may differ; None is not at all.
+        sheet: How model and sheet may differ; None is not at all.
         contrast: Of touches, at first.
         prior: What touches are like.
         level: Below which p is flagged.
@@ -77,12 +78,12 @@ class UnitVerifier:
         self,
         model: ReducedModel,
         flat_V: Array,
-        doubts: Doubts | None = None,
+        sheet: Model | None = None,
         contrast: float = CONTRAST,
         prior: Prior | None = None,
         level: float = LEVEL,
     ) -> None:
-        self._model, self._flat, self._doubts, self._level = model, flat_V, doubts, level
+        self._model, self._flat, self._sheet, self._level = model, flat_V, sheet, level
         self._coarse = model.of_rank(min(COARSE, model.rank))
         self._rough = self._coarse.of_rank(min(ROUGH, model.rank))
         self._contrast, self._prior = contrast, prior or Prior(places=model.n_units)
@@ -131,13 +132,13 @@ class UnitVerifier:
             budget_s = HARD_BUDGET_S if missing or any(len(units) > FEW for units, _ in sets) else BUDGET_S
         deadline = clock() + SEARCHED * budget_s
         first = state_of(self._model, *sets[0])
-        frame = Frame(dv, held, noise, self._doubts, rows, self._signal(first))
+        frame = Frame(dv, held, noise, self._sheet, rows, self._signal(first))
         judge = Judge(self._model, self._coarse, self._rough, self._flat, frame, price, self._contrast, deadline, clock)
         search = Search(judge)
         best = search.run(search.best_of(first, sets[1:], shown))
         ratio = best.volts / self._flat
-        if self._doubts is not None:
-            frame = Frame(dv, held, noise, self._doubts, rows, self._signal(best))
+        if self._sheet is not None:
+            frame = Frame(dv, held, noise, self._sheet, rows, self._signal(best))
         chi = float(frame.chi_squared(ratio))
         degrees = max(len(frame.white) - search.fitted(best), 1)
         order = np.argsort(best.units)
@@ -152,9 +153,25 @@ class UnitVerifier:
             level=self._level,
             evaluations=judge.evaluations,
             seconds=time.perf_counter() - begin,
-            nuisances=frame.nuisances(ratio),
             unfinished=clock() >= deadline,
         )
+
+    def left(
+        self, change: Array, reference: Array, noise: Noise, rows: Rows | None, touches: Sequence[UnitTouch]
+    ) -> tuple[Frame, Array]:
+        """Return a frame as it is judged with some touches, and the (104,) dV of it that they do not explain.
+
+        Args:
+            change: (104,) dV of the frame.
+            reference: (104,) V of the flat, untouched sheet.
+            noise: Of the frame.
+            rows: (104,) which rows there are; None is all.
+            touches: On it.
+        """
+        units = np.array([one.unit for one in touches], dtype=np.intp)
+        state = state_of(self._model, units, np.array([one.contrast for one in touches]))
+        frame = Frame(change, reference, noise, self._sheet, rows, self._signal(state))
+        return frame, frame.ratio - state.volts / self._flat
 
     def _start(self, bits: npt.ArrayLike) -> tuple[npt.NDArray[np.intp], Array]:
         found = np.asarray(bits, dtype=np.bool_)

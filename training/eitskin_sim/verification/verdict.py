@@ -1,21 +1,10 @@
-"""What a verifier says of one frame: the touches, how well they explain it, and what was fitted along."""
+"""What a verifier says of one frame: the touches, and how well they explain it."""
 
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 Touch = TypeVar("Touch")
 """What one touch is: a unit with its contrast, or a shape."""
-
-
-@dataclass(frozen=True, slots=True)
-class Fitted:
-    """A nuisance that was fitted along."""
-
-    name: str
-    value: float
-    """In the nuisance's own unit: parts of conductivity, gauge factor, amplitude of stretch."""
-    error: float
-    """Its standard error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +24,6 @@ class Verdict(Generic[Touch]):
     """How many sets of touches were modelled."""
     seconds: float
     """What it took."""
-    nuisances: tuple[Fitted, ...] = ()
     unfinished: bool = False
     """Whether time ended the search before these explained the frame, or were confirmed."""
 

@@ -11,9 +11,9 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.free.search import FreeVerifier
-from eitskin_sim.verification.free.sheet.deformation import ANEW
-from eitskin_sim.verification.free.sheet.model import Model, flat_model_V
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.sheet.deformation import ANEW
+from eitskin_sim.verification.sheet.model import Model, flat_model_V
 
 Array = npt.NDArray[np.float64]
 

@@ -17,11 +17,11 @@ from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.free.fit import TRIES, Fit, Frame, bounded, refine
 from eitskin_sim.verification.free.found import FreeVerdict, map_of, scatter_of, touches_of
 from eitskin_sim.verification.free.search import FreeVerifier
-from eitskin_sim.verification.free.sheet.model import Model, flat_model_V
-from eitskin_sim.verification.free.sheet.waves import waves_of
 from eitskin_sim.verification.free.starts import followed, presses_of, shares_of, starts_of
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.sheet.model import Model, flat_model_V
+from eitskin_sim.verification.sheet.waves import waves_of
 
 Array = npt.NDArray[np.float64]
 

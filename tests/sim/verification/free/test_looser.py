@@ -16,9 +16,9 @@ from eitskin_sim.shapes.sheet import TouchedSheet
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.free.search import FreeVerifier
-from eitskin_sim.verification.free.sheet import model
-from eitskin_sim.verification.free.sheet.waves import waves_of
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.sheet import model
+from eitskin_sim.verification.sheet.waves import waves_of
 
 Array = npt.NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import fit_cloud, noise_tangents
 from eitskin_sim.surface.smoothed import smoothed
-from eitskin_sim.verification.free.sheet.model import ELEMENT_MM, Model, model_of_cloud
-from eitskin_sim.verification.spreads import Spreads, usual
+from eitskin_sim.verification.sheet.model import ELEMENT_MM, Model, model_of_cloud
+from eitskin_sim.verification.sheet.spreads import Spreads, usual
 
 GAUGE = Spreads(scan_mm=0.0).gauge
 BEND = Bend(angle_deg=100.0, axis_deg=20.0, twist_deg=10.0, stretch_along=1.15)

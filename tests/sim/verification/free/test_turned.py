@@ -8,10 +8,10 @@ from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.verification.free.found import FreeVerdict, map_of
 from eitskin_sim.verification.free.search import FreeVerifier
-from eitskin_sim.verification.free.sheet.deformation import ANEW
-from eitskin_sim.verification.free.sheet.model import Model, flat_model_V, model_of_cloud
 from eitskin_sim.verification.free.starts import starts_of, turned_rectangle
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.sheet.deformation import ANEW
+from eitskin_sim.verification.sheet.model import Model, flat_model_V, model_of_cloud
 
 Array = npt.NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import fit_cloud
 from eitskin_sim.surface.smoothed import Scan, smoothed
-from eitskin_sim.verification.free.sheet.usual_waves import UsualWaves, usual_waves
-from eitskin_sim.verification.free.sheet.waves import waves_of
+from eitskin_sim.verification.sheet.usual_waves import UsualWaves, usual_waves
+from eitskin_sim.verification.sheet.waves import waves_of
 
 SEED = 7
 """Names deformations that the process did not see."""

@@ -17,11 +17,11 @@ from eitskin_sim.verification.free.found import FreeVerdict, drawn, map_of, scat
 from eitskin_sim.verification.free.improve import parted
 from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.seen import left_out, too_small
-from eitskin_sim.verification.free.sheet.deformation import ANEW
-from eitskin_sim.verification.free.sheet.model import Model, flat_model_V, model_of_cloud
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.free.valley import likely, scaled
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.sheet.deformation import ANEW
+from eitskin_sim.verification.sheet.model import Model, flat_model_V, model_of_cloud
 
 Array = npt.NDArray[np.float64]
 

@@ -16,10 +16,10 @@ from eitskin_sim.scene.shapes import Disc, Ellipse, Rect
 from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE
 from eitskin_sim.shapes.parameters import X, Y
 from eitskin_sim.verification.free.fit import Frame
-from eitskin_sim.verification.free.sheet.model import Model, model_of_cloud
 from eitskin_sim.verification.free.usual import Usual
 from eitskin_sim.verification.residual import Noise
-from eitskin_sim.verification.spreads import Spreads
+from eitskin_sim.verification.sheet.model import Model, model_of_cloud
+from eitskin_sim.verification.sheet.spreads import Spreads
 from eitskin_tools.bench.verify.truth import SEED, Array
 
 KNOWN: Final = Spreads(drift=0.0, tilt=0.0, gauge=0.0, material=0.0, scan_mm=0.0)

@@ -15,8 +15,8 @@ from eitskin_sim.reduced.state import state_of
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Sheet
 from eitskin_sim.verification.chi_squared import calibration
-from eitskin_sim.verification.prepared import flat_of
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.unit_sheet import flat_of
 from eitskin_sim.verification.units import CONTRAST, UnitVerifier
 
 LEVELS: Final = (0.001, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9)

@@ -87,7 +87,7 @@ class OfPhysics:
         return missing
 
     def _rest(self, found: Computed, reference: Reference) -> None:
-        """Take an untouched frame, and tell shapes anywhere what the sheet reads then, where that is news."""
+        """Take an untouched frame, and tell physics what the sheet reads then, where that is news."""
         if found.touched:
             self._resting.forget()
         if found.touched or found.gate_logit is None or self._missing(reference).any():
@@ -97,7 +97,7 @@ class OfPhysics:
             self._tell_rest()
 
     def _tell_rest(self) -> None:
-        if self._at_rest_V is not None and isinstance(self._verified, VerifiedFree):
+        if self._at_rest_V is not None and self._verified is not None:
             self._verified.rest(self._at_rest_V, FRAMES)
 
     def _checked(self, found: Computed, reference: Reference, sheet: Sheet) -> Computed | None:

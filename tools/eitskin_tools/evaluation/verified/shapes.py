@@ -10,9 +10,7 @@ serves all frames of the shape. So does seeing it untouched first, where that is
 """
 
 import time
-import zlib
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -22,16 +20,12 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.harness import Case, Run
 from eitskin_sim.evaluation.metrics import TOUCHED
-from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.verification.free.found import FreeVerdict
 from eitskin_sim.verification.free.search import BUDGET_S, FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
 from eitskin_sim.verification.residual import Noise
 from eitskin_tools.evaluation.verified.share import network_share
-from eitskin_tools.evaluation.verified.units import Checked, shape_of
-
-SEED: Final = 7041
-"""Of the noise of untouched frames."""
+from eitskin_tools.evaluation.verified.units import Checked, shape_of, untouched_mean
 
 
 class VerifiedFree:
@@ -94,7 +88,7 @@ class VerifiedFree:
             before = 0.0
             verifier.deform(case.sheet.cloud_mm)
             if self._at_rest:
-                self.rest(self._untouched(case), self._at_rest)
+                self.rest(untouched_mean(case, self._noise, self._at_rest), self._at_rest)
             self._shape, self._last = (key, verifier), None
         else:
             verifier = self._shape[1]
@@ -111,12 +105,3 @@ class VerifiedFree:
         self.checked.append(Checked(verdict, 1e3 * verdict.seconds, 1e3 * cpu_s, setup_ms, touched))
         share = network_share(verdict, image, found.count, grid)
         return image if verdict.flagged else (1.0 - share) * verdict.map(grid) + share * np.clip(image, 0.0, 1.0)
-
-    def _untouched(self, case: Case) -> npt.NDArray[np.float64]:
-        """Return what a shape reads untouched, the mean of some frames."""
-        noise, untouched = self._noise, case.sheet.untouched
-        rng = np.random.default_rng([SEED, zlib.crc32(untouched.tobytes())])
-        if noise.law == "measured":
-            raise ValueError("measured frames have no untouched ones beside them; leave --at-rest out")
-        frames = np.tile(untouched, (self._at_rest, 1))
-        return np.asarray(add_noise(frames, case.flat_reference, noise.law, noise.snr_db, rng).mean(axis=0))

@@ -2,12 +2,13 @@
 
 The network answers as it does in the runtime; its touched units, at several thresholds, are where the verifier starts
 (:mod:`eitskin_sim.verification.units`). A reduced model is made from each cloud, as in a process beside the runtime,
-and once more with the uneven stretch that the first frame there shows, which no scan can: that belongs to the shape and
-not to the frame, so it counts as set-up, and serves all frames of the shape. Voltages come from the harness's own mesh,
-whatever the model's.
+and others that the frames there ask for: where material lies and how it conducts belongs to the shape and not to the
+frame, so that counts as set-up, and serves all frames of the shape. Voltages come from the harness's own mesh, whatever
+the model's.
 """
 
 import time
+import zlib
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, Generic, TypeVar
 
@@ -20,39 +21,24 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_sim.evaluation.harness import Case, Results, Run
 from eitskin_sim.evaluation.metrics import Score
 from eitskin_sim.measurement.consistency import Filler
+from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.scene.parts import Phantom
-from eitskin_sim.verification.material import MATERIAL
-from eitskin_sim.verification.prepared import prepared
 from eitskin_sim.verification.residual import Noise
-from eitskin_sim.verification.units import UnitTouch, UnitVerifier
-from eitskin_sim.verification.verdict import Fitted, Verdict
+from eitskin_sim.verification.unit_sheet import Asked, UnitSheet
+from eitskin_sim.verification.units import UnitTouch
+from eitskin_sim.verification.verdict import Verdict
 
 THRESHOLDS: Final = (0.5, 0.25, 0.75)
 """Heights at which a unit of the network's map counts as touched: one start each."""
 
-CLEAR: Final = 3.0
-"""An amplitude of material that is so many standard errors from 0 goes into the model."""
-
-REBUILT: Final = 2
-"""How often a model is made anew with what was found."""
-
-LEAST: Final = 0.02
-"""Less of it is left to the nuisance."""
-
-MOST: Final = 0.3
-"""No amplitude of a real sheet is larger."""
-
-SPARED: Final = 0.7
-"""A model made anew is kept if it leaves less than this part of a frame's chi-squared, or explains the frame."""
+SEED: Final = 7041
+"""Of the noise of untouched frames."""
 
 SPREADS: Final = (1e-5, 0.01)
 """Of a row's voltage: what noise a reference is believed to have shown, as in :mod:`eitskin.pipeline.stillness`."""
 
-Material = tuple[float, ...]
-Made = dict[bytes, tuple[UnitVerifier, Material]]
-"""Verifiers by their shape, each with the material that frames of it have shown."""
-STILL: Final = (0.0, 0.0, 0.0)
-NOTHING: Final = Fitted("", 0.0, 0.0)
+Made = dict[bytes, UnitSheet]
+"""Sheets by their shape, each with what its frames have shown."""
 
 
 Found = TypeVar("Found", bound=Verdict[Any])
@@ -84,7 +70,8 @@ class Verified:
         budget_s: What a frame may take; None is what the verifier gives it.
         missing: Electrodes that are gone: their rows are not looked at, and filled in for the network.
         filler: Fills them in.
-        made: Verifiers of one device's shapes, kept from one run to another; None keeps that of the last shape.
+        made: Sheets of one device's shapes, kept from one run to another; None keeps that of the last shape.
+        at_rest: Untouched frames of a shape that physics sees before its first touch.
     """
 
     def __init__(
@@ -96,10 +83,13 @@ class Verified:
         missing: tuple[int, ...] = (),
         filler: Filler | None = None,
         made: Made | None = None,
+        at_rest: int = 0,
     ) -> None:
         self._network, self._noise, self._skin, self._budget_s = network, noise, skin, budget_s
         self._missing, self._filler = missing, filler
         self._keeps, self._made = made is not None, {} if made is None else made
+        self._at_rest = at_rest
+        self._seen_at_rest: tuple[npt.NDArray[np.float64], int] | None = None
         self.checked: list[Checked[Verdict[UnitTouch]]] = []
         """Verdicts in the order of the cases."""
 
@@ -107,6 +97,15 @@ class Verified:
     def run(self) -> Run:
         """Return the run that the harness takes."""
         return replace(self._network, solver=self.solve)
+
+    def rest(self, voltages_V: npt.NDArray[np.float64], frames: int) -> None:
+        """Take what the shape in use reads while nothing touches it, for its next frame and those after.
+
+        Args:
+            voltages_V: (104,) the mean of some frames.
+            frames: How many.
+        """
+        self._seen_at_rest = voltages_V, frames
 
     def solve(self, case: Case) -> npt.NDArray[np.float64]:
         """Return the map of the touched units."""
@@ -121,60 +120,56 @@ class Verified:
         image = self._network.solver(case)
         heights = unit_heights(image, grid)
         starts = unit_starts(heights)
-        verifier, material, setup_ms = self._of(case)
-
-        def verify(by: UnitVerifier, before: tuple[UnitTouch, ...] = ()) -> tuple[Verdict[UnitTouch], float]:
-            start = time.process_time()
-            verdict = by.verify(
-                change,
-                case.flat_reference,
-                starts,
-                self._noise,
-                rows=rows,
-                budget_s=self._budget_s,
-                before=before,
-                heights=heights,
-                clock=time.process_time,
-            )
-            return verdict, 1e3 * (time.process_time() - start)
-
-        verdict, cpu_ms = verify(verifier)
-        for _ in range(REBUILT):
-            found = material_shown(verdict, material)
-            if found is None:
-                break
-            begin = time.process_time()
-            other = prepared(case.sheet.cloud_mm, self._skin, material=found)
-            setup_ms += 1e3 * (time.process_time() - begin)
-            again, again_ms = verify(other, verdict.touches)
-            if not better_with_material(again, verdict):
-                setup_ms += again_ms
-                break
-            verdict, cpu_ms, verifier, material = again, again_ms, other, found
-            self._keep(shape_of(case), verifier, material)
+        sheet, setup_ms = self._of(case)
+        asked = Asked(change, case.flat_reference, self._noise, starts, rows, self._budget_s, (), heights)
+        begin = time.process_time()
+        verdict = sheet.verify(asked)
+        cpu_ms, begin = 1e3 * (time.process_time() - begin), time.process_time()
+        while sheet.improves:
+            verdict = sheet.improve() or verdict
+        setup_ms += 1e3 * (time.process_time() - begin)
         self.checked.append(Checked(verdict, 1e3 * verdict.seconds, cpu_ms, setup_ms, starts[0]))
         touched = np.zeros(grid.n_units)
         touched[[one.unit for one in verdict.touches]] = 1.0
         return np.asarray(grid.map_from_units(touched), dtype=np.float64)
 
-    def _of(self, case: Case) -> tuple[UnitVerifier, Material, float]:
-        """Return the verifier of a case's shape, the material in it, and ms that it took: 0 for the shape just seen."""
-        shape = shape_of(case)
-        if shape in self._made:
-            return *self._made[shape], 0.0
-        begin = time.process_time()
-        self._keep(shape, prepared(case.sheet.cloud_mm, self._skin), STILL)
-        return *self._made[shape], 1e3 * (time.process_time() - begin)
-
-    def _keep(self, shape: bytes, verifier: UnitVerifier, material: Material) -> None:
-        if not self._keeps:
-            self._made.clear()
-        self._made[shape] = verifier, material
+    def _of(self, case: Case) -> tuple[UnitSheet, float]:
+        """Return the sheet of a case's shape, and ms that its models took: 0 for a shape that was seen before."""
+        shape, begin = shape_of(case), time.process_time()
+        if shape not in self._made:
+            found = UnitSheet(case.sheet.cloud_mm, self._skin, clock=time.process_time)
+            if self._at_rest:
+                self.rest(untouched_mean(case, self._noise, self._at_rest), self._at_rest)
+            if not self._keeps:
+                self._made.clear()
+            self._made[shape] = found
+        elif self._seen_at_rest is None:
+            return self._made[shape], 0.0
+        sheet = self._made[shape]
+        if self._seen_at_rest is not None:
+            voltages_V, frames = self._seen_at_rest
+            sheet.rest(relative_change(voltages_V, case.flat_reference), case.flat_reference, self._noise, frames)
+            self._seen_at_rest = None
+        return sheet, 1e3 * (time.process_time() - begin)
 
 
 def shape_of(case: Case) -> bytes:
     """Return what tells one sheet at one shape from another: not its scan alone, which shows no uneven stretch."""
     return case.sheet.cloud_mm.tobytes() + case.sheet.untouched.tobytes()
+
+
+def untouched_mean(case: Case, noise: Noise, frames: int) -> npt.NDArray[np.float64]:
+    """Return (104,) V that a case's sheet reads untouched: the mean of some frames.
+
+    Raises:
+        ValueError: The noise is measured.
+    """
+    untouched = case.sheet.untouched
+    if noise.law == "measured":
+        raise ValueError("measured frames have no untouched ones beside them; leave --at-rest out")
+    rng = np.random.default_rng([SEED, zlib.crc32(untouched.tobytes())])
+    every = np.tile(untouched, (frames, 1))
+    return np.asarray(add_noise(every, case.flat_reference, noise.law, noise.snr_db, rng).mean(axis=0))
 
 
 def noise_shown(reference_V: npt.NDArray[np.float64], spread_V: npt.NDArray[np.float64]) -> Noise:
@@ -187,31 +182,6 @@ def noise_shown(reference_V: npt.NDArray[np.float64], spread_V: npt.NDArray[np.f
     inverse = inverse_reference(reference_V)
     sd = np.clip(spread_V * np.abs(inverse), *SPREADS)
     return Noise("measured", measured=np.where(inverse != 0.0, sd, SPREADS[1]))
-
-
-def material_shown(verdict: Verdict[UnitTouch], material: Material) -> Material | None:
-    """Return the amplitudes of material that a model should have after a frame; None where it has them.
-
-    Args:
-        verdict: Of the frame.
-        material: What the model has.
-    """
-    more = [next((one for one in verdict.nuisances if one.name == name), NOTHING) for name in MATERIAL]
-    if all(abs(one.value) <= max(CLEAR * one.error, LEAST) for one in more):
-        return None
-    return tuple(float(np.clip(old + one.value, -MOST, MOST)) for old, one in zip(material, more, strict=True))
-
-
-def better_with_material(again: Verdict[UnitTouch], before: Verdict[UnitTouch]) -> bool:
-    """Return whether a frame is so much better explained by a model made anew that the model is kept.
-
-    A frame whose touches are not found asks for any material; made of it, the model would spoil the frames after it.
-
-    Args:
-        again: The frame's verdict by the model with the material that it has shown.
-        before: By the model without.
-    """
-    return again.p_value >= again.level or again.chi_squared < SPARED * before.chi_squared
 
 
 def unit_heights(image: npt.NDArray[np.float64], grid: Any) -> npt.NDArray[np.float64]:

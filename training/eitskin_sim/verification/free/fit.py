@@ -29,9 +29,9 @@ from eitskin_sim.shapes.sheet import Solved
 from eitskin_sim.verification.free.effort import never
 from eitskin_sim.verification.free.prior.costs import cost_rates, costs, own_parameters
 from eitskin_sim.verification.free.prior.joints import Joints
-from eitskin_sim.verification.free.sheet.model import Model
 from eitskin_sim.verification.free.usual import Usual
 from eitskin_sim.verification.residual import Whitener
+from eitskin_sim.verification.sheet.model import Model
 
 INSIDE_MM: Final = 0.5
 """From the sheet's border to a centre, at least."""

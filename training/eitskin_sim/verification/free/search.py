@@ -42,13 +42,13 @@ from eitskin_sim.verification.free.found import (
     touches_of,
 )
 from eitskin_sim.verification.free.seen import closed, left_out, too_small
-from eitskin_sim.verification.free.sheet.deformation import Deformation
-from eitskin_sim.verification.free.sheet.model import model_of_cloud
 from eitskin_sim.verification.free.starts import followed, starts_of, tries_of
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.free.valley import likely
 from eitskin_sim.verification.residual import Noise
-from eitskin_sim.verification.spreads import Spreads
+from eitskin_sim.verification.sheet.deformation import Deformation
+from eitskin_sim.verification.sheet.model import model_of_cloud
+from eitskin_sim.verification.sheet.spreads import Spreads
 
 BUDGET_S: Final = 2.0
 """What a frame may take; most take a thirtieth of it."""
@@ -162,7 +162,6 @@ class FreeVerifier:
             LEVEL,
             effort.fits,
             effort.seconds,
-            (),
             unfinished,
             fit.pieces,
             tuple(trail),

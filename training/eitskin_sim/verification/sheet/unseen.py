@@ -11,7 +11,9 @@ so the three powers of every element are made once, and a change costs one small
 
     stretch     the material lies elsewhere under the scan's points: waves along x and y, none across the border
     scan        what the scanner's noise leaves unsure of the surface, in every way in which it moves it
-    drift, tilt x, tilt y, gauge       of the conductivity, as in eitskin_sim.verification.nuisance
+    drift       of the whole layer's conductivity since the reference
+    tilt x, y   drift that differs from end to end, a plane of rms 1
+    gauge       conductivity goes with (local area stretch)^-k
 """
 
 from dataclasses import dataclass
@@ -27,8 +29,8 @@ from eitskin_sim.freeform.mesh import KEPT, MIDDLE, with_contacts
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import TouchedSheet
 from eitskin_sim.surface.smoothed import Scan
-from eitskin_sim.verification.free.sheet.waves import Waves, waves_of
-from eitskin_sim.verification.spreads import Spreads, layer_fields
+from eitskin_sim.verification.sheet.spreads import Spreads, layer_fields
+from eitskin_sim.verification.sheet.waves import Waves, waves_of
 
 LEAST: Final = 0.01
 """Ways in which a scan's noise changes voltages by less, of the strongest, are none."""

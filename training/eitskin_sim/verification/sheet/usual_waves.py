@@ -22,7 +22,7 @@ from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import fit_cloud
 from eitskin_sim.surface.smoothed import Scan
-from eitskin_sim.verification.free.sheet.waves import Waves, waves_of
+from eitskin_sim.verification.sheet.waves import Waves, waves_of
 
 SEED: Final = 44_217
 """Names the deformations."""

@@ -34,7 +34,7 @@ def usual(skin: Skin) -> Spreads:
     """Return what a verifier assumes that is told nothing of the device but its skin.
 
     Of the scanner that is the least noise that the skin states: a scan that has more shows it by its own points
-    (:mod:`eitskin_sim.verification.scan_noise`).
+    (:mod:`eitskin_sim.verification.sheet.scan_noise`).
     """
     return Spreads(scan_mm=skin.may_be_off.scan_noise_mm[0] or SCAN_NOISE_MM)
 

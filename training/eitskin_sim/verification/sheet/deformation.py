@@ -5,8 +5,8 @@ from collections.abc import Callable
 from typing import Final
 
 from eitskin_sim.scene.touch_table import Array
-from eitskin_sim.verification.free.sheet.model import LOOSER, Model
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.sheet.model import LOOSER, Model
 
 ANEW: Final = 4
 """Times that a deformation's model is made again about what frames have shown, at most."""
@@ -86,10 +86,19 @@ class Deformation:
         """Whether another frame may show it."""
         return self._anew < ANEW
 
-    def make_anew(self, amplitudes: Array) -> None:
-        """Make the model about amplitudes of all its columns; it stays as it is where no sheet has them."""
+    def make_anew(self, amplitudes: Array) -> Callable[[], None]:
+        """Make the model about amplitudes of all its columns, and return what brings back the one before.
+
+        It stays as it is where no sheet has them.
+        """
+        before = self._model
+
+        def back() -> None:
+            self._model = before
+
         self._make(lambda: self.model.about(amplitudes) or self.model)
         self._anew += 1
+        return back
 
     @property
     def may_be_looser(self) -> bool:

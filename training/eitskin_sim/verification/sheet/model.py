@@ -1,4 +1,4 @@
-"""What touches off the unit grid should read on one scanned deformation, and what the model does not know of it.
+"""What touches should read on one scanned deformation, and what the model does not know of it.
 
 dV is against the flat reference, as the runtime's: V over the model's own flat sheet on the same mesh, less 1, so that
 the mesh's error and the current drop out. Where a frame says that the sheet is stretched otherwise than the scan shows,
@@ -22,13 +22,13 @@ from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import Solved, TouchedSheet
 from eitskin_sim.surface.predict import fit_cloud
 from eitskin_sim.surface.smoothed import Scan, exact, smoothed
-from eitskin_sim.verification.at_rest import MOST_SCALE, AtRest, at_rest
-from eitskin_sim.verification.free.sheet.unseen import Unseen, unseen
-from eitskin_sim.verification.free.sheet.usual_waves import Lying, usual_waves
-from eitskin_sim.verification.free.sheet.waves import waves_of
-from eitskin_sim.verification.residual import Noise, Whitener
-from eitskin_sim.verification.scan_noise import scan_noise_mm
-from eitskin_sim.verification.spreads import Spreads, usual
+from eitskin_sim.verification.residual import Noise, Rows, Whitener
+from eitskin_sim.verification.sheet.at_rest import MOST_SCALE, AtRest, at_rest
+from eitskin_sim.verification.sheet.scan_noise import scan_noise_mm
+from eitskin_sim.verification.sheet.spreads import Spreads, usual
+from eitskin_sim.verification.sheet.unseen import Unseen, unseen
+from eitskin_sim.verification.sheet.usual_waves import Lying, usual_waves
+from eitskin_sim.verification.sheet.waves import waves_of
 
 ELEMENT_MM: Final = 4.5
 """The largest element: fitted centres are off by up to 0.1 mm by it, sizes by 0.2 mm."""
@@ -89,6 +89,11 @@ class Model:
     """What is known of the sheet since it was seen untouched; None before."""
 
     @property
+    def gauge(self) -> float:
+        """The gauge factor that the model has beside its skin's."""
+        return self._gauge(self.held)
+
+    @property
     def untouched(self) -> Array:
         """(104,) dV with nothing touched."""
         return np.asarray(self.touched.untouched_V / self.flat_V - 1.0)
@@ -106,13 +111,32 @@ class Model:
         """Return (104, r) dV by the free parameters."""
         return np.asarray(self.touched.jacobian(solved, free)[0] / self.flat_V[:, None])
 
-    def whitener(self, change: Array, reference: Array, noise: Noise, rough: float = 1.0) -> Whitener:
-        """Return the whitener of a frame (104,) dV against a reference (104,) V, of a model so many times as rough."""
-        columns = self._columns() * self.ratio(change)[:, None]
-        floor = FLOOR if self.rest is None else FLOOR * self.rest.scale
-        return Whitener(noise.sd(change, reference), columns, 1.0 + change, floor=rough * floor)
+    def whitener(
+        self,
+        change: Array,
+        reference: Array,
+        noise: Noise,
+        rough: float = 1.0,
+        rows: Rows | None = None,
+        own: Array | None = None,
+    ) -> Whitener:
+        """Return the whitener of a frame.
 
-    def roughly(self, change: Array, residual: Array, reference: Array, noise: Noise) -> Array:
+        Args:
+            change: (104,) dV that it reads.
+            reference: (104,) V.
+            noise: Of the frame.
+            rough: Times that the model is as rough as it is.
+            rows: (104,) which rows there are; None is all.
+            own: (104,) dV that each row may be off by besides, alone; None is none.
+        """
+        columns, sd = self._columns() * self.ratio(change)[:, None], noise.sd(change, reference)
+        floor = FLOOR if self.rest is None else FLOOR * self.rest.scale
+        return Whitener(sd if own is None else np.hypot(sd, own), columns, 1.0 + change, rows, rough * floor)
+
+    def roughly(
+        self, change: Array, residual: Array, reference: Array, noise: Noise, rows: Rows | None = None
+    ) -> Array:
         """Return the amplitudes of all columns that a frame's residual speaks for, rows not explained believed less.
 
         Far from the truth no column explains a residual, and all that try go astray. What is left of it shows once the
@@ -123,11 +147,12 @@ class Model:
             residual: (104,) dV of it that nothing else explains.
             reference: (104,) V.
             noise: Of the frame.
+            rows: (104,) which rows there are; None is all.
         """
-        white = self.whitener(change, reference, noise)
+        white = self.whitener(change, reference, noise, rows=rows)
         misfit = max(float(white.chi_squared(residual)) / len(white) - 1.0, 0.0)
         rough = float(np.sqrt(1.0 + ROUGH**2 * misfit))
-        return self.whitener(change, reference, noise, rough).amplitudes(residual)[0]
+        return self.whitener(change, reference, noise, rough, rows).amplitudes(residual)[0]
 
     def _columns(self) -> Array:
         """Return the (104, m) dV that may differ, of one standard deviation each, on the untouched sheet."""

@@ -1,0 +1,202 @@
+"""Touched units on one deformation after another, each with the models that its frames ask for.
+
+The model is first that of the scan. A frame may show that the sheet is stretched otherwise, or conducts otherwise where
+it is stretched: the model is then made again about that. One that nothing explains asks for looser material, and
+roughly how the sheet conducts. Another model is kept where it explains that frame better: a frame whose touches are not
+found asks for any, which would spoil those after it. Frames of the untouched sheet say most, and are believed alone.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.reduced.exact import exact_sheet
+from eitskin_sim.reduced.model import ReducedModel, cloud_digest, rows_of
+from eitskin_sim.reduced.quick import quick_model
+from eitskin_sim.scene.nominal import flat_metric_of
+from eitskin_sim.verification.residual import Array, Noise, Rows
+from eitskin_sim.verification.sheet.deformation import Deformation
+from eitskin_sim.verification.sheet.model import Model, model_of_cloud
+from eitskin_sim.verification.sheet.spreads import Spreads
+from eitskin_sim.verification.units import UnitTouch, UnitVerifier
+from eitskin_sim.verification.verdict import Verdict
+
+SPARED: Final = 0.7
+"""Another model is kept if it leaves less than this part of a frame's chi-squared, or explains the frame."""
+
+UnitVerdict = Verdict[UnitTouch]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Asked:
+    """One frame to be explained.
+
+    Args:
+        change: (104,) dV of the frame.
+        reference: (104,) V of the flat, untouched sheet.
+        noise: Of the frame.
+        starts: (units,) truth values each: what a network's map shows, at one threshold or several.
+        rows: (104,) which rows there are; None is all.
+        budget_s: The search ends after it; None is the verifier's own.
+        before: The last frame's touches, another start.
+        heights: (units,) of the network's map, from 0 to 1; None is not known.
+    """
+
+    change: Array
+    reference: Array
+    noise: Noise
+    starts: Sequence[npt.NDArray[np.bool_]] = ()
+    rows: Rows | None = None
+    budget_s: float | None = None
+    before: tuple[UnitTouch, ...] = ()
+    heights: Array | None = None
+
+
+class UnitSheet:
+    """Verifies frames of one deformation after another.
+
+    Args:
+        cloud_mm: (3, rows, columns) mm, of the first deformation.
+        skin: Whose frames.
+        spreads: How much may differ between the sheet and its model; None is what the skin says.
+        clock: What budgets are counted by, in seconds; ``time.process_time`` on a machine that is shared.
+
+    Raises:
+        ValueError: The cloud is malformed, or folds in its own plane.
+    """
+
+    def __init__(
+        self,
+        cloud_mm: npt.ArrayLike,
+        skin: Skin = PAPER,
+        spreads: Spreads | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self._skin, self._spreads, self._clock = skin, spreads, clock
+        self._deformation = Deformation(clock)
+        self.deform(cloud_mm)
+
+    def deform(self, cloud_mm: npt.ArrayLike) -> None:
+        """Take another scanned deformation for the frames that follow.
+
+        Raises:
+            ValueError: The cloud is malformed, or folds in its own plane.
+        """
+        self._digest = cloud_digest(np.asarray(cloud_mm))
+        self._deformation.scan(lambda: model_of_cloud(cloud_mm, self._skin, self._spreads))
+        self._verifier = self._made()
+        self._last: tuple[Asked, UnitVerdict] | None = None
+
+    def rest(self, change: Array, reference: Array, noise: Noise, frames: int = 1) -> bool:
+        """Take what the deformation reads while nothing touches it, for the frames that follow.
+
+        Args:
+            change: (104,) dV, the mean of some frames.
+            reference: (104,) V of the flat, untouched sheet.
+            noise: Of one of them.
+            frames: How many.
+
+        Returns:
+            Whether it is the scanned sheet; where it is not, nothing changes.
+
+        Raises:
+            ValueError: There is no frame.
+        """
+        known = self._deformation.rest(change, reference, noise.of_mean(frames))
+        if known:
+            self._verifier, self._last = self._made(), None
+        return known
+
+    def verify(self, asked: Asked) -> UnitVerdict:
+        """Return the set of touched units that explains a frame best.
+
+        Raises:
+            ValueError: As of :meth:`eitskin_sim.verification.units.UnitVerifier.verify`.
+        """
+        verdict = self._verified(self._verifier, asked)
+        self._last = asked, verdict
+        return verdict
+
+    @property
+    def improves(self) -> bool:
+        """Whether the last frame asks for another model."""
+        return self._next() is not None
+
+    def improve(self) -> UnitVerdict | None:
+        """Make the model that the last frame asks for, and return that frame's verdict by it where it is kept."""
+        make = self._next()
+        if make is None or self._last is None:
+            return None
+        (asked, before), verifier = self._last, self._verifier
+        if (back := make()) is None:
+            return None
+        try:
+            self._verifier = self._made()
+            again = self._verified(self._verifier, replace(asked, before=before.touches))
+        except (ValueError, np.linalg.LinAlgError):  # no sheet is so
+            again = None
+        if again is None or not better(again, before):
+            back()
+            self._verifier = verifier
+            return None
+        self._last = asked, again
+        return again
+
+    def _next(self) -> Callable[[], Callable[[], None] | None] | None:
+        """Return what makes the model that the last frame asks for, and returns what brings back the one before."""
+        if self._last is None:
+            return None
+        deformation, (_, verdict) = self._deformation, self._last
+        if deformation.may_be_made_anew:
+            amplitudes = self._amplitudes(deformation.is_rough)
+            if deformation.model.differs(amplitudes):
+                return partial(deformation.make_anew, amplitudes)
+        if verdict.flagged and deformation.may_be_looser:
+            return partial(deformation.loosen, partial(self._amplitudes, True))
+        return None
+
+    def _amplitudes(self, rough: bool) -> Array:
+        """Return amplitudes of all columns that what is left of the last frame speaks for."""
+        assert self._last is not None
+        asked, verdict = self._last
+        frame, left = self._verifier.left(asked.change, asked.reference, asked.noise, asked.rows, verdict.touches)
+        if rough:
+            return self._deformation.model.roughly(asked.change, left, asked.reference, asked.noise, asked.rows)
+        return frame.white.amplitudes(left)[0]
+
+    def _verified(self, verifier: UnitVerifier, asked: Asked) -> UnitVerdict:
+        return verifier.verify(
+            asked.change, asked.reference, asked.starts, asked.noise, rows=asked.rows, budget_s=asked.budget_s,
+            before=asked.before, heights=asked.heights, clock=self._clock,
+        )  # fmt: skip
+
+    def _made(self) -> UnitVerifier:
+        """Return the verifier of the model in use."""
+        model = self._deformation.model
+        return UnitVerifier(_reduced(model, self._skin, self._digest), flat_of(self._skin), model)
+
+
+def better(again: UnitVerdict, before: UnitVerdict) -> bool:
+    """Return whether a frame is so much better explained by another model that this one is kept.
+
+    Args:
+        again: The frame's verdict by the other model.
+        before: By the one in use.
+    """
+    return not again.flagged or again.chi_squared < SPARED * before.chi_squared
+
+
+def _reduced(model: Model, skin: Skin, digest: str) -> ReducedModel:
+    return quick_model(model.metric, skin, digest, model.gauge)
+
+
+@lru_cache(maxsize=4)
+def flat_of(skin: Skin = PAPER) -> Array:
+    """Return the (104,) V of the reduced models' flat, untouched sheet, under 1 A at 1 S/m."""
+    return rows_of(exact_sheet(flat_metric_of(skin), skin).untouched)
