@@ -36,6 +36,10 @@ class Physics:
         self._network = network
         self.checked: list[Any] = []
         self.cases: list[Any] = []
+        self.rested: list[tuple[Any, int]] = []
+
+    def rest(self, voltages_V: Any, frames: int) -> None:
+        self.rested.append((voltages_V, frames))
 
     def solve(self, case: Any) -> Any:
         self.cases.append(case)
@@ -71,6 +75,10 @@ def test_touched_frames_are_given_with_the_cloud_and_the_reference_that_held(
     assert fields["verified"]["ms_median"] == 4.0
     assert fields["verified"]["not_verified"] == {}
     before, behind = physics  # a cloud was given amid the touch
+    ((at_rest_V, frames),) = before.rested
+    assert frames == FRAMES
+    assert at_rest_V == pytest.approx(before.cases[0].flat_reference, rel=5e-3)
+    assert len(behind.rested) == 1, "once more, since the touch is gone"
     assert np.allclose(behind.cases[0].sheet.cloud_mm, CLOUD, atol=1e-3)
     assert not np.allclose(before.cases[0].sheet.cloud_mm, CLOUD, atol=1e-3)
     change = before.cases[0].voltages / before.cases[0].flat_reference - 1.0

@@ -162,10 +162,17 @@ class UnitSheet:
         return None
 
     def _amplitudes(self, rough: bool) -> Array:
-        """Return amplitudes of all columns that what is left of the last frame speaks for."""
+        """Return amplitudes of all columns that what is left of the last frame speaks for.
+
+        Touches that the network does not show, where nothing explains a frame, were put in to explain the sheet.
+        """
         assert self._last is not None
         asked, verdict = self._last
-        frame, left = self._verifier.left(asked.change, asked.reference, asked.noise, asked.rows, verdict.touches)
+        touches = verdict.touches
+        if rough and verdict.flagged and len(asked.starts):
+            shown = np.any(asked.starts, axis=0)
+            touches = tuple(one for one in touches if shown[one.unit])
+        frame, left = self._verifier.left(asked.change, asked.reference, asked.noise, asked.rows, touches)
         if rough:
             return self._deformation.model.roughly(asked.change, left, asked.reference, asked.noise, asked.rows)
         return frame.white.amplitudes(left)[0]

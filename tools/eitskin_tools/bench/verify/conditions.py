@@ -36,6 +36,13 @@ PRESS_BORDER_MM: Final = 4.0
 """Of its graded border."""
 
 
+SEEN_AT_REST: Final = (
+    "reference taken stretched by 1 %", "deformation off by 3 %", "gauge factor +1", "gauge factor -1",
+    "lab device, hard touches",
+)  # fmt: skip
+"""Devices that units are verified on once more, seen untouched before."""
+
+
 @dataclass(frozen=True, slots=True)
 class Condition:
     """One row of touched units."""
@@ -51,6 +58,8 @@ class Condition:
     """Width of the units' graded borders."""
     missing: bool = False
     """One electrode is gone, another one for each map."""
+    at_rest: int = 0
+    """Frames of each deformation that are seen untouched first."""
 
     def contrasts(self, count: int, rng: np.random.Generator) -> list[float]:
         """Return the contrast of each of so many units."""
@@ -90,6 +99,7 @@ def unit_conditions() -> list[Condition]:
         "uneven stretch +0.1": Mismatch(unseen_stretch=0.1),
         "lab device, hard touches": replace(LAB, contrast=None, border_mm=0.0),
     }
+    seen = {"1 to 6 units, N2": IDEAL, **{name: off[name] for name in SEEN_AT_REST}}
     return [
         *(Condition(f"1 to 6 units, {noise}", noise=noise) for noise in ("N1", "N2", "N3")),
         *(Condition(f"7 to 12 units, {noise}", noise=noise, counts=(7, 12)) for noise in ("N1", "N2", "N3")),
@@ -98,6 +108,7 @@ def unit_conditions() -> list[Condition]:
         Condition("contrasts mixed, of either sign", contrast=None),
         *(Condition(f"soft borders of {border:g} mm", border_mm=border) for border in (2.0, 4.0)),
         *(Condition(name, mismatch) for name, mismatch in off.items()),
+        *(Condition(f"seen at rest: {name}", mismatch, at_rest=FRAMES) for name, mismatch in seen.items()),
     ]
 
 

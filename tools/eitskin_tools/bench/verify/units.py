@@ -51,12 +51,13 @@ class Units:
 
         Frames of one sheet come one after another: what the first of them show of its material serves the next.
         """
-        made: Made = self._of_ideal if condition.mismatch == IDEAL else {}
+        made: Made = self._of_ideal if condition.mismatch == IDEAL and not condition.at_rest else {}
         found = []
         for number, bend in enumerate(self._bends):
             device = device_of(condition.mismatch, number)
             flat = volts(device.reference())
-            sheet = Sheet(cloud_of(device, bend, number), np.full(len(flat), np.nan))
+            untouched = _volts(device, bend) if condition.at_rest else np.full(len(flat), np.nan)
+            sheet = Sheet(cloud_of(device, bend, number), untouched)
             touches = np.random.default_rng([SEED, number, *condition.counts])
             rng = np.random.default_rng([SEED, number, 1])
             verified = self._verified(condition, (), made)
@@ -86,7 +87,8 @@ class Units:
 
     def _verified(self, condition: Condition, missing: tuple[int, ...], made: Made) -> Verified:
         noise = Noise(condition.noise)
-        return Verified(self._network, noise, PAPER, self._budget_s, missing, self._filler, made)
+        at_rest = condition.at_rest
+        return Verified(self._network, noise, PAPER, self._budget_s, missing, self._filler, made, at_rest)
 
 
 def _touched(condition: Condition, device: Device, bend: Bend, rng: np.random.Generator) -> tuple[list[int], Array]:
@@ -100,7 +102,11 @@ def _touched(condition: Condition, device: Device, bend: Bend, rng: np.random.Ge
         row, column = divmod(unit, grid.units[1])
         rect = Rect(*grid.unit_rect_mm(column, row))
         touches.append(Touch((rect,), contrast=contrast, border_mm=condition.border_mm))
-    return units, volts(device.scene(nominal_scene(PAPER, bend, tuple(touches)), as_it_is=True))
+    return units, _volts(device, bend, tuple(touches))
+
+
+def _volts(device: Device, bend: Bend, touches: tuple[Touch, ...] = ()) -> Array:
+    return volts(device.scene(nominal_scene(PAPER, bend, touches), as_it_is=True))
 
 
 def figures(maps: list[tuple[bool, bool, Any]]) -> Row:

@@ -123,11 +123,11 @@ class Verified:
         sheet, setup_ms = self._of(case)
         asked = Asked(change, case.flat_reference, self._noise, starts, rows, self._budget_s, (), heights)
         begin = time.process_time()
-        verdict = sheet.verify(asked)
+        verdict, asks = sheet.verify(asked), sheet.improves
         cpu_ms, begin = 1e3 * (time.process_time() - begin), time.process_time()
-        while sheet.improves:
-            verdict = sheet.improve() or verdict
-        setup_ms += 1e3 * (time.process_time() - begin)
+        while asks:
+            verdict, asks = sheet.improve() or verdict, sheet.improves
+            setup_ms, begin = setup_ms + 1e3 * (time.process_time() - begin), time.process_time()
         self.checked.append(Checked(verdict, 1e3 * verdict.seconds, cpu_ms, setup_ms, starts[0]))
         touched = np.zeros(grid.n_units)
         touched[[one.unit for one in verdict.touches]] = 1.0

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from eitskin_sim.verification.sheet import at_rest as module
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.sheet import at_rest as module
 from eitskin_sim.verification.sheet.at_rest import at_rest
 
 ROWS = 40

@@ -1,0 +1,155 @@
+"""Touched units on sheets that are not as their scans say: frames ask for other models, which are kept if better."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from itertools import count
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.sensor.row_gaussian import rows_of as rows_of_electrodes
+from eitskin_sim.measurement.noise import add_noise
+from eitskin_sim.reduced.exact import ExactSheet, exact_sheet
+from eitskin_sim.reduced.model import rows_of
+from eitskin_sim.scene.bend import bend_metric
+from eitskin_sim.scene.parts import Bend, Sheet
+from eitskin_sim.surface.measured_cloud import measured_cloud
+from eitskin_sim.verification import unit_sheet
+from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.sheet.deformation import ANEW
+from eitskin_sim.verification.unit_sheet import Asked, UnitSheet, UnitVerdict, better, flat_of
+from eitskin_sim.verification.verdict import Verdict
+
+from .small_frames import SMALL
+
+Array = npt.NDArray[np.float64]
+
+UNEVEN = Bend(angle_deg=100.0, axis_deg=20.0, skew=0.3, stretch_along=1.1, stretch_across=1.03, nonuniformity=0.13)
+"""Its stretch is not as even as its scan seems to show."""
+
+GAUGE = 1.2
+"""More than a sheet is likely to have."""
+
+NOISE = Noise("N2", 50.0)
+UNITS = {3: 50.0, 16: 50.0}
+
+
+@lru_cache(maxsize=2)
+def true_sheet(gauge: float) -> ExactSheet:
+    return exact_sheet(bend_metric(UNEVEN, Sheet()), SMALL, gauge=gauge)
+
+
+def read(touched: dict[int, float], seed: int, gauge: float = GAUGE) -> Array:
+    """Return (104,) dV of the true sheet with noise."""
+    sheet = true_sheet(gauge)
+    volts = rows_of(sheet.untouched)
+    if touched:
+        volts = rows_of(sheet.currents(np.array(list(touched)), np.array(list(touched.values())))[1])
+    return relative_change(add_noise(volts, flat_of(SMALL), "N2", 50.0, np.random.default_rng(seed)), flat_of(SMALL))
+
+
+def asked(change: Array, units: dict[int, float], rows: npt.NDArray[np.bool_] | None = None) -> Asked:
+    """Return a frame whose network shows some units."""
+    start = np.zeros(SMALL.grid.n_units, dtype=np.bool_)
+    start[list(units)] = True
+    return Asked(change, flat_of(SMALL), NOISE, (start,), rows, 1e4)
+
+
+def scanned() -> UnitSheet:
+    """Return the scanned sheet, whose time is counted in looks at the clock."""
+    looks = count()
+    return UnitSheet(measured_cloud(UNEVEN, np.random.default_rng(4), skin=SMALL), SMALL, clock=lambda: next(looks))
+
+
+def improved(sheet: UnitSheet) -> list[UnitVerdict]:
+    """Make models as long as the last frame asks for any, and return the verdicts of those that were kept."""
+    found = []
+    while sheet.improves:
+        if (verdict := sheet.improve()) is not None:
+            found.append(verdict)
+    return found
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _kept() -> None:
+    """Make once what all sheets of a skin share."""
+    scanned()
+
+
+def units_of(verdict: UnitVerdict) -> set[int]:
+    return {one.unit for one in verdict.touches}
+
+
+def test_a_frame_shows_how_the_sheet_is_stretched_and_conducts_and_those_after_it_are_explained() -> None:
+    sheet = scanned()
+    first = sheet.verify(asked(read(UNITS, 1), UNITS))
+    assert first.flagged
+    kept = improved(sheet)
+    assert not kept[-1].flagged
+    assert units_of(kept[-1]) == set(UNITS)
+    assert kept[-1].chi_squared < 0.5 * first.chi_squared
+    others = {7: 50.0, 10: 0.4}
+    second = sheet.verify(asked(read(others, 2), {7: 50.0}))
+    assert units_of(second) == set(others)
+    assert not second.flagged
+
+
+def test_a_sheet_that_was_seen_at_rest_needs_no_other_model() -> None:
+    sheet = scanned()
+    mean = np.mean([read({}, seed) for seed in range(100, 150)], axis=0)
+    assert sheet.rest(mean, flat_of(SMALL), NOISE, 50)
+    verdict = sheet.verify(asked(read(UNITS, 1), {}))
+    assert units_of(verdict) == set(UNITS)
+    assert not verdict.flagged
+    assert not sheet.improves
+    assert sheet.improve() is None
+
+
+def test_another_sheet_at_rest_changes_nothing() -> None:
+    sheet, usual = scanned(), read(UNITS, 1, 0.0)
+    before = sheet.verify(asked(usual, UNITS))
+    strange = 0.3 * np.sign(np.random.default_rng(2).standard_normal(104))
+    assert not sheet.rest(strange, flat_of(SMALL), NOISE, 50)
+    assert sheet.verify(asked(usual, UNITS)).chi_squared == pytest.approx(before.chi_squared, rel=1e-9)
+
+
+def test_missing_rows_do_not_count_in_what_a_frame_shows_of_the_sheet() -> None:
+    rows = ~rows_of_electrodes((5,))
+    found = []
+    for filled in (0.0, np.nan):
+        sheet = scanned()
+        sheet.verify(asked(np.where(rows, read(UNITS, 1), filled), UNITS, rows))
+        found.append([one.chi_squared for one in improved(sheet)])
+    assert len(found[0]) > 0
+    assert found[0] == found[1]
+
+
+def test_frames_that_nothing_explains_ask_for_few_models_and_spoil_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+    reduced: Callable[..., object] = unit_sheet._reduced
+    monkeypatch.setattr(unit_sheet, "_reduced", lambda *words: made.append(words) or reduced(*words))
+    sheet, usual = scanned(), read(UNITS, 1, 0.0)
+    before = sheet.verify(asked(usual, UNITS))
+    strange = read(UNITS, 1) + 0.2 * np.random.default_rng(2).standard_normal(104)
+    for _ in range(4):
+        sheet.verify(replace(asked(strange, UNITS), budget_s=0.0))
+        assert improved(sheet) == []
+    assert len(made) <= 1 + ANEW + 2
+    assert sheet.verify(asked(usual, UNITS)).chi_squared == pytest.approx(before.chi_squared, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("again", "kept"), [((900.0, 0.0), False), ((500.0, 0.0), True), ((1200.0, 0.2), True), ((5000.0, 0.0), False)]
+)
+def test_another_model_is_kept_where_it_explains_the_frame_better(again: tuple[float, float], kept: bool) -> None:
+    found, before = (Verdict((), chi, 104, p, 0.01, 1, 0.0) for chi, p in (again, (1000.0, 0.0)))
+    assert better(found, before) is kept
+
+
+def test_nothing_is_made_before_there_is_a_frame() -> None:
+    sheet = scanned()
+    assert not sheet.improves
+    assert sheet.improve() is None
