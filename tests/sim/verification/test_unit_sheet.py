@@ -1,7 +1,6 @@
 """Touched units on sheets that are not as their scans say: frames ask for other models, which are kept if better."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import lru_cache
 from itertools import count
 
@@ -20,7 +19,7 @@ from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.verification import unit_sheet
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.sheet.deformation import ANEW
-from eitskin_sim.verification.unit_sheet import Asked, UnitSheet, UnitVerdict, better, flat_of
+from eitskin_sim.verification.unit_sheet import UnitSheet, UnitVerdict, better, flat_of
 from eitskin_sim.verification.verdict import Verdict
 
 from .small_frames import SMALL
@@ -51,11 +50,17 @@ def read(touched: dict[int, float], seed: int, gauge: float = GAUGE) -> Array:
     return relative_change(add_noise(volts, flat_of(SMALL), "N2", 50.0, np.random.default_rng(seed)), flat_of(SMALL))
 
 
-def asked(change: Array, units: dict[int, float], rows: npt.NDArray[np.bool_] | None = None) -> Asked:
-    """Return a frame whose network shows some units."""
+def verified(
+    sheet: UnitSheet,
+    change: Array,
+    shown: dict[int, float],
+    rows: npt.NDArray[np.bool_] | None = None,
+    budget_s: float = 1e4,
+) -> UnitVerdict:
+    """Return the verdict on a frame whose network shows some units."""
     start = np.zeros(SMALL.grid.n_units, dtype=np.bool_)
-    start[list(units)] = True
-    return Asked(change, flat_of(SMALL), NOISE, (start,), rows, 1e4)
+    start[list(shown)] = True
+    return sheet.verify(change, flat_of(SMALL), (start,), NOISE, rows=rows, budget_s=budget_s)
 
 
 def scanned() -> UnitSheet:
@@ -85,14 +90,14 @@ def units_of(verdict: UnitVerdict) -> set[int]:
 
 def test_a_frame_shows_how_the_sheet_is_stretched_and_conducts_and_those_after_it_are_explained() -> None:
     sheet = scanned()
-    first = sheet.verify(asked(read(UNITS, 1), UNITS))
+    first = verified(sheet, read(UNITS, 1), UNITS)
     assert first.flagged
     kept = improved(sheet)
     assert not kept[-1].flagged
     assert units_of(kept[-1]) == set(UNITS)
     assert kept[-1].chi_squared < 0.5 * first.chi_squared
     others = {7: 50.0, 10: 0.4}
-    second = sheet.verify(asked(read(others, 2), {7: 50.0}))
+    second = verified(sheet, read(others, 2), {7: 50.0})
     assert units_of(second) == set(others)
     assert not second.flagged
 
@@ -101,7 +106,7 @@ def test_a_sheet_that_was_seen_at_rest_needs_no_other_model() -> None:
     sheet = scanned()
     mean = np.mean([read({}, seed) for seed in range(100, 150)], axis=0)
     assert sheet.rest(mean, flat_of(SMALL), NOISE, 50)
-    verdict = sheet.verify(asked(read(UNITS, 1), {}))
+    verdict = verified(sheet, read(UNITS, 1), {})
     assert units_of(verdict) == set(UNITS)
     assert not verdict.flagged
     assert not sheet.improves
@@ -110,10 +115,10 @@ def test_a_sheet_that_was_seen_at_rest_needs_no_other_model() -> None:
 
 def test_another_sheet_at_rest_changes_nothing() -> None:
     sheet, usual = scanned(), read(UNITS, 1, 0.0)
-    before = sheet.verify(asked(usual, UNITS))
+    before = verified(sheet, usual, UNITS)
     strange = 0.3 * np.sign(np.random.default_rng(2).standard_normal(104))
     assert not sheet.rest(strange, flat_of(SMALL), NOISE, 50)
-    assert sheet.verify(asked(usual, UNITS)).chi_squared == pytest.approx(before.chi_squared, rel=1e-9)
+    assert verified(sheet, usual, UNITS).chi_squared == pytest.approx(before.chi_squared, rel=1e-9)
 
 
 def test_missing_rows_do_not_count_in_what_a_frame_shows_of_the_sheet() -> None:
@@ -121,7 +126,7 @@ def test_missing_rows_do_not_count_in_what_a_frame_shows_of_the_sheet() -> None:
     found = []
     for filled in (0.0, np.nan):
         sheet = scanned()
-        sheet.verify(asked(np.where(rows, read(UNITS, 1), filled), UNITS, rows))
+        verified(sheet, np.where(rows, read(UNITS, 1), filled), UNITS, rows)
         found.append([one.chi_squared for one in improved(sheet)])
     assert len(found[0]) > 0
     assert found[0] == found[1]
@@ -132,13 +137,13 @@ def test_frames_that_nothing_explains_ask_for_few_models_and_spoil_none(monkeypa
     reduced: Callable[..., object] = unit_sheet._reduced
     monkeypatch.setattr(unit_sheet, "_reduced", lambda *words: made.append(words) or reduced(*words))
     sheet, usual = scanned(), read(UNITS, 1, 0.0)
-    before = sheet.verify(asked(usual, UNITS))
+    before = verified(sheet, usual, UNITS)
     strange = read(UNITS, 1) + 0.2 * np.random.default_rng(2).standard_normal(104)
     for _ in range(4):
-        sheet.verify(replace(asked(strange, UNITS), budget_s=0.0))
+        verified(sheet, strange, UNITS, budget_s=0.0)
         assert improved(sheet) == []
     assert len(made) <= 1 + ANEW + 2
-    assert sheet.verify(asked(usual, UNITS)).chi_squared == pytest.approx(before.chi_squared, rel=1e-9)
+    assert verified(sheet, usual, UNITS).chi_squared == pytest.approx(before.chi_squared, rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.verification.free.found import FreeTouch
 from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
-from eitskin_sim.verification.unit_sheet import Asked, UnitSheet
+from eitskin_sim.verification.unit_sheet import UnitSheet
 from eitskin_sim.verification.units import UnitTouch
 from eitskin_tools.evaluation.verified.units import noise_shown, unit_heights, unit_starts
 from eitskin_tools.verifier.letters import Array, FrameLetter, RestLetter, Setup
@@ -105,10 +105,15 @@ class UnitChecker:
         """Return the touched units that explain a frame best."""
         shape = self._shape
         heights = unit_heights(frame.map.astype(np.float64), shape.grid)
-        change, usable = frame.change.astype(np.float64), shape.usable & ~frame.missing
-        starts, before = unit_starts(heights), self._before
         found = self._sheet.verify(
-            Asked(change, shape.reference_V, shape.noise, starts, usable, self._budget_s, before, heights)
+            frame.change.astype(np.float64),
+            shape.reference_V,
+            unit_starts(heights),
+            shape.noise,
+            rows=shape.usable & ~frame.missing,
+            budget_s=self._budget_s,
+            before=self._before,
+            heights=heights,
         )
         self._before = found.touches
         told = found.chi_squared, found.degrees_of_freedom, found.p_value, found.flagged

@@ -34,28 +34,17 @@ UnitVerdict = Verdict[UnitTouch]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Asked:
-    """One frame to be explained.
-
-    Args:
-        change: (104,) dV of the frame.
-        reference: (104,) V of the flat, untouched sheet.
-        noise: Of the frame.
-        starts: (units,) truth values each: what a network's map shows, at one threshold or several.
-        rows: (104,) which rows there are; None is all.
-        budget_s: The search ends after it; None is the verifier's own.
-        before: The last frame's touches, another start.
-        heights: (units,) of the network's map, from 0 to 1; None is not known.
-    """
+class _Asked:
+    """One frame to be explained, as :meth:`UnitSheet.verify` takes it."""
 
     change: Array
     reference: Array
+    starts: Sequence[npt.NDArray[np.bool_]]
     noise: Noise
-    starts: Sequence[npt.NDArray[np.bool_]] = ()
-    rows: Rows | None = None
-    budget_s: float | None = None
-    before: tuple[UnitTouch, ...] = ()
-    heights: Array | None = None
+    rows: Rows | None
+    budget_s: float | None
+    before: Sequence[UnitTouch]
+    heights: Array | None
 
 
 class UnitSheet:
@@ -91,7 +80,7 @@ class UnitSheet:
         self._digest = cloud_digest(np.asarray(cloud_mm))
         self._deformation.scan(lambda: model_of_cloud(cloud_mm, self._skin, self._spreads))
         self._verifier = self._made()
-        self._last: tuple[Asked, UnitVerdict] | None = None
+        self._last: tuple[_Asked, UnitVerdict] | None = None
 
     def rest(self, change: Array, reference: Array, noise: Noise, frames: int = 1) -> bool:
         """Take what the deformation reads while nothing touches it, for the frames that follow.
@@ -113,12 +102,23 @@ class UnitSheet:
             self._verifier, self._last = self._made(), None
         return known
 
-    def verify(self, asked: Asked) -> UnitVerdict:
+    def verify(
+        self,
+        change: Array,
+        reference: Array,
+        starts: Sequence[npt.NDArray[np.bool_]],
+        noise: Noise,
+        *,
+        rows: Rows | None = None,
+        budget_s: float | None = None,
+        before: Sequence[UnitTouch] = (),
+        heights: Array | None = None,
+    ) -> UnitVerdict:
         """Return the set of touched units that explains a frame best.
 
-        Raises:
-            ValueError: As of :meth:`eitskin_sim.verification.units.UnitVerifier.verify`.
+        Arguments and what is raised are those of :meth:`eitskin_sim.verification.units.UnitVerifier.verify`.
         """
+        asked = _Asked(change, reference, starts, noise, rows, budget_s, before, heights)
         verdict = self._verified(self._verifier, asked)
         self._last = asked, verdict
         return verdict
@@ -177,7 +177,7 @@ class UnitSheet:
             return self._deformation.model.roughly(asked.change, left, asked.reference, asked.noise, asked.rows)
         return frame.white.amplitudes(left)[0]
 
-    def _verified(self, verifier: UnitVerifier, asked: Asked) -> UnitVerdict:
+    def _verified(self, verifier: UnitVerifier, asked: _Asked) -> UnitVerdict:
         return verifier.verify(
             asked.change, asked.reference, asked.starts, asked.noise, rows=asked.rows, budget_s=asked.budget_s,
             before=asked.before, heights=asked.heights, clock=self._clock,

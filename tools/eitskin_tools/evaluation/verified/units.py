@@ -24,7 +24,7 @@ from eitskin_sim.measurement.consistency import Filler
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.scene.parts import Phantom
 from eitskin_sim.verification.residual import Noise
-from eitskin_sim.verification.unit_sheet import Asked, UnitSheet
+from eitskin_sim.verification.unit_sheet import UnitSheet
 from eitskin_sim.verification.units import UnitTouch
 from eitskin_sim.verification.verdict import Verdict
 
@@ -121,9 +121,11 @@ class Verified:
         heights = unit_heights(image, grid)
         starts = unit_starts(heights)
         sheet, setup_ms = self._of(case)
-        asked = Asked(change, case.flat_reference, self._noise, starts, rows, self._budget_s, (), heights)
         begin = time.process_time()
-        verdict, asks = sheet.verify(asked), sheet.improves
+        verdict = sheet.verify(
+            change, case.flat_reference, starts, self._noise, rows=rows, budget_s=self._budget_s, heights=heights
+        )
+        asks = sheet.improves
         cpu_ms, begin = 1e3 * (time.process_time() - begin), time.process_time()
         while asks:
             verdict, asks = sheet.improve() or verdict, sheet.improves
