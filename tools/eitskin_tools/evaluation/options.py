@@ -131,8 +131,7 @@ def _add_ablations(parser: argparse.ArgumentParser) -> None:
         "--at-rest",
         type=int,
         metavar="N",
-        help="with --solver verified: physics first sees N frames of each deformation untouched "
-        "(default: 0)",
+        help="with --solver verified: physics first sees N frames of each deformation untouched (default: 0)",
     )
 
 

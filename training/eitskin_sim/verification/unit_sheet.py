@@ -2,8 +2,9 @@
 
 The model is first that of the scan. A frame may show that the sheet is stretched otherwise, or conducts otherwise where
 it is stretched: the model is then made again about that. One that nothing explains asks for looser material, and
-roughly how the sheet conducts. Another model is kept where it explains that frame better: a frame whose touches are not
-found asks for any, which would spoil those after it. Frames of the untouched sheet say most, and are believed alone.
+roughly how the sheet conducts. Another model is kept where it explains that frame better. A frame whose touches are not
+found asks for any, which would spoil those after it: as long as another model has explained no frame, those after it
+that are not explained are tried on the one before, too. Frames of the untouched sheet say most, and are believed alone.
 """
 
 import time
@@ -79,8 +80,7 @@ class UnitSheet:
         """
         self._digest = cloud_digest(np.asarray(cloud_mm))
         self._deformation.scan(lambda: model_of_cloud(cloud_mm, self._skin, self._spreads))
-        self._verifier = self._made()
-        self._last: tuple[_Asked, UnitVerdict] | None = None
+        self._begin()
 
     def rest(self, change: Array, reference: Array, noise: Noise, frames: int = 1) -> bool:
         """Take what the deformation reads while nothing touches it, for the frames that follow.
@@ -99,7 +99,7 @@ class UnitSheet:
         """
         known = self._deformation.rest(change, reference, noise.of_mean(frames))
         if known:
-            self._verifier, self._last = self._made(), None
+            self._begin()
         return known
 
     def verify(
@@ -119,17 +119,17 @@ class UnitSheet:
         Arguments and what is raised are those of :meth:`eitskin_sim.verification.units.UnitVerifier.verify`.
         """
         asked = _Asked(change, reference, starts, noise, rows, budget_s, before, heights)
-        verdict = self._verified(self._verifier, asked)
-        self._last = asked, verdict
-        return verdict
+        return self._take(asked, self._verified(self._verifier, asked))
 
     @property
     def improves(self) -> bool:
         """Whether the last frame asks for another model."""
-        return self._next() is not None
+        return self._doubts or self._next() is not None
 
     def improve(self) -> UnitVerdict | None:
         """Make the model that the last frame asks for, and return that frame's verdict by it where it is kept."""
+        if self._doubts:
+            return self._returned()
         make = self._next()
         if make is None or self._last is None:
             return None
@@ -145,8 +145,38 @@ class UnitSheet:
             back()
             self._verifier = verifier
             return None
-        self._last = asked, again
+        self._backs.append(back)
+        self._take(asked, again)
+        self._doubts = False
         return again
+
+    def _begin(self) -> None:
+        """Begin with the model in use."""
+        self._verifier: UnitVerifier = self._made()
+        self._proven = self._verifier
+        self._backs: list[Callable[[], None]] = []
+        self._doubts = False
+        self._last: tuple[_Asked, UnitVerdict] | None = None
+
+    def _take(self, asked: _Asked, verdict: UnitVerdict) -> UnitVerdict:
+        """Take what the model in use says of a frame: one that it explains proves it, and another raises doubts."""
+        if not verdict.flagged:
+            self._proven, self._backs = self._verifier, []
+        self._doubts = bool(self._backs)
+        self._last = asked, verdict
+        return verdict
+
+    def _returned(self) -> UnitVerdict | None:
+        """Return to the last model that explained a frame where it explains this one better, and its verdict."""
+        assert self._last is not None
+        self._doubts, (asked, before) = False, self._last
+        again = self._verified(self._proven, asked)
+        if again.chi_squared >= before.chi_squared:
+            return None
+        for back in reversed(self._backs):
+            back()
+        self._verifier, self._backs = self._proven, []
+        return self._take(asked, again)
 
     def _next(self) -> Callable[[], Callable[[], None] | None] | None:
         """Return what makes the model that the last frame asks for, and returns what brings back the one before."""
