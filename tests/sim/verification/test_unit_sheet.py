@@ -146,6 +146,30 @@ def test_frames_that_nothing_explains_ask_for_few_models_and_spoil_none(monkeypa
     assert verified(sheet, usual, UNITS).chi_squared == pytest.approx(before.chi_squared, rel=1e-9)
 
 
+def test_a_model_that_has_explained_no_frame_is_left_where_the_one_before_explains_a_later_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sheet, usual = scanned(), read(UNITS, 1, 0.0)
+    begun, strange = sheet._verifier, usual + 0.2 * np.random.default_rng(2).standard_normal(104)
+
+    def said(verifier: object, asked: object) -> UnitVerdict:
+        known = np.array_equal(asked.change, usual)  # type: ignore[attr-defined]
+        chi = {True: {True: 90.0, False: 400.0}, False: {True: 1000.0, False: 500.0}}[known][verifier is begun]
+        return Verdict((), chi, 104, 0.8 if chi < 100.0 else 0.0, 0.01, 1, 0.0)
+
+    monkeypatch.setattr(sheet, "_verified", said)
+    verified(sheet, strange, UNITS)
+    kept = sheet.improve()
+    assert kept is not None
+    assert kept.chi_squared == 500.0
+    assert verified(sheet, usual, UNITS).flagged
+    assert sheet.improves
+    back = sheet.improve()
+    assert back is not None
+    assert back.chi_squared == 90.0
+    assert verified(sheet, usual, UNITS).chi_squared == 90.0
+
+
 @pytest.mark.parametrize(
     ("again", "kept"), [((900.0, 0.0), False), ((500.0, 0.0), True), ((1200.0, 0.2), True), ((5000.0, 0.0), False)]
 )

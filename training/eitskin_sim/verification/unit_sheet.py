@@ -69,6 +69,11 @@ class UnitSheet:
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._skin, self._spreads, self._clock = skin, spreads, clock
+        self._verifier: UnitVerifier
+        self._proven: UnitVerifier  # of the last model that explained a frame, or of the first
+        self._backs: list[Callable[[], None]]  # what brings back the models since then, one after another
+        self._doubts: bool  # whether the last frame is to be tried on it
+        self._last: tuple[_Asked, UnitVerdict] | None
         self._deformation = Deformation(clock)
         self.deform(cloud_mm)
 
@@ -152,11 +157,8 @@ class UnitSheet:
 
     def _begin(self) -> None:
         """Begin with the model in use."""
-        self._verifier: UnitVerifier = self._made()
-        self._proven = self._verifier
-        self._backs: list[Callable[[], None]] = []
-        self._doubts = False
-        self._last: tuple[_Asked, UnitVerdict] | None = None
+        self._verifier = self._proven = self._made()
+        self._backs, self._doubts, self._last = [], False, None
 
     def _take(self, asked: _Asked, verdict: UnitVerdict) -> UnitVerdict:
         """Take what the model in use says of a frame: one that it explains proves it, and another raises doubts."""
