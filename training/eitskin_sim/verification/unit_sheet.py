@@ -31,6 +31,9 @@ from eitskin_sim.verification.verdict import Verdict
 SPARED: Final = 0.7
 """Another model is kept if it leaves less than this part of a frame's chi-squared, or explains the frame."""
 
+SURE: Final = 0.5
+"""p from which touches that the network does not show are explained surely: as p is cautious, most right ones are."""
+
 UnitVerdict = Verdict[UnitTouch]
 
 
@@ -146,7 +149,7 @@ class UnitSheet:
             again = self._verified(self._verifier, replace(asked, before=before.touches))
         except (ValueError, np.linalg.LinAlgError):  # no sheet is so
             again = None
-        if again is None or not better(again, before):
+        if again is None or not better(again, before, shown=_shown(again, asked.starts)):
             back()
             self._verifier = verifier
             return None
@@ -221,14 +224,26 @@ class UnitSheet:
         return UnitVerifier(_reduced(model, self._skin, self._digest), flat_of(self._skin), model)
 
 
-def better(again: UnitVerdict, before: UnitVerdict) -> bool:
+def better(again: UnitVerdict, before: UnitVerdict, *, shown: bool = True) -> bool:
     """Return whether a frame is so much better explained by another model that this one is kept.
+
+    Another sheet nearly explains some wrong touches, too. So touches that the network does not show have to be
+    explained surely.
 
     Args:
         again: The frame's verdict by the other model.
         before: By the one in use.
+        shown: Whether the network shows just these touches, at one of its thresholds.
     """
+    if not shown:
+        return again.p_value >= SURE
     return not again.flagged or again.chi_squared < SPARED * before.chi_squared
+
+
+def _shown(verdict: UnitVerdict, starts: Sequence[npt.NDArray[np.bool_]]) -> bool:
+    """Return whether a verdict has just the touches that a network shows, at one of its thresholds."""
+    units = [one.unit for one in verdict.touches]
+    return not starts or any(np.array_equal(units, np.flatnonzero(one)) for one in starts)
 
 
 def _reduced(model: Model, skin: Skin, digest: str) -> ReducedModel:

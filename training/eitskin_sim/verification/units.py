@@ -127,13 +127,15 @@ class UnitVerifier:
             sets.append((np.array([one.unit for one in before]), np.array([one.contrast for one in before])))
         sets = sets or [self._start(np.zeros(self._model.n_units))]
         price = UnitPrice(self._model.shape, self._prior, self._contrast)
+        hard_s = HARD_BUDGET_S if budget_s is None else budget_s
         if budget_s is None:
             missing = rows is not None and not rows.all()
             budget_s = HARD_BUDGET_S if missing or any(len(units) > FEW for units, _ in sets) else BUDGET_S
-        deadline = clock() + SEARCHED * budget_s
+        begun = clock()
+        ends = begun + SEARCHED * budget_s, begun + SEARCHED * hard_s
         first = state_of(self._model, *sets[0])
         frame = Frame(dv, held, noise, self._sheet, rows, self._signal(first))
-        judge = Judge(self._model, self._coarse, self._rough, self._flat, frame, price, self._contrast, deadline, clock)
+        judge = Judge(self._model, self._coarse, self._rough, self._flat, frame, price, self._contrast, ends[0], clock, ends[1])
         search = Search(judge)
         best = search.run(search.best_of(first, sets[1:], shown))
         ratio = best.volts / self._flat
@@ -153,7 +155,7 @@ class UnitVerifier:
             level=self._level,
             evaluations=judge.evaluations,
             seconds=time.perf_counter() - begin,
-            unfinished=clock() >= deadline,
+            unfinished=judge.late(),
         )
 
     def left(

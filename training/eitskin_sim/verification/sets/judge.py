@@ -33,6 +33,7 @@ class Judge:
         usual: The usual contrast.
         deadline: What the clock shows when time is up.
         clock: In seconds.
+        hard_deadline: What it shows then where a frame turns out to be hard; None is the same.
     """
 
     def __init__(
@@ -46,10 +47,12 @@ class Judge:
         usual: float,
         deadline: float,
         clock: Callable[[], float] = time.perf_counter,
+        hard_deadline: float | None = None,
     ) -> None:
         self.model, self.coarse, self.rough = model, coarse, rough
         self.flat, self.frame = flat_V, frame
         self.price, self.usual, self._deadline, self._clock = price, usual, deadline, clock
+        self._hard_deadline = deadline if hard_deadline is None else hard_deadline
         self.content = least_chi_squared(CONTENT, len(frame.white))
         """Chi-squared below which a set explains the frame."""
         row, column = np.divmod(np.arange(model.n_units), model.shape[1])
@@ -59,6 +62,10 @@ class Judge:
         """Whether a frame lacks rows: several sets may explain what is left."""
         self.evaluations = 0
         self._states: dict[tuple[bytes, bytes, bool], State] = {}
+
+    def is_hard(self) -> None:
+        """Take the time that a hard frame has."""
+        self._deadline = self._hard_deadline
 
     def late(self) -> bool:
         """Return whether time is up."""

@@ -175,6 +175,8 @@ class Search:
         if mixed:
             others.sort(key=lambda level: judge.chi(level.start) * WORTH[level.free])
         first = judge.chi(usual.start) < UNUSUAL * judge.chi(others[0].start) * WORTH[others[0].free]
+        if not first:
+            judge.is_hard()
         for level in [usual, *others] if first else [*others, usual]:
             yield level, None
 
