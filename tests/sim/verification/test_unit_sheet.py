@@ -20,6 +20,7 @@ from eitskin_sim.verification import unit_sheet
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.sheet.deformation import ANEW
 from eitskin_sim.verification.unit_sheet import UnitSheet, UnitVerdict, better, flat_of
+from eitskin_sim.verification.units import UnitTouch
 from eitskin_sim.verification.verdict import Verdict
 
 from .small_frames import SMALL
@@ -142,7 +143,7 @@ def test_frames_that_nothing_explains_ask_for_few_models_and_spoil_none(monkeypa
     for _ in range(4):
         verified(sheet, strange, UNITS, budget_s=0.0)
         assert improved(sheet) == []
-    assert len(made) <= 1 + ANEW + 2
+    assert len(made) <= 1 + ANEW + 2 * (1 + unit_sheet.ROUNDS)
     assert verified(sheet, usual, UNITS).chi_squared == pytest.approx(before.chi_squared, rel=1e-9)
 
 
@@ -158,7 +159,7 @@ def test_a_model_that_has_explained_no_frame_is_left_where_the_one_before_explai
         return Verdict((), chi, 104, 0.8 if chi < 100.0 else 0.0, 0.01, 1, 0.0)
 
     monkeypatch.setattr(sheet, "_verified", said)
-    verified(sheet, strange, UNITS)
+    verified(sheet, strange, {})
     kept = sheet.improve()
     assert kept is not None
     assert kept.chi_squared == 500.0
@@ -171,11 +172,30 @@ def test_a_model_that_has_explained_no_frame_is_left_where_the_one_before_explai
 
 
 @pytest.mark.parametrize(
-    ("again", "kept"), [((900.0, 0.0), False), ((500.0, 0.0), True), ((1200.0, 0.2), True), ((5000.0, 0.0), False)]
+    ("again", "shown", "kept"),
+    [
+        ((900.0, 0.0), True, False),
+        ((500.0, 0.0), True, True),
+        ((1200.0, 0.2), True, True),
+        ((5000.0, 0.0), True, False),
+        ((500.0, 0.0), False, False),
+        ((120.0, 0.2), False, False),
+        ((80.0, 0.9), False, True),
+    ],
 )
-def test_another_model_is_kept_where_it_explains_the_frame_better(again: tuple[float, float], kept: bool) -> None:
+def test_another_model_is_kept_where_it_explains_the_frame_better(
+    again: tuple[float, float], shown: bool, kept: bool
+) -> None:
     found, before = (Verdict((), chi, 104, p, 0.01, 1, 0.0) for chi, p in (again, (1000.0, 0.0)))
-    assert better(found, before) is kept
+    assert better(found, before, shown=shown) is kept
+
+
+def test_touches_are_shown_where_they_are_those_of_one_threshold() -> None:
+    starts = [np.isin(np.arange(6), units) for units in ([1, 4], [1])]
+    for units, expected in (((1, 4), True), ((1,), True), ((4,), False), ((1, 2, 4), False)):
+        verdict = Verdict(tuple(UnitTouch(unit, 50.0) for unit in units), 80.0, 104, 0.9, 0.01, 1, 0.0)
+        assert unit_sheet._shown(verdict, starts) is expected
+    assert unit_sheet._shown(verdict, [])
 
 
 def test_nothing_is_made_before_there_is_a_frame() -> None:

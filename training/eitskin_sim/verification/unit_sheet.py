@@ -2,9 +2,10 @@
 
 The model is first that of the scan. A frame may show that the sheet is stretched otherwise, or conducts otherwise where
 it is stretched: the model is then made again about that. One that nothing explains asks for looser material, and
-roughly how the sheet conducts. Another model is kept where it explains that frame better. A frame whose touches are not
-found asks for any, which would spoil those after it: as long as another model has explained no frame, those after it
-that are not explained are tried on the one before, too. Frames of the untouched sheet say most, and are believed alone.
+roughly how the sheet conducts. Another model is kept where it explains that frame better, by touches that the network
+shows, or surely: another sheet nearly explains some wrong touches, too. As long as it has explained no frame, those
+after it that it does not explain are tried on the one before. Frames of the untouched sheet say most, and are believed
+alone.
 """
 
 import time
@@ -33,6 +34,9 @@ SPARED: Final = 0.7
 
 SURE: Final = 0.5
 """p from which touches that the network does not show are explained surely: as p is cautious, most right ones are."""
+
+ROUNDS: Final = 3
+"""Times that other sheets are tried again while no frame of a shape was explained: the first may show nonsense."""
 
 UnitVerdict = Verdict[UnitTouch]
 
@@ -77,7 +81,10 @@ class UnitSheet:
         self._backs: list[Callable[[], None]]  # what brings back the models since then, one after another
         self._doubts: bool  # whether the last frame is to be tried on it
         self._last: tuple[_Asked, UnitVerdict] | None
-        self._deformation = Deformation(clock)
+        self._refused: bool  # whether a model that the last frame asked for was not kept
+        self._unexplained: bool  # whether no frame was explained yet
+        self._rounds: int  # how often other sheets were tried again
+        self._deformation = Deformation(clock, rough_first=True)
         self.deform(cloud_mm)
 
     def deform(self, cloud_mm: npt.ArrayLike) -> None:
@@ -107,7 +114,7 @@ class UnitSheet:
         """
         known = self._deformation.rest(change, reference, noise.of_mean(frames))
         if known:
-            self._begin()
+            self._begin(at_rest=True)
         return known
 
     def verify(
@@ -127,6 +134,9 @@ class UnitSheet:
         Arguments and what is raised are those of :meth:`eitskin_sim.verification.units.UnitVerifier.verify`.
         """
         asked = _Asked(change, reference, starts, noise, rows, budget_s, before, heights)
+        if self._unexplained and self._rounds < ROUNDS and not self._deformation.may_be_looser:
+            self._rounds += 1
+            self._deformation.ask_again()
         return self._take(asked, self._verified(self._verifier, asked))
 
     @property
@@ -151,24 +161,25 @@ class UnitSheet:
             again = None
         if again is None or not better(again, before, shown=_shown(again, asked.starts)):
             back()
-            self._verifier = verifier
+            self._verifier, self._refused = verifier, True
             return None
         self._backs.append(back)
         self._take(asked, again)
         self._doubts = False
         return again
 
-    def _begin(self) -> None:
+    def _begin(self, *, at_rest: bool = False) -> None:
         """Begin with the model in use."""
         self._verifier = self._proven = self._made()
-        self._backs, self._doubts, self._last = [], False, None
+        self._backs, self._doubts, self._last, self._refused = [], False, None, False
+        self._unexplained, self._rounds = not at_rest, 0
 
     def _take(self, asked: _Asked, verdict: UnitVerdict) -> UnitVerdict:
         """Take what the model in use says of a frame: one that it explains proves it, and another raises doubts."""
         if not verdict.flagged:
-            self._proven, self._backs = self._verifier, []
+            self._proven, self._backs, self._unexplained = self._verifier, [], False
         self._doubts = bool(self._backs)
-        self._last = asked, verdict
+        self._last, self._refused = (asked, verdict), False
         return verdict
 
     def _returned(self) -> UnitVerdict | None:
@@ -188,7 +199,7 @@ class UnitSheet:
         if self._last is None:
             return None
         deformation, (_, verdict) = self._deformation, self._last
-        if deformation.may_be_made_anew:
+        if deformation.may_be_made_anew and not self._refused:
             amplitudes = self._amplitudes(deformation.is_rough)
             if deformation.model.differs(amplitudes):
                 return partial(deformation.make_anew, amplitudes)
@@ -204,7 +215,7 @@ class UnitSheet:
         assert self._last is not None
         asked, verdict = self._last
         touches = verdict.touches
-        if rough and verdict.flagged and len(asked.starts):
+        if rough and verdict.flagged and asked.starts:
             shown = np.any(asked.starts, axis=0)
             touches = tuple(one for one in touches if shown[one.unit])
         frame, left = self._verifier.left(asked.change, asked.reference, asked.noise, asked.rows, touches)

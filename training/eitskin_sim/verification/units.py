@@ -135,7 +135,9 @@ class UnitVerifier:
         ends = begun + SEARCHED * budget_s, begun + SEARCHED * hard_s
         first = state_of(self._model, *sets[0])
         frame = Frame(dv, held, noise, self._sheet, rows, self._signal(first))
-        judge = Judge(self._model, self._coarse, self._rough, self._flat, frame, price, self._contrast, ends[0], clock, ends[1])
+        judge = Judge(
+            self._model, self._coarse, self._rough, self._flat, frame, price, self._contrast, ends[0], clock, ends[1]
+        )
         search = Search(judge)
         best = search.run(search.best_of(first, sets[1:], shown))
         ratio = best.volts / self._flat

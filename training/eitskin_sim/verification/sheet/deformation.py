@@ -20,10 +20,11 @@ class Deformation:
 
     Args:
         clock: What making models is counted by, s.
+        rough_first: Whether a frame that nothing explains is asked roughly before looser material is tried.
     """
 
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
+    def __init__(self, clock: Callable[[], float], *, rough_first: bool = False) -> None:
+        self._clock, self._rough_first = clock, rough_first
         self._model: Model | None = None
         self._scanned: Model | None = None
         self._others: list[Callable[[Shown], Model | None]] = []
@@ -50,9 +51,15 @@ class Deformation:
         """Take the model of another scan."""
         self.spent_s = self.spent_cpu_s = 0.0
         self._make(make)
-        scanned = self.model
-        self._scanned, self._anew, self.is_rough = scanned, 0, False
-        self._others = [self._elsewhere, lambda _: scanned.looser(LOOSER)]
+        self._scanned, self._anew, self.is_rough = self.model, 0, False
+        self.ask_again()
+
+    def ask_again(self) -> None:
+        """Let the scanned deformation be tried as other sheets once more."""
+        scanned = self._scanned
+        assert scanned is not None
+        others: list[Callable[[Shown], Model | None]] = [self._elsewhere, lambda _: scanned.looser(LOOSER)]
+        self._others = others[::-1] if self._rough_first else others
 
     def _elsewhere(self, shown: Shown) -> Model | None:
         self.is_rough = True
