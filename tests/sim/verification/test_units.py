@@ -125,23 +125,27 @@ def test_with_no_time_a_wrong_start_is_judged_and_flagged(
         verifier.verify(change, flat, [np.zeros(5)], Noise())
 
 
-def test_many_units_and_missing_rows_have_more_time(
+def test_many_units_other_contrasts_and_missing_rows_have_more_time(
     exact: ExactSheet, flat: np.ndarray, verifier: UnitVerifier, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = []
+    judges: list[Judge] = []
 
     class Seen(Judge):
         def __init__(self, *given: object) -> None:
-            found.append(given[-2])
             super().__init__(*given)  # type: ignore[arg-type]
+            judges.append(self)
 
     monkeypatch.setattr(units, "Judge", Seen)
-    change = frame(exact, flat, {9: 50.0}, "N2")
-    gone = ~rows_of_electrodes((3,))
-    for start, rows in (([9], None), ([9], gone), (list(range(7)), None), (list(range(6)), np.ones(104, dtype=bool))):
+    gone, every = ~rows_of_electrodes((3,)), np.ones(104, dtype=bool)
+    many = dict.fromkeys(range(6), 50.0)
+    for touched, start, rows in (
+        ({9: 50.0}, [9], None), ({9: 50.0}, [9], gone), ({9: 50.0}, list(range(7)), None), (many, list(many), every),
+        ({9: 0.2}, [9], None),
+    ):  # fmt: skip
+        change = frame(exact, flat, touched, "N2")
         verifier.verify(change, flat, [bits(start)], Noise(), rows=rows, clock=lambda: 0.0)
     few, hard = (units.SEARCHED * one for one in (units.BUDGET_S, units.HARD_BUDGET_S))
-    assert found == [few, hard, hard, few]
+    assert [one._deadline for one in judges] == [few, hard, hard, few, hard]
 
 
 def test_more_time_is_never_a_worse_answer(exact: ExactSheet, flat: np.ndarray, verifier: UnitVerifier) -> None:
