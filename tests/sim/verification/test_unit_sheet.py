@@ -200,3 +200,12 @@ def test_nothing_is_made_before_there_is_a_frame() -> None:
     sheet = scanned()
     assert not sheet.improves
     assert sheet.improve() is None
+
+
+def test_one_step_behind_each_frame_gets_there_too() -> None:
+    sheet, flagged = scanned(), []
+    for seed in range(8):
+        flagged.append(verified(sheet, read(UNITS, seed), UNITS).flagged)
+        sheet.improve()
+    assert flagged[0]
+    assert not flagged[-1]

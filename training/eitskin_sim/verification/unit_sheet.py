@@ -146,8 +146,8 @@ class UnitSheet:
 
     def improve(self) -> UnitVerdict | None:
         """Make the model that the last frame asks for, and return that frame's verdict by it where it is kept."""
-        if self._doubts:
-            return self._returned()
+        if self._doubts and (found := self._returned()) is not None:
+            return found
         make = self._next()
         if make is None or self._last is None:
             return None
