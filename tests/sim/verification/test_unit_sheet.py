@@ -209,3 +209,11 @@ def test_one_step_behind_each_frame_gets_there_too() -> None:
         sheet.improve()
     assert flagged[0]
     assert not flagged[-1]
+
+
+def test_starts_may_be_one_array() -> None:
+    sheet, starts = scanned(), np.zeros((2, SMALL.grid.n_units), dtype=np.bool_)
+    starts[:, list(UNITS)] = True
+    first = sheet.verify(read(UNITS, 1), flat_of(SMALL), starts, NOISE, budget_s=1e4)
+    assert first.flagged
+    assert not improved(sheet)[-1].flagged

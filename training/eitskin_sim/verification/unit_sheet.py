@@ -215,7 +215,7 @@ class UnitSheet:
         assert self._last is not None
         asked, verdict = self._last
         touches = verdict.touches
-        if rough and verdict.flagged and asked.starts:
+        if rough and verdict.flagged and len(asked.starts):
             shown = np.any(asked.starts, axis=0)
             touches = tuple(one for one in touches if shown[one.unit])
         frame, left = self._verifier.left(asked.change, asked.reference, asked.noise, asked.rows, touches)
@@ -254,7 +254,7 @@ def better(again: UnitVerdict, before: UnitVerdict, *, shown: bool = True) -> bo
 def _shown(verdict: UnitVerdict, starts: Sequence[npt.NDArray[np.bool_]]) -> bool:
     """Return whether a verdict has just the touches that a network shows, at one of its thresholds."""
     units = [one.unit for one in verdict.touches]
-    return not starts or any(np.array_equal(units, np.flatnonzero(one)) for one in starts)
+    return not len(starts) or any(np.array_equal(units, np.flatnonzero(one)) for one in starts)
 
 
 def _reduced(model: Model, skin: Skin, digest: str) -> ReducedModel:

@@ -9,7 +9,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import named
 from eitskin_sim.devices.device import ideal
 from eitskin_sim.freeform.sheet import inverted_metric
-from eitskin_sim.scene.parts import Bend
+from eitskin_sim.scene.parts import Bend, Late
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import fit_cloud, noise_tangents
@@ -89,6 +89,32 @@ def test_a_model_made_again_about_a_gauge_factor_is_that_of_such_a_sheet(model: 
     waves, gauge = again.beyond(amplitudes(model, gauge=1.2))
     assert np.abs(waves).max() < 1e-12
     assert gauge == pytest.approx(0.2)
+
+
+def untouched_V(model: Model, **changed: object) -> Array:
+    """Return (104,) V of the model's metric, its layer changed: by the forward model alone."""
+    stated = ideal(PAPER)
+    device = replace(stated, sheet=replace(stated.sheet, **changed))
+    return np.asarray(inverted_metric(model.metric, ELEMENT_MM, None, device).untouched_V)
+
+
+def test_the_layers_columns_are_the_forward_models_derivatives(model: Model) -> None:
+    """Of one standard deviation each; tilts as far as the two of them make a plane of any direction.
+
+    Within 1.5 %: columns leave the contacts as they are, which pass 1 % otherwise on a layer that conducts otherwise.
+    """
+    step, nominal, sd = 1e-3, untouched_V(model), model.spreads
+    names = model.unseen.names
+    column = {name: model.unseen.columns[:, model.unseen.n_waves + names.index(name)] for name in names}
+    drifted = (untouched_V(model, late=Late(factor=1.0 + step)) - nominal) / np.log(1.0 + step)
+    stretched = (untouched_V(model, gauge_factor=step) - nominal) / step
+    for found, expected in ((column["drift"], sd.drift * drifted), (column["gauge"], sd.gauge * stretched)):
+        assert np.linalg.norm(found - expected) < 0.015 * np.linalg.norm(expected)
+    tilted = sd.tilt * (untouched_V(model, late=Late(gradient_rms=step, seed=5)) - nominal) / step
+    two = np.stack([column["tilt x"], column["tilt y"]], axis=-1)
+    share = np.linalg.lstsq(two, tilted, rcond=None)[0]
+    assert np.linalg.norm(tilted - two @ share) < 0.015 * np.linalg.norm(tilted)
+    assert np.linalg.norm(share) == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.mark.parametrize("gauge", [0.0, 1.0])

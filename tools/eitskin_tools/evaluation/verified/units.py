@@ -51,9 +51,9 @@ class Checked(Generic[Found]):
 
     verdict: Found
     extra_ms: float
-    """The verifier's own time on the frame, by the clock."""
+    """Of the verdict, by the clock: a frame that asked for another model has the time of its verdict by that."""
     cpu_ms: float
-    """The same by the processor: what it takes where nothing else runs."""
+    """Of the frame's first verdict, by the processor: where it asked for another model, that search was in vain."""
     setup_ms: float
     """Making the models of its shape, by the processor."""
     network: npt.NDArray[np.bool_]
