@@ -1,6 +1,7 @@
 """Touched units on sheets that are not as their scans say: frames ask for other models, which are kept if better."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from itertools import count
 
@@ -17,9 +18,10 @@ from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Bend, Sheet
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.verification import unit_sheet
+from eitskin_sim.verification.asked import Asked, UnitVerdict, better
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.sheet.deformation import ANEW
-from eitskin_sim.verification.unit_sheet import UnitSheet, UnitVerdict, better, flat_of
+from eitskin_sim.verification.unit_sheet import UnitSheet, flat_of
 from eitskin_sim.verification.units import UnitTouch
 from eitskin_sim.verification.verdict import Verdict
 
@@ -143,7 +145,7 @@ def test_frames_that_nothing_explains_ask_for_few_models_and_spoil_none(monkeypa
     for _ in range(4):
         verified(sheet, strange, UNITS, budget_s=0.0)
         assert improved(sheet) == []
-    assert len(made) <= 1 + ANEW + 2 * (1 + unit_sheet.ROUNDS)
+    assert len(made) <= 1 + ANEW + (2 + len(unit_sheet.SHARES)) * (1 + unit_sheet.ROUNDS)
     assert verified(sheet, usual, UNITS).chi_squared == pytest.approx(before.chi_squared, rel=1e-9)
 
 
@@ -190,10 +192,11 @@ def test_another_model_is_kept_where_it_explains_the_frame_better(
 
 def test_touches_are_shown_where_they_are_those_of_one_threshold() -> None:
     starts = [np.isin(np.arange(6), units) for units in ([1, 4], [1])]
+    asked = Asked(np.zeros(104), np.ones(104), starts, NOISE, None, None, (), None)
     for units, expected in (((1, 4), True), ((1,), True), ((4,), False), ((1, 2, 4), False)):
         verdict = Verdict(tuple(UnitTouch(unit, 50.0) for unit in units), 80.0, 104, 0.9, 0.01, 1, 0.0)
-        assert unit_sheet._shown(verdict, starts) is expected
-    assert unit_sheet._shown(verdict, [])
+        assert asked.shown(verdict) is expected
+        assert replace(asked, starts=[]).shown(verdict)
 
 
 def test_nothing_is_made_before_there_is_a_frame() -> None:

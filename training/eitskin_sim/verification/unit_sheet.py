@@ -1,16 +1,17 @@
 """Touched units on one deformation after another, each with the models that its frames ask for.
 
 The model is first that of the scan. A frame may show that the sheet is stretched otherwise, or conducts otherwise where
-it is stretched: the model is then made again about that. One that nothing explains asks for looser material, and
-roughly how the sheet conducts. Another model is kept where it explains that frame better, by touches that the network
-shows, or surely: another sheet nearly explains some wrong touches, too. As long as it has explained no frame, those
-after it that it does not explain are tried on the one before. Frames of the untouched sheet say most, and are believed
-alone.
+it is stretched: the model is then made again about that. While no frame of a deformation was explained, just what
+the network shows is tried on such sheets first: it is right more often than what a search finds on another sheet.
+A frame that nothing explains asks for looser material, and roughly how the sheet conducts. Another model is kept where
+it explains that frame better, by touches that the network shows, or surely: another sheet nearly explains some wrong
+touches, too. As long as it has explained no frame, those after it that it does not explain are tried on the one before.
+Frames of the untouched sheet say most, and are believed alone.
 """
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Final
 
@@ -22,37 +23,18 @@ from eitskin_sim.reduced.exact import exact_sheet
 from eitskin_sim.reduced.model import ReducedModel, cloud_digest, rows_of
 from eitskin_sim.reduced.quick import quick_model
 from eitskin_sim.scene.nominal import flat_metric_of
+from eitskin_sim.verification.asked import SPARED, Asked, UnitVerdict, better
 from eitskin_sim.verification.residual import Array, Noise, Rows
 from eitskin_sim.verification.sheet.deformation import Deformation
 from eitskin_sim.verification.sheet.model import Model, model_of_cloud
 from eitskin_sim.verification.sheet.spreads import Spreads
 from eitskin_sim.verification.units import UnitTouch, UnitVerifier
-from eitskin_sim.verification.verdict import Verdict
-
-SPARED: Final = 0.7
-"""Another model is kept if it leaves less than this part of a frame's chi-squared, or explains the frame."""
-
-SURE: Final = 0.5
-"""p from which touches that the network does not show are explained surely: as p is cautious, most right ones are."""
 
 ROUNDS: Final = 3
 """Times that other sheets are tried again while no frame of a shape was explained: the first may show nonsense."""
 
-UnitVerdict = Verdict[UnitTouch]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Asked:
-    """One frame to be explained, as :meth:`UnitSheet.verify` takes it."""
-
-    change: Array
-    reference: Array
-    starts: Sequence[npt.NDArray[np.bool_]]
-    noise: Noise
-    rows: Rows | None
-    budget_s: float | None
-    before: Sequence[UnitTouch]
-    heights: Array | None
+SHARES: Final = (1.0, 0.5)
+"""Of the way to the sheet that a frame speaks for: far from it derivatives say too much."""
 
 
 class UnitSheet:
@@ -80,11 +62,13 @@ class UnitSheet:
         self._proven: UnitVerifier  # of the last model that explained a frame, or of the first
         self._backs: list[Callable[[], None]]  # what brings back the models since then, one after another
         self._doubts: bool  # whether the last frame is to be tried on it
-        self._last: tuple[_Asked, UnitVerdict] | None
+        self._last: tuple[Asked, UnitVerdict] | None
         self._refused: bool  # whether a model that the last frame asked for was not kept
         self._unexplained: bool  # whether no frame was explained yet
         self._rounds: int  # how often other sheets were tried again
-        self._deformation = Deformation(clock, rough_first=True)
+        self._tried: int  # frames whose touches, as the network shows them, no sheet explained
+        self._asked_network: bool  # whether that was tried of the last frame
+        self._deformation = Deformation(clock)
         self.deform(cloud_mm)
 
     def deform(self, cloud_mm: npt.ArrayLike) -> None:
@@ -133,7 +117,7 @@ class UnitSheet:
 
         Arguments and what is raised are those of :meth:`eitskin_sim.verification.units.UnitVerifier.verify`.
         """
-        asked = _Asked(change, reference, starts, noise, rows, budget_s, before, heights)
+        asked = Asked(change, reference, starts, noise, rows, budget_s, before, heights)
         if self._unexplained and self._rounds < ROUNDS and not self._deformation.may_be_looser:
             self._rounds += 1
             self._deformation.ask_again()
@@ -142,11 +126,13 @@ class UnitSheet:
     @property
     def improves(self) -> bool:
         """Whether the last frame asks for another model."""
-        return self._doubts or self._next() is not None
+        return self._doubts or self._asks_the_network() or self._next() is not None
 
     def improve(self) -> UnitVerdict | None:
         """Make the model that the last frame asks for, and return that frame's verdict by it where it is kept."""
         if self._doubts and (found := self._returned()) is not None:
+            return found
+        if self._asks_the_network() and (found := self._by_the_network()) is not None:
             return found
         make = self._next()
         if make is None or self._last is None:
@@ -159,7 +145,7 @@ class UnitSheet:
             again = self._verified(self._verifier, replace(asked, before=before.touches))
         except (ValueError, np.linalg.LinAlgError):  # no sheet is so
             again = None
-        if again is None or not better(again, before, shown=_shown(again, asked.starts)):
+        if again is None or not better(again, before, shown=asked.shown(again)):
             back()
             self._verifier, self._refused = verifier, True
             return None
@@ -168,18 +154,63 @@ class UnitSheet:
         self._doubts = False
         return again
 
+    def _asks_the_network(self) -> bool:
+        """Return whether what the network shows of the last frame is to be tried on other sheets."""
+        if not self._unexplained or self._asked_network or self._tried > ROUNDS or self._last is None:
+            return False
+        asked, verdict = self._last
+        return verdict.flagged and len(asked.starts) > 0 and self._deformation.may_be_made_anew
+
+    def _by_the_network(self) -> UnitVerdict | None:
+        """Return the last frame's verdict with just what the network shows, where a likely sheet explains that.
+
+        Else all is as it was before.
+        """
+        assert self._last is not None
+        last, verifier, back, self._asked_network = self._last, self._verifier, self._deformation.as_now(), True
+        only = replace(last[0], budget_s=0.0, before=())
+        verdict = self._verified(verifier, only)
+        while verdict.flagged and self._deformation.may_be_made_anew:
+            self._last = only, verdict
+            if (found := self._step(only, verdict)) is None:
+                break
+            verdict = found
+        if not verdict.flagged:
+            return self._take(last[0], verdict)
+        back()
+        self._last, self._verifier, self._tried = last, verifier, self._tried + 1
+        return None
+
+    def _step(self, asked: Asked, before: UnitVerdict) -> UnitVerdict | None:
+        """Go to a sheet that the last frame speaks for, or part of the way; None where that explains it no better."""
+        model, amplitudes = self._deformation.model, self._amplitudes(False)
+        if not model.differs(amplitudes):
+            amplitudes = self._amplitudes(True)
+        for share in SHARES if (likely := model.likely_share(amplitudes)) else ():
+            here, back = self._verifier, self._deformation.as_now()
+            self._deformation.make_anew(amplitudes, share * likely)
+            try:
+                self._verifier = self._made()
+                if (found := self._verified(self._verifier, asked)).chi_squared < SPARED * before.chi_squared:
+                    return found
+            except (ValueError, np.linalg.LinAlgError):  # no sheet is so
+                pass
+            back()
+            self._verifier = here
+        return None
+
     def _begin(self, *, at_rest: bool = False) -> None:
         """Begin with the model in use."""
         self._verifier = self._proven = self._made()
         self._backs, self._doubts, self._last, self._refused = [], False, None, False
-        self._unexplained, self._rounds = not at_rest, 0
+        self._unexplained, self._rounds, self._tried, self._asked_network = not at_rest, 0, 0, False
 
-    def _take(self, asked: _Asked, verdict: UnitVerdict) -> UnitVerdict:
+    def _take(self, asked: Asked, verdict: UnitVerdict) -> UnitVerdict:
         """Take what the model in use says of a frame: one that it explains proves it, and another raises doubts."""
         if not verdict.flagged:
             self._proven, self._backs, self._unexplained = self._verifier, [], False
         self._doubts = bool(self._backs)
-        self._last, self._refused = (asked, verdict), False
+        self._last, self._refused, self._asked_network = (asked, verdict), False, False
         return verdict
 
     def _returned(self) -> UnitVerdict | None:
@@ -223,7 +254,7 @@ class UnitSheet:
             return self._deformation.model.roughly(asked.change, left, asked.reference, asked.noise, asked.rows)
         return frame.white.amplitudes(left)[0]
 
-    def _verified(self, verifier: UnitVerifier, asked: _Asked) -> UnitVerdict:
+    def _verified(self, verifier: UnitVerifier, asked: Asked) -> UnitVerdict:
         return verifier.verify(
             asked.change, asked.reference, asked.starts, asked.noise, rows=asked.rows, budget_s=asked.budget_s,
             before=asked.before, heights=asked.heights, clock=self._clock,
@@ -233,28 +264,6 @@ class UnitSheet:
         """Return the verifier of the model in use."""
         model = self._deformation.model
         return UnitVerifier(_reduced(model, self._skin, self._digest), flat_of(self._skin), model)
-
-
-def better(again: UnitVerdict, before: UnitVerdict, *, shown: bool = True) -> bool:
-    """Return whether a frame is so much better explained by another model that this one is kept.
-
-    Another sheet nearly explains some wrong touches, too. So touches that the network does not show have to be
-    explained surely.
-
-    Args:
-        again: The frame's verdict by the other model.
-        before: By the one in use.
-        shown: Whether the network shows just these touches, at one of its thresholds.
-    """
-    if not shown:
-        return again.p_value >= SURE
-    return not again.flagged or again.chi_squared < SPARED * before.chi_squared
-
-
-def _shown(verdict: UnitVerdict, starts: Sequence[npt.NDArray[np.bool_]]) -> bool:
-    """Return whether a verdict has just the touches that a network shows, at one of its thresholds."""
-    units = [one.unit for one in verdict.touches]
-    return not len(starts) or any(np.array_equal(units, np.flatnonzero(one)) for one in starts)
 
 
 def _reduced(model: Model, skin: Skin, digest: str) -> ReducedModel:

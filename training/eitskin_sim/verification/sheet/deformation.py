@@ -20,11 +20,10 @@ class Deformation:
 
     Args:
         clock: What making models is counted by, s.
-        rough_first: Whether a frame that nothing explains is asked roughly before looser material is tried.
     """
 
-    def __init__(self, clock: Callable[[], float], *, rough_first: bool = False) -> None:
-        self._clock, self._rough_first = clock, rough_first
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
         self._model: Model | None = None
         self._scanned: Model | None = None
         self._others: list[Callable[[Shown], Model | None]] = []
@@ -58,13 +57,13 @@ class Deformation:
         """Let the scanned deformation be tried as other sheets once more."""
         scanned = self._scanned
         assert scanned is not None
-        others: list[Callable[[Shown], Model | None]] = [self._elsewhere, lambda _: scanned.looser(LOOSER)]
-        self._others = others[::-1] if self._rough_first else others
+        self._others = [lambda _: scanned.looser(LOOSER), self._elsewhere]
 
     def _elsewhere(self, shown: Shown) -> Model | None:
         self.is_rough = True
         amplitudes = shown()
-        return self.model.about(amplitudes) if self.model.differs(amplitudes) else None
+        share = self.model.likely_share(amplitudes)
+        return self.model.about(amplitudes, share) if share else None
 
     def rest(self, change: Array, reference: Array, noise: Noise) -> bool:
         """Take what the untouched sheet reads, and return whether it is the scanned one; else nothing changes.
@@ -93,17 +92,21 @@ class Deformation:
         """Whether another frame may show it."""
         return self._anew < ANEW
 
-    def make_anew(self, amplitudes: Array) -> Callable[[], None]:
+    def make_anew(self, amplitudes: Array, share: float = 1.0) -> Callable[[], None]:
         """Make the model about amplitudes of all its columns, and return what brings back the one before.
 
         It stays as it is where no sheet has them.
+
+        Args:
+            amplitudes: Of all columns.
+            share: Of the way there from what the model has.
         """
         before = self._model
 
         def back() -> None:
             self._model = before
 
-        self._make(lambda: self.model.about(amplitudes) or self.model)
+        self._make(lambda: self.model.about(amplitudes, share) or self.model)
         self._anew += 1
         return back
 
@@ -112,11 +115,20 @@ class Deformation:
         """Whether another sheet was not tried yet."""
         return bool(self._others)
 
+    def as_now(self) -> Callable[[], None]:
+        """Return what brings back the model as it is now, and which others are left to be tried."""
+        now = self._model, self._anew, self.is_rough, list(self._others)
+
+        def back() -> None:
+            self._model, self._anew, self.is_rough, self._others = now
+
+        return back
+
     def loosen(self, shown: Shown) -> Callable[[], None] | None:
         """Make the next other sheet, each once a deformation, and return what brings back the one before.
 
-        These are the scan's own, where it was seen at rest; one of looser material; and where it was not seen at rest,
-        one about what a frame shows roughly. None is returned where it shows nothing.
+        These are, where it was not seen at rest, one about what a frame shows roughly; one of looser material; and the
+        scan's own, where it was seen at rest. None is returned where a frame shows nothing.
         """
         before, other = (self._model, self._anew, self.is_rough), self._others.pop()
 

@@ -183,14 +183,20 @@ class Model:
         return np.asarray(self.unseen.mixed @ own[: self.unseen.n_waves]), self._gauge(own)
 
     def differs(self, amplitudes: Array) -> bool:
-        """Return whether the sheet is stretched, or conducts, otherwise by more than a derivative is good for.
+        """Return whether amplitudes of all columns say that the sheet is likely another, farther than derivatives go.
 
-        Args:
-            amplitudes: Of all columns. What a sheet is not likely to have is nonsense: a model of it would spoil the
-                frames after it. What is known of a sheet that was seen at rest is not asked again.
+        What a sheet is not likely to have is nonsense: a model of it would spoil the frames after it.
         """
-        own = amplitudes[: len(self.held)]
-        return self.rest is None and self._far(amplitudes) and bool(own @ own < LIKELY**2 * len(own))
+        return self.likely_share(amplitudes) == 1.0
+
+    def likely_share(self, amplitudes: Array) -> float:
+        """Return how far a sheet is likely to be on the way to some amplitudes of all columns; 0 where it is there.
+
+        Far from the truth derivatives point beyond it. What is known of a sheet that was seen at rest is not asked.
+        """
+        if self.rest is not None or not self._far(amplitudes):
+            return 0.0
+        return 1.0 / max(1.0, float(np.sqrt(np.mean(np.square(amplitudes[: len(self.held)])))) / LIKELY)
 
     def _far(self, amplitudes: Array) -> bool:
         """Return whether amplitudes of all columns are farther from the model than a derivative is good for."""
@@ -234,14 +240,14 @@ class Model:
         rest = at_rest(change, beside, expected, columns, FLOOR * (1.0 + change), noise.sd(change, reference))
         return rest.scale, replace(model, rest=rest)
 
-    def about(self, amplitudes: Array) -> "Model | None":
-        """Return the model of the sheet with the waves and the gauge factor of some amplitudes of all columns.
+    def about(self, amplitudes: Array, share: float = 1.0) -> "Model | None":
+        """Return the model with waves and gauge factor of amplitudes of all columns, or a share of the way there.
 
         None is returned where no sheet is so: its stiffness would not be positive.
         """
         held, waves = np.zeros(len(self.held)), self.unseen.n_waves
         for kept in (slice(waves), waves + self.unseen.names.index("gauge")):
-            held[kept] = amplitudes[kept]
+            held[kept] = self.held[kept] + share * (amplitudes[kept] - self.held[kept])
         try:
             return _model(self.scan, self.lying, self.spreads, self.skin, held, self._gauge(held))
         except (ValueError, np.linalg.LinAlgError):
