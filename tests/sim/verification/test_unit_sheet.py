@@ -20,7 +20,7 @@ from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.verification import unit_sheet
 from eitskin_sim.verification.asked import Asked, UnitVerdict, better
 from eitskin_sim.verification.residual import Noise
-from eitskin_sim.verification.sheet.deformation import ANEW
+from eitskin_sim.verification.sheet.deformation import ANEW, Deformation
 from eitskin_sim.verification.unit_sheet import UnitSheet, flat_of
 from eitskin_sim.verification.units import UnitTouch
 from eitskin_sim.verification.verdict import Verdict
@@ -197,6 +197,36 @@ def test_touches_are_shown_where_they_are_those_of_one_threshold() -> None:
         verdict = Verdict(tuple(UnitTouch(unit, 50.0) for unit in units), 80.0, 104, 0.9, 0.01, 1, 0.0)
         assert asked.shown(verdict) is expected
         assert replace(asked, starts=[]).shown(verdict)
+
+
+def test_just_what_the_network_shows_is_tried_on_other_sheets_before_any_frame_was_explained() -> None:
+    sheet = scanned()
+    judged = verified(sheet, read(UNITS, 1), UNITS, budget_s=0.0)
+    assert judged.flagged
+    found = sheet.improve()
+    assert found is not None
+    assert not found.flagged
+    assert {one.unit for one in found.touches} == set(UNITS)
+
+
+@pytest.mark.parametrize(("shares", "explained"), [((1.0,), False), ((1.0, 0.5), True)])
+def test_where_the_whole_way_leads_too_far_a_part_of_it_is_gone(
+    shares: tuple[float, ...], explained: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As derivatives say too much far from the truth, here all of them do: twice as much."""
+    make = Deformation.make_anew
+
+    def too_far(self: Deformation, amplitudes: Array, share: float = 1.0) -> Callable[[], None]:
+        return make(self, amplitudes, 2.0 * share)
+
+    monkeypatch.setattr(Deformation, "make_anew", too_far)
+    monkeypatch.setattr(unit_sheet, "SHARES", shares)
+    sheet = scanned()
+    verified(sheet, read(UNITS, 1), UNITS, budget_s=0.0)
+    model = sheet._verifier
+    found = sheet._by_the_network()
+    assert (found is not None) is explained
+    assert (sheet._verifier is model) is not explained
 
 
 def test_nothing_is_made_before_there_is_a_frame() -> None:

@@ -14,7 +14,8 @@ from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import fit_cloud, noise_tangents
 from eitskin_sim.surface.smoothed import smoothed
-from eitskin_sim.verification.sheet.model import ELEMENT_MM, Model, model_of_cloud
+from eitskin_sim.verification.sheet.at_rest import AtRest
+from eitskin_sim.verification.sheet.model import ELEMENT_MM, LIKELY, Model, model_of_cloud
 from eitskin_sim.verification.sheet.spreads import Spreads, usual
 
 GAUGE = Spreads(scan_mm=0.0).gauge
@@ -145,3 +146,26 @@ def test_of_a_scanner_the_least_noise_is_believed_that_a_skin_states() -> None:
     assert lab.may_be_off.scan_noise_mm[0] < lab.may_be_off.scan_noise_mm[1]
     assert usual(lab).scan_mm == lab.may_be_off.scan_noise_mm[0]
     assert usual(replace(lab, may_be_off=replace(lab.may_be_off, scan_noise_mm=(0.0, 0.0)))).scan_mm == 0.1
+
+
+def test_a_share_of_the_way_to_another_sheet_starts_at_what_the_model_has(model: Model) -> None:
+    there = model.about(amplitudes(model, gauge=0.8))
+    half = model.about(amplitudes(model, gauge=0.8), 0.5)
+    assert there is not None
+    assert half is not None
+    assert half.gauge == pytest.approx(0.4)
+    back = there.about(np.zeros_like(amplitudes(model)), 0.25)
+    assert back is not None
+    assert back.gauge == pytest.approx(0.6)
+
+
+def test_a_sheet_is_likely_to_be_as_far_as_its_amplitudes_are_usual(model: Model) -> None:
+    one = amplitudes(model, wave=(0, 1.0))
+    one[: len(model.held)] = 1.0
+    assert model.likely_share(np.zeros_like(one)) == 0.0
+    assert model.likely_share(one) == 1.0
+    assert model.differs(one)
+    assert model.likely_share(4.0 * LIKELY * one) == pytest.approx(0.25)
+    assert not model.differs(4.0 * LIKELY * one), "it would be nonsense"
+    rested = replace(model, rest=AtRest(model.untouched, np.zeros(104), np.zeros((104, 0)), 1.0))
+    assert rested.likely_share(one) == 0.0
