@@ -14,7 +14,7 @@ from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import ENOUGH, Fit, Frame, refine
 from eitskin_sim.verification.free.moves import Move, moves
-from eitskin_sim.verification.free.seen import BESIDE, DECISIVE, joints_of, together, unseen
+from eitskin_sim.verification.free.seen import BESIDE, DECISIVE, joints_of, shown_as, together, unseen
 
 ALMOST: Final = 3
 """Derivatives taken of a move before it is judged."""
@@ -33,6 +33,15 @@ LONG: Final = 1.6
 
 APART: Final = 0.28
 """The two lie by so much of its length to either side of its centre."""
+
+NARROW: Final = 1.2
+"""A touch that is so many times as long as wide may be two,"""
+
+GAP_MM: Final = 10.0
+"""so far apart at first,"""
+
+SURER: Final = 20.0
+"""if they cost so much less."""
 
 AGAINST_JOINT: Final = 10.0
 """Chi-squared that each joint may leave more: beyond it is one of a hundred bodies, as two degrees of freedom have."""
@@ -173,6 +182,40 @@ def parted(frame: Frame, fit: Fit, effort: Effort) -> Fit:
     except IMPOSSIBLE:
         return fit
     return other if other.cost < fit.cost else fit
+
+
+def apart(frame: Frame, fit: Fit, shares: Array, effort: Effort) -> Fit:
+    """Return the fit, or one with two touches that lie apart in place of a large one, if they explain more.
+
+    On a sheet that is known badly one between the two explains a frame, too. What the network shows as large is one.
+
+    Args:
+        frame: The frame.
+        fit: Of it.
+        shares: (n, rows, columns) of the network's map.
+        effort: Time.
+    """
+    if not len(fit.pieces) or effort.searched():
+        return fit
+    largest = int(np.argmax(areas_mm2(fit.pieces)))
+    piece = fit.pieces[largest]
+    along = int(np.argmax(piece[3:5]))
+    if piece[3 + along] < NARROW * piece[4 - along] or shown_as(piece, shares, frame.model.skin.grid):
+        return fit
+    two, side = np.vstack([piece, piece]), float(np.sqrt(piece[3] * piece[4] / 2.0))
+    log, usual = float(np.log(piece[6])), frame.usual.log_contrast
+    if usual * log > 0.0 and abs(usual) - abs(log) > WEAK:
+        side *= float(np.sqrt(np.tanh(log / 2.0) / np.tanh(usual / 2.0)))
+        two[:, 6] = np.exp(usual)
+    turn = np.deg2rad(piece[5]) + along * np.pi / 2
+    two[:, 1:3] += np.outer([-0.5, 0.5], [np.cos(turn), np.sin(turn)]) * (side + GAP_MM)
+    two[:, 3:5], two[:, 7] = side, np.minimum(two[:, 7], side - 0.01)
+    pieces = np.vstack([np.delete(fit.pieces, largest, axis=0), two])
+    try:
+        other = fitted(frame, pieces, fit.turning, effort, effort.searched)
+    except IMPOSSIBLE:
+        return fit
+    return other if other.cost < fit.cost - SURER else fit
 
 
 def usually(frame: Frame, fit: Fit, effort: Effort) -> Fit:

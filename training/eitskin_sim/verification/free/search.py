@@ -207,6 +207,7 @@ class FreeVerifier:
         if trail:
             fit = improve.fewer(frame, fit, effort)
         fit, confirmed_all = improve.confirmed(frame, fit, shares, effort)
+        fit = improve.apart(frame, fit, shares, effort)
         if (anew := self._loosened(fit, start, effort)) is not None:
             trail.append("loosen")
             return self._search(start, anew, shares, effort, trail)

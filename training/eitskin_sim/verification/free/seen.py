@@ -15,6 +15,7 @@ from eitskin_sim.scene.touch_table import RECTANGLE, Array, cover, pixel_lines
 from eitskin_sim.shapes.parameters import areas_mm2, parameters_of
 from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.free.prior.joints import Joints, crack
+from eitskin_sim.verification.free.starts import starts_of
 
 SEEN: Final = 0.2
 """Share of a touch that must be in the other's map."""
@@ -32,6 +33,9 @@ model's often seems to have one more, which takes 50 to 200 away. A hard touch o
 SMALL: Final = 0.85
 """Of the smallest touch's side: a gentle touch of usual size comes out no smaller."""
 
+ALIKE: Final = 0.25
+"""Logarithm by which sides differ at most."""
+
 CRACK_MM: Final = 3.0
 """Between two shapes of one touch: less than a pixel."""
 
@@ -44,6 +48,22 @@ def too_small(pieces: Array, least_mm: float) -> bool:
         least_mm: Side of the skin's smallest touches.
     """
     return bool(np.any(areas_mm2(pieces) < (SMALL * least_mm) ** 2))
+
+
+def shown_as(piece: Array, shares: Array, grid: Grid) -> bool:
+    """Return whether the network's map shows a touch as large as it was found, along and across.
+
+    Args:
+        piece: (8,) the touch.
+        shares: (n, rows, columns) of the network's map.
+        grid: Of the map.
+    """
+    if not len(shares):
+        return False
+    rectangles = starts_of(shares, grid)
+    nearest = rectangles[np.argmin(np.hypot(*(rectangles[:, 1:3] - piece[1:3]).T))]
+    sides = (np.sort(one[3:5]) for one in (nearest, piece))
+    return bool(np.abs(np.log(np.divide(*sides))).max() < ALIKE)
 
 
 def closed(pieces: Array, shares: Array, grid: Grid) -> Array:

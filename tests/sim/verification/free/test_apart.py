@@ -1,0 +1,76 @@
+"""One touch between two explains a frame on a sheet that is known badly: two that lie apart are tried in its place."""
+
+from itertools import count
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.verification.free import improve
+from eitskin_sim.verification.free.effort import Effort
+from eitskin_sim.verification.free.fit import Fit
+from eitskin_sim.verification.free.found import map_of
+from eitskin_sim.verification.free.search import FreeVerifier
+from eitskin_sim.verification.free.seen import shown_as
+from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.sheet import model
+
+Array = npt.NDArray[np.float64]
+
+BETWEEN = np.array([0, 60.0, 45.0, 16.0, 11.0, 0.0, 60.0, 0.0])
+
+
+def pair(contrast: float = 60.0) -> Array:
+    return np.array([[0, x, 45.0, 10.0, 10.0, 0.0, contrast, 0.0] for x in (50.0, 70.0)])
+
+
+def fit_of(touches: Array, found: Array) -> tuple[Fit, Effort]:
+    """Return what was found of touches on a flat sheet, and time that is counted in looks at the clock."""
+    looks = count()
+    own = FreeVerifier(model.flat_model_V(PAPER), Noise("N2", 50.0), clock=lambda: float(next(looks)))
+    own.deform(flat_cloud())
+    volts = own.deformation.model.touched.solve(touches).voltages_V
+    noisy = volts * (1.0 + 3e-3 * np.random.default_rng(3).standard_normal(104))
+    return own._frame(noisy / model.flat_model_V(PAPER) - 1.0).at(found, False), Effort(
+        600.0, lambda: float(next(looks))
+    )
+
+
+@pytest.mark.parametrize("contrast", [60.0, 2.5])
+def test_two_touches_are_found_where_one_lies_between(contrast: float) -> None:
+    """One of another contrast, too, as it comes out where it is stretched over both."""
+    between = BETWEEN.copy()
+    between[6] = contrast
+    fit, effort = fit_of(pair(), between[None])
+    found = improve.apart(fit.frame, fit, np.zeros((0, 30, 45)), effort)
+    order = np.argsort(found.pieces[:, 1])
+    assert found.pieces[order, 1:5] == pytest.approx(pair()[:, 1:5], abs=1.0)
+    assert found.cost < fit.cost - improve.SURER
+
+
+@pytest.mark.parametrize("narrow", [False, True])
+def test_one_touch_stays_one(narrow: bool) -> None:
+    """A bar is no two squares, and one that is as long as wide is not asked for."""
+    one = np.array([0, 60.0, 45.0, 24.0 if narrow else 11.0, 11.0, 0.0, 60.0, 0.0])
+    fit, effort = fit_of(one[None], one[None])
+    assert improve.apart(fit.frame, fit, np.zeros((0, 30, 45)), effort) is fit
+    assert effort.fits == (2 if narrow else 0)
+
+
+def test_what_the_network_shows_as_large_is_not_asked_for() -> None:
+    fit, effort = fit_of(pair(), BETWEEN[None])
+    shares = map_of(BETWEEN[None])[None]
+    assert improve.apart(fit.frame, fit, shares, effort) is fit
+    assert not effort.fits
+
+
+def test_a_touch_is_shown_as_it_was_found_where_the_nearest_one_has_its_sides() -> None:
+    elsewhere, longer = BETWEEN.copy(), BETWEEN.copy()
+    elsewhere[[1, 3]] = 120.0, 36.0
+    longer[3] += 8.0
+    shown = np.array([map_of(one[None]) for one in (BETWEEN, elsewhere)])
+    assert shown_as(BETWEEN, shown, PAPER.grid)
+    assert not shown_as(longer, shown, PAPER.grid)
+    assert not shown_as(BETWEEN, np.zeros((0, 30, 45)), PAPER.grid)
