@@ -59,11 +59,12 @@ def test_one_touch_stays_one(narrow: bool) -> None:
     assert effort.fits == (2 if narrow else 0)
 
 
-def test_what_the_network_shows_as_large_is_not_asked_for() -> None:
-    fit, effort = fit_of(pair(), BETWEEN[None])
-    shares = map_of(BETWEEN[None])[None]
-    assert improve.apart(fit.frame, fit, shares, effort) is fit
-    assert not effort.fits
+@pytest.mark.parametrize("explained", [False, True])
+def test_what_explains_a_frame_and_the_network_shows_as_large_is_one(explained: bool) -> None:
+    fit, effort = fit_of(BETWEEN[None] if explained else pair(), BETWEEN[None])
+    found = improve.apart(fit.frame, fit, map_of(BETWEEN[None])[None], effort)
+    assert (found is fit) is explained
+    assert effort.fits == (0 if explained else 2)
 
 
 def test_a_touch_is_shown_as_it_was_found_where_the_nearest_one_has_its_sides() -> None:

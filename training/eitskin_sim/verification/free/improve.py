@@ -13,6 +13,7 @@ from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import ENOUGH, Fit, Frame, refine
+from eitskin_sim.verification.free.found import explained
 from eitskin_sim.verification.free.moves import Move, moves
 from eitskin_sim.verification.free.seen import BESIDE, DECISIVE, joints_of, shown_as, together, unseen
 
@@ -187,7 +188,8 @@ def parted(frame: Frame, fit: Fit, effort: Effort) -> Fit:
 def apart(frame: Frame, fit: Fit, shares: Array, effort: Effort) -> Fit:
     """Return the fit, or one with two touches that lie apart in place of a large one, if they explain more.
 
-    On a sheet that is known badly one between the two explains a frame, too. What the network shows as large is one.
+    On a sheet that is known badly one between the two explains a frame, too. It is one where the network shows it as
+    large besides.
 
     Args:
         frame: The frame.
@@ -200,7 +202,9 @@ def apart(frame: Frame, fit: Fit, shares: Array, effort: Effort) -> Fit:
     largest = int(np.argmax(areas_mm2(fit.pieces)))
     piece = fit.pieces[largest]
     along = int(np.argmax(piece[3:5]))
-    if piece[3 + along] < NARROW * piece[4 - along] or shown_as(piece, shares, frame.model.skin.grid):
+    if piece[3 + along] < NARROW * piece[4 - along]:
+        return fit
+    if explained(fit) and shown_as(piece, shares, frame.model.skin.grid):
         return fit
     two, side = np.vstack([piece, piece]), float(np.sqrt(piece[3] * piece[4] / 2.0))
     log, usual = float(np.log(piece[6])), frame.usual.log_contrast
