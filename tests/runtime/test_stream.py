@@ -49,7 +49,10 @@ def collect(skin, seconds):
 
 
 def test_touches_come_and_go_and_untouched_frames_are_not_computed(virtual_skin, tiny_path):
-    with virtual_skin(touches=[[0.6, 1.0, 0.3]]) as port, opened(port, tiny_path) as skin:
+    with virtual_skin() as port, opened(port, tiny_path) as skin:
+        untouched = skin.reference
+    pressed = [[second + 0.6, second + 1.0, 0.3] for second in range(300)]  # whenever a busy machine comes to it
+    with virtual_skin(touches=pressed) as port, Skin(port, bundle=tiny_path, reference=untouched) as skin:
         frames = collect(skin, 1.2)
     touched = [frame for frame in frames if frame.touched]
     untouched = [frame for frame in frames if not frame.touched]
