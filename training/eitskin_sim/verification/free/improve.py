@@ -171,7 +171,7 @@ def parted(frame: Frame, fit: Fit, effort: Effort) -> Fit:
     log, length, width = float(np.log(piece[6])), float(piece[3:5].max()), float(piece[3:5].min())
     if usual * log <= 0.0 or abs(usual) - abs(log) <= WEAK or length < max(LONG_MM, LONG * width):
         return fit
-    side = np.sqrt(length * width / 2.0 * np.tanh(log / 2.0) / np.tanh(usual / 2.0))
+    side = _side_of_two_mm(piece, usual)
     turn = np.deg2rad(piece[5]) + int(np.argmax(piece[3:5])) * np.pi / 2
     two = np.vstack([piece, piece])
     two[:, 1:3] += np.outer([-APART, APART], [np.cos(turn), np.sin(turn)]) * length
@@ -206,11 +206,10 @@ def apart(frame: Frame, fit: Fit, shares: Array, effort: Effort) -> Fit:
         return fit
     if explained(fit) and shown_as(piece, shares, frame.model.skin.grid):
         return fit
-    two, side = np.vstack([piece, piece]), float(np.sqrt(piece[3] * piece[4] / 2.0))
-    log, usual = float(np.log(piece[6])), frame.usual.log_contrast
+    log, usual, two = float(np.log(piece[6])), frame.usual.log_contrast, np.vstack([piece, piece])
     if usual * log > 0.0 and abs(usual) - abs(log) > WEAK:
-        side *= float(np.sqrt(np.tanh(log / 2.0) / np.tanh(usual / 2.0)))
-        two[:, 6] = np.exp(usual)
+        log, two[:, 6] = usual, np.exp(usual)
+    side = _side_of_two_mm(piece, log)
     turn = np.deg2rad(piece[5]) + along * np.pi / 2
     two[:, 1:3] += np.outer([-0.5, 0.5], [np.cos(turn), np.sin(turn)]) * (side + GAP_MM)
     two[:, 3:5], two[:, 7] = side, np.minimum(two[:, 7], side - 0.01)
@@ -220,6 +219,12 @@ def apart(frame: Frame, fit: Fit, shares: Array, effort: Effort) -> Fit:
     except IMPOSSIBLE:
         return fit
     return other if other.cost < fit.cost - SURER else fit
+
+
+def _side_of_two_mm(piece: Array, log: float) -> float:
+    """Return the side of two squares of a log contrast that are together as strong as a touch."""
+    strength = np.tanh(np.log(piece[6]) / 2.0) / np.tanh(log / 2.0)
+    return float(np.sqrt(piece[3] * piece[4] / 2.0 * strength))
 
 
 def usually(frame: Frame, fit: Fit, effort: Effort) -> Fit:
