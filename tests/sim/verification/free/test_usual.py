@@ -51,6 +51,7 @@ def test_a_touch_that_the_network_sees_plainly_is_not_left_out_without_a_word() 
     speck = OTHER.copy()
     speck[0, 3:5] = 4.0
     assert not left_out(SQUARE, shares_of(np.vstack([SQUARE, speck])), PAPER.grid)
+    assert not left_out(speck, shares_of(OTHER), PAPER.grid)  # a gentle touch as a smaller hard one
     assert not left_out(np.zeros((0, 8)), shares_of(np.zeros((0, 8))), PAPER.grid)
 
 

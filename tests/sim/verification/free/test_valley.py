@@ -14,9 +14,9 @@ from eitskin_sim.verification.chi_squared import LEVEL
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Frame, refine
 from eitskin_sim.verification.free.found import FreeVerdict, drawn, map_of, scatter_of, touches_of
-from eitskin_sim.verification.free.improve import parted
 from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.seen import left_out, too_small
+from eitskin_sim.verification.free.two import parted
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.free.valley import likely, scaled
 from eitskin_sim.verification.residual import Noise
@@ -69,13 +69,6 @@ def test_a_faint_touch_is_none_of_hard_ones_smaller_than_any(model: Model) -> No
     assert left_out(found.pieces, shown, grid) or too_small(found.pieces, PAPER.touches.size_mm[0])
     assert found.p_value > LEVEL
     assert not found.flagged
-    elsewhere = GENTLE.copy()
-    elsewhere[0, 1] = 110.0
-    assert verified(model, faint, shown=np.vstack([faint, elsewhere])).contested
-    speck = HARD.copy()
-    speck[0, 3:5] = 2.0
-    own = FreeVerifier(flat_model_V(PAPER), Noise("N2", 50.0))
-    assert own._contested(((0.4, speck), (0.6, HARD)), map_of(HARD)[None]) == 0.4
 
 
 def test_a_hard_touch_has_one_contrast_and_a_press_may_be_gentler(model: Model) -> None:

@@ -29,19 +29,19 @@ from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.verification.chi_squared import LEVEL
 from eitskin_sim.verification.frame import check_frame
-from eitskin_sim.verification.free import improve
+from eitskin_sim.verification.free import improve, two
+from eitskin_sim.verification.free.doubt import contested
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import ENOUGH, Fit, Frame, on_sheet, refine
 from eitskin_sim.verification.free.found import (
     FreeVerdict,
-    Likely,
     degrees_of_freedom,
     explained,
     p_of,
     scatter_of,
     touches_of,
 )
-from eitskin_sim.verification.free.seen import closed, left_out, too_small
+from eitskin_sim.verification.free.seen import closed
 from eitskin_sim.verification.free.starts import followed, starts_of, tries_of
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.free.valley import likely
@@ -61,10 +61,6 @@ ROUGHLY: Final = 10.0
 
 NEARLY: Final = 1e-3
 """p from which a looser sheet is gone on with."""
-
-DOUBT: Final = 0.5
-"""Share of belief beyond which what contradicts the touches counts."""
-
 
 Made = TypeVar("Made")
 
@@ -165,7 +161,7 @@ class FreeVerifier:
             unfinished,
             fit.pieces,
             tuple(trail),
-            self._contested(every, shares) > DOUBT,
+            contested(fit, every, shares, effort),
             drawn_whole,
             scatter,
             fit.frame.joints,
@@ -190,7 +186,7 @@ class FreeVerifier:
         """
         frame, fit = begun
         if not explained(fit):
-            usual = improve.usually(frame, improve.parted(frame, fit, effort), effort)
+            usual = improve.usually(frame, two.parted(frame, fit, effort), effort)
             frame, fit = self._settled(frame, usual, effort)
         while not effort.searched() and not explained(fit):
             name, better = improve.moved(frame, fit, effort)
@@ -203,11 +199,12 @@ class FreeVerifier:
             if better is None:
                 break
         unfinished = effort.searched() and not explained(fit)
-        fit = improve.straightened(frame, improve.usually(frame, improve.parted(frame, fit, effort), effort), effort)
-        if trail:
-            fit = improve.fewer(frame, fit, effort)
+        fit = improve.straightened(frame, improve.usually(frame, two.parted(frame, fit, effort), effort), effort)
+        fit = improve.fewer(frame, fit, effort, anyhow=bool(trail) or len(fit.pieces) > max(self._shown, 2))
         fit, confirmed_all = improve.confirmed(frame, fit, shares, effort)
-        fit = improve.apart(frame, fit, shares, effort)
+        fit = two.apart(frame, fit, shares, effort)
+        if trail:
+            fit = two.as_one(frame, fit, effort)
         if (anew := self._loosened(fit, start, effort)) is not None:
             trail.append("loosen")
             return self._search(start, anew, shares, effort, trail)
@@ -243,14 +240,6 @@ class FreeVerifier:
         found = make()
         effort.setup_s += self.deformation.spent_s - before
         return found
-
-    def _contested(self, every: Likely, shares: Array) -> float:
-        """Return the share of belief in touches that lack one the network plainly shows, or of which one is too small.
-
-        A gentle touch answers as a hard one that is smaller than any; at its own contrast it has its size.
-        """
-        grid, least_mm = self._skin.grid, self._skin.touches.size_mm[0]
-        return sum(share for share, pieces in every if left_out(pieces, shares, grid) or too_small(pieces, least_mm))
 
     def _frame(self, change: Array) -> Frame:
         model = self.deformation.model

@@ -134,7 +134,16 @@ def unseen(pieces: Array, shares: Array, grid: Grid) -> list[int]:
 
 
 def left_out(pieces: Array, shares: Array, grid: Grid) -> bool:
-    """Return whether touches lack one that the network shows plainly; see :func:`unseen`."""
+    """Return whether touches lack one that the network shows plainly: none covers it, and none lies on it.
+
+    Args:
+        pieces: (m, 8) touches.
+        shares: (n, rows, columns) of the network's map, what each of its touches has of every pixel.
+        grid: Of the map.
+    """
     plain = shares[shares.sum(axis=(1, 2)) >= PLAIN]
-    covered = np.einsum("nrc,rc->n", plain, map_of(pieces, grid))
-    return bool(np.any(covered < SEEN * plain.sum(axis=(1, 2))))
+    drawn = np.array([map_of(piece[None], grid) for piece in pieces]).reshape(len(pieces), *grid.shape)
+    shared = np.einsum("nrc,mrc->nm", plain, drawn)
+    covered = shared.sum(axis=1) >= SEEN * plain.sum(axis=(1, 2))
+    met = (shared >= SEEN * drawn.sum(axis=(1, 2))).any(axis=1)
+    return bool(np.any(~(covered | met)))

@@ -1,0 +1,150 @@
+"""One touch that may be two, long and weak ones and those that lie between the two; and two that may be one.
+
+Each returns what it was given where two explain no more or time is over.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from eitskin_sim.scene.gap import gap_mm
+from eitskin_sim.scene.touch_table import RECTANGLE, Array
+from eitskin_sim.shapes.parameters import areas_mm2
+from eitskin_sim.verification.free.effort import Effort
+from eitskin_sim.verification.free.fit import Fit, Frame
+from eitskin_sim.verification.free.found import explained
+from eitskin_sim.verification.free.improve import IMPOSSIBLE, SURER, fewer, fitted
+from eitskin_sim.verification.free.seen import shown_as
+
+WEAK: Final = 1.0
+"""A touch whose contrast's logarithm is nearer to 0 than usual by more may be two,"""
+
+LONG_MM: Final = 20.0
+"""if it is as long,"""
+
+LONG: Final = 1.6
+"""and so many times as long as wide."""
+
+APART: Final = 0.28
+"""The two lie by so much of its length to either side of its centre."""
+
+NARROW: Final = 1.2
+"""A touch that is so many times as long as wide may be two,"""
+
+GAP_MM: Final = 10.0
+"""so far apart at first, if they cost beyond doubt less."""
+
+NEAR_MM: Final = 12.0
+"""Gap up to which two touches may be one."""
+
+OVER_MM: Final = -3.0
+"""A gap from which another touch lies over it, and is a part of the two as well."""
+
+
+def parted(frame: Frame, fit: Fit, effort: Effort) -> Fit:
+    """Return the fit, or one with two touches of usual contrast in place of a long weak one, if that is likelier.
+
+    Two touches near each other read nearly as one over both and what lies between, at a tenth of their contrast.
+    """
+    if not len(fit.pieces) or effort.searched():
+        return fit
+    largest = int(np.argmax(areas_mm2(fit.pieces)))
+    piece, usual = fit.pieces[largest], frame.usual.log_contrast
+    log, length, width = float(np.log(piece[6])), float(piece[3:5].max()), float(piece[3:5].min())
+    if usual * log <= 0.0 or abs(usual) - abs(log) <= WEAK or length < max(LONG_MM, LONG * width):
+        return fit
+    side = _side_of_two_mm(piece, usual)
+    turn = np.deg2rad(piece[5]) + int(np.argmax(piece[3:5])) * np.pi / 2
+    two = np.vstack([piece, piece])
+    two[:, 1:3] += np.outer([-APART, APART], [np.cos(turn), np.sin(turn)]) * length
+    two[:, 3:5], two[:, 6] = side, np.exp(usual)
+    two[:, 7] = np.minimum(two[:, 7], side - 0.01)
+    pieces = np.vstack([np.delete(fit.pieces, largest, axis=0), two])
+    try:
+        other = fitted(frame, pieces, fit.turning, effort, effort.searched)
+    except IMPOSSIBLE:
+        return fit
+    return other if other.cost < fit.cost else fit
+
+
+def apart(frame: Frame, fit: Fit, shares: Array, effort: Effort) -> Fit:
+    """Return the fit, or one with two touches that lie apart in place of a large one, if they explain more.
+
+    On a sheet that is known badly one between the two explains a frame, too. It is one where the network shows it as
+    large besides.
+
+    Args:
+        frame: The frame.
+        fit: Of it.
+        shares: (n, rows, columns) of the network's map.
+        effort: Time.
+    """
+    if not len(fit.pieces) or effort.searched():
+        return fit
+    largest = int(np.argmax(areas_mm2(fit.pieces)))
+    piece = fit.pieces[largest]
+    along = int(np.argmax(piece[3:5]))
+    if piece[3 + along] < NARROW * piece[4 - along]:
+        return fit
+    if explained(fit) and shown_as(piece, shares, frame.model.skin.grid):
+        return fit
+    log, usual, two = float(np.log(piece[6])), frame.usual.log_contrast, np.vstack([piece, piece])
+    if usual * log > 0.0 and abs(usual) - abs(log) > WEAK:
+        log, two[:, 6] = usual, np.exp(usual)
+    side = _side_of_two_mm(piece, log)
+    turn = np.deg2rad(piece[5]) + along * np.pi / 2
+    two[:, 1:3] += np.outer([-0.5, 0.5], [np.cos(turn), np.sin(turn)]) * (side + GAP_MM)
+    two[:, 3:5], two[:, 7] = side, np.minimum(two[:, 7], side - 0.01)
+    over = gap_mm(np.tile(piece, (len(fit.pieces), 1)), fit.pieces) < OVER_MM
+    try:
+        other = fitted(frame, np.vstack([fit.pieces[~over], two]), fit.turning, effort, effort.searched)
+    except IMPOSSIBLE:
+        return fit
+    if other.cost >= fit.cost - SURER:
+        return fit
+    return fewer(frame, other, effort) if len(other.pieces) > 2 else other
+
+
+def as_one(frame: Frame, fit: Fit, effort: Effort) -> Fit:
+    """Return the fit, or one with a touch along two near each other in their place, if that is likelier.
+
+    It is tried where there are more touches than the network shows.
+    """
+    if len(fit.pieces) <= max(frame.shown, 1) or effort.searched():
+        return fit
+    one, other = np.tril_indices(len(fit.pieces), -1)
+    gaps = gap_mm(fit.pieces[one], fit.pieces[other])
+    least = int(np.argmin(gaps))
+    if gaps[least] > NEAR_MM:
+        return fit
+    both = [int(one[least]), int(other[least])]
+    pieces = np.vstack([np.delete(fit.pieces, both, axis=0), _along(fit.pieces[both])])
+    try:
+        found = fitted(frame, pieces, True, effort, effort.searched)
+    except IMPOSSIBLE:
+        return fit
+    return found if found.cost < fit.cost else fit
+
+
+def _along(pieces: Array) -> Array:
+    """Return the (8,) touch of the area and the moments of some."""
+    turn, of_side = np.deg2rad(pieces[:, 5]), np.where(pieces[:, 0] == RECTANGLE, 12.0, 16.0)
+    area = areas_mm2(pieces)
+    weight = area / area.sum()
+    middle = weight @ pieces[:, 1:3]
+    spread = np.einsum("n,ni,nj->ij", weight, pieces[:, 1:3] - middle, pieces[:, 1:3] - middle)
+    for axis in (0, 1):
+        way = np.stack([np.cos(turn + axis * np.pi / 2), np.sin(turn + axis * np.pi / 2)], axis=-1)
+        spread += np.einsum("n,ni,nj->ij", weight * pieces[:, 3 + axis] ** 2 / of_side, way, way)
+    own, ways = np.linalg.eigh(spread)
+    sides = np.sqrt(of_side[0] * own[::-1])
+    sides *= np.sqrt(area.sum() / areas_mm2(np.array([[pieces[0, 0], 0, 0, *sides, 0, 1, 0]]))[0])
+    contrast = np.exp(weight @ np.log(pieces[:, 6]))
+    angle_deg = float(np.rad2deg(np.arctan2(ways[1, 1], ways[0, 1]))) % 180.0
+    return np.array([pieces[0, 0], *middle, *sides, angle_deg, contrast, min(pieces[:, 7].min(), sides.min() - 0.01)])
+
+
+def _side_of_two_mm(piece: Array, log: float) -> float:
+    """Return the side of two squares of a log contrast that are together as strong as a touch."""
+    strength = np.tanh(np.log(piece[6]) / 2.0) / np.tanh(log / 2.0)
+    return float(np.sqrt(piece[3] * piece[4] / 2.0 * strength))
