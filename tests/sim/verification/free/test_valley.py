@@ -11,6 +11,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.chi_squared import LEVEL
+from eitskin_sim.verification.free import valley
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Frame, refine
 from eitskin_sim.verification.free.found import FreeVerdict, drawn, map_of, scatter_of, touches_of
@@ -58,6 +59,41 @@ def test_a_gentle_touch_is_drawn_in_part_and_its_ranges_reach_as_far_as_the_data
     assert cc(found.map(), truth) > cc(map_of(found.pieces), truth) + 0.02
     assert touch.area_range_mm2[0] < 85.0 < touch.area_range_mm2[1]
     assert touch.contrast_range[0] <= 2.2
+
+
+def test_a_larger_gentle_touch_is_found_along_the_valley_a_contrast_at_a_time(model: Model) -> None:
+    """Each from the one before: 16 mm of contrast 3 come out as a hard touch of two thirds of the side."""
+    larger = GENTLE.copy()
+    larger[0, [3, 4, 6]] = 16.0, 16.0, 3.0
+    found = verified(model, larger)
+    contrasts = [float(pieces[0, 6]) for _, pieces in found.likely]
+    assert contrasts[1:] == sorted(contrasts[1:], reverse=True)
+    sides = [float(np.sqrt(areas_mm2(pieces)[0])) for _, pieces in found.likely]
+    at = int(np.argmin(np.abs(np.log(contrasts) - np.log(3.0))))
+    assert sides[0] < 13.0
+    assert sides[at] == pytest.approx(16.0, abs=1.0)
+    assert cc(found.map(), map_of(larger)) > cc(map_of(found.pieces), map_of(larger)) + 0.02
+
+
+def test_what_is_far_at_one_contrast_is_not_looked_at_beyond(model: Model) -> None:
+    own = FreeVerifier(flat_model_V(PAPER), Noise("N2", 50.0))
+    own.deformation.scan(lambda: model)
+    hard = HARD.copy()
+    hard[0, 3:5] = 16.0
+    frame = own._frame(model.solve(hard)[1])
+    effort = Effort(100.0)
+    assert len(likely(frame, frame.at(hard), effort)) == 1
+    assert effort.fits == 1
+
+
+def test_a_step_promises_what_it_keeps_where_derivatives_are_near(model: Model) -> None:
+    own = FreeVerifier(flat_model_V(PAPER), Noise("N2", 50.0))
+    own.deformation.scan(lambda: model)
+    frame = own._frame(model.solve(HARD)[1])
+    fit = frame.at(HARD + np.array([0, 0.2, -0.1, 0, 0, 0, 0, 0]))
+    promised = valley._promised(fit, fit.linear[1])
+    kept = fit.cost - refine(frame, fit, 1, by=fit.linear[1]).cost
+    assert 0.0 < kept == pytest.approx(promised, rel=0.1)
 
 
 def test_a_faint_touch_is_none_of_hard_ones_smaller_than_any(model: Model) -> None:

@@ -166,7 +166,14 @@ def held_prior(fit: Fit) -> float:
     return float(fit.unlikely[:-1] @ fit.unlikely[:-1])
 
 
-def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = never, enough: float = ENOUGH) -> Fit:
+def refine(
+    frame: Frame,
+    fit: Fit,
+    steps: int = 8,
+    over: Callable[[], bool] = never,
+    enough: float = ENOUGH,
+    by: Array | None = None,
+) -> Fit:
     """Return touches moved, resized and made to conduct so that they explain a frame better, never worse.
 
     Args:
@@ -176,8 +183,9 @@ def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = ne
         over: Whether time is over: asked before each derivative and each solution, so that one of them is what a frame
             takes longer at most.
         enough: A step that gains less is the last.
+        by: (rows + p, r) derivatives for the first step, from near by; None takes them anew.
     """
-    damping, by, stale = 1e-2, None, 0
+    damping, stale = 1e-2, 0
     for _ in range(steps):
         if not len(fit.pieces) or fit.settled or over():
             return fit

@@ -13,16 +13,16 @@ from typing import Final
 import numpy as np
 
 from eitskin_sim.scene.touch_table import Array
-from eitskin_sim.shapes.parameters import areas_mm2
+from eitskin_sim.shapes.parameters import COUNT, HALF_LENGTH, HALF_WIDTH, areas_mm2
 from eitskin_sim.verification.free.effort import Effort
-from eitskin_sim.verification.free.fit import Fit, Frame, held_prior
+from eitskin_sim.verification.free.fit import Fit, Frame, held_prior, refine
 from eitskin_sim.verification.free.found import Likely
-from eitskin_sim.verification.free.improve import IMPOSSIBLE, fitted
+from eitskin_sim.verification.free.improve import IMPOSSIBLE
 
-GENTLE: Final = ((2.0, 0.2), (5.0, 0.2))
+GENTLE: Final = ((1.5, 0.1), (2.0, 0.1), (3.0, 0.1), (5.0, 0.1))
 """Contrasts below those that a skin states of touches that raise conductance, and the shares of belief of each."""
 
-LARGER: Final = ((2.0, 0.1),)
+LARGER: Final = ((2.0, 0.05), (3.0, 0.05))
 """The same of touches that would be larger than :data:`PLAIN_MM` with the skin's contrast."""
 
 LOWERING: Final = ((0.7, 0.4),)
@@ -37,11 +37,14 @@ APART: Final = 0.2
 PLAIN_MM: Final = 8.5
 """Root of the area from which a touch of contrast 50 reads otherwise than any of contrast 5."""
 
-LARGE_MM: Final = 14.0
+LARGE_MM: Final = 20.0
 """The same of contrast 2, of twice the side: beyond it a touch's size shows. It is asked of a touch that is alone."""
 
-STEPS: Final = 1
-"""Derivatives taken of each: more do not draw better maps."""
+STEPS: Final = 3
+"""Steps of each, from the touches of the contrast before: with fewer, gentler ones are believed too little."""
+
+FAR: Final = 8.0
+"""What costs so much more even if a step keeps what it promises is not gone on with, nor is what lies beyond."""
 
 LEAST: Final = 0.02
 """A smaller share of belief is none."""
@@ -49,27 +52,62 @@ LEAST: Final = 0.02
 
 def likely(frame: Frame, fit: Fit, effort: Effort) -> Likely:
     """Return a fit's touches, and those of other contrasts that explain a frame as well."""
-    usual = frame.usual
     own = ((1.0, fit.pieces),)
     mean = float(np.log(fit.pieces[:, 6]).mean()) if len(fit.pieces) else 0.0
     others = [one for one in _gentler(frame, fit.pieces) if abs(np.log(one[0]) - mean) > APART]
     if not others:
         return own
     tried = [(1.0 - sum(share for _, share in others), _unlikely(fit), fit.pieces)]
-    for contrast, share in others:
-        if effort.searched():
-            break
-        at = replace(frame, usual=replace(usual, log_contrast=float(np.log(contrast)), common_sd=HELD_SD))
-        try:
-            found = fitted(at, scaled(fit.pieces, contrast), fit.turning, effort, effort.searched, STEPS)
-        except IMPOSSIBLE:
-            continue
-        tried.append((share, _unlikely(found), found.pieces))
+    for towards in (1.0, -1.0):
+        before: Fit | None = fit
+        for contrast, share in sorted(others, key=lambda one: towards * one[0]):
+            if towards * (np.log(contrast) - mean) < 0.0:
+                continue
+            if before is None or effort.searched():
+                break
+            before = _held(frame, fit, before, contrast, effort)
+            if before is not None:
+                tried.append((share, _unlikely(before), before.pieces))
     least = min(cost for _, cost, _ in tried)
     belief = np.array([share * np.exp(-0.5 * (cost - least)) for share, cost, _ in tried])
     belief[1:][belief[1:] < LEAST * belief.sum()] = 0.0
     belief /= belief.sum()
     return tuple((float(one), pieces) for one, (_, _, pieces) in zip(belief, tried, strict=True) if one > 0.0) or own
+
+
+def _held(frame: Frame, own: Fit, before: Fit, contrast: float, effort: Effort) -> Fit | None:
+    """Return touches fitted with their mean contrast held, from those of a contrast before; None where that is far.
+
+    Touches that are scaled by their contrast answer to their places, and by the logarithm to their sides, as before.
+
+    Args:
+        frame: The frame.
+        own: The touches as they were fitted, whose derivatives serve.
+        before: Where to start.
+        contrast: That they have.
+        effort: Of the frame.
+    """
+    at = replace(frame, usual=replace(frame.usual, log_contrast=float(np.log(contrast)), common_sd=HELD_SD))
+    _, by, free = own.errors
+    effort.fits += 1
+    try:
+        start = at.at(scaled(before.pieces, contrast), own.turning)
+        scale = np.ones((len(own.pieces), COUNT))
+        scale[:, [HALF_LENGTH, HALF_WIDTH]] = own.pieces[:, 3:5] / start.pieces[:, 3:5]
+        by = by * scale[free]
+        if start.cost - _promised(start, by) > own.cost + FAR:
+            return None
+        return refine(at, start, STEPS, effort.searched, by=by)
+    except IMPOSSIBLE:
+        return None
+
+
+def _promised(fit: Fit, by: Array) -> float:
+    """Return by how much a step would make what is minimised less, as (rows + p, r) derivatives from near by say."""
+    residual, rate, _ = fit.residuals()
+    by = np.concatenate([by[: len(fit.residual)], rate])
+    step = np.linalg.lstsq(by, residual, rcond=None)[0]
+    return float(residual @ residual - np.sum((residual - by @ step) ** 2))
 
 
 def _gentler(frame: Frame, pieces: Array) -> tuple[tuple[float, float], ...]:
