@@ -1,6 +1,6 @@
 """One touch that may be two, long and weak ones and those that lie between the two; and two that may be one.
 
-Each returns what it was given where two explain no more or time is over.
+Each returns what it was given where nothing else is likelier or time is over.
 """
 
 from typing import Final
@@ -106,7 +106,7 @@ def apart(frame: Frame, fit: Fit, shares: Array, effort: Effort) -> Fit:
 
 
 def as_one(frame: Frame, fit: Fit, effort: Effort) -> Fit:
-    """Return the fit, or one with a touch along two near each other in their place, if that is likelier.
+    """Return the fit, or one with one touch along both in place of the two nearest, if that is likelier.
 
     It is tried where there are more touches than the network shows.
     """
