@@ -6,6 +6,7 @@ import pytest
 
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.verification.free import doubt
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Fit
@@ -26,9 +27,9 @@ def model() -> Model:
     return model_of_cloud(flat_cloud())
 
 
-def fit_of(model: Model, touches: Array, found: Array) -> Fit:
+def fit_of(model: Model, touches: Array, found: Array, kind: TouchKind = "raising") -> Fit:
     volts = model.touched.solve(touches).voltages_V * (1.0 + 3e-3 * np.random.default_rng(3).standard_normal(104))
-    own = FreeVerifier(flat_model_V(PAPER), Noise("N2", 50.0))
+    own = FreeVerifier(flat_model_V(PAPER), Noise("N2", 50.0), kind)
     own.deformation.scan(lambda: model)
     return own._frame(volts / flat_model_V(PAPER) - 1.0).at(found)
 
@@ -47,6 +48,26 @@ def test_a_place_that_the_network_alone_shows_is_in_doubt_where_nothing_explains
     assert not contested(right, own, shares_of(HARD))
     assert not contested(right, own, shares_of(ELSEWHERE))
     assert contested(wrong, own, shares_of(ELSEWHERE))
+
+
+def test_what_the_network_shows_of_a_press_is_held_against_the_frame_as_a_press(
+    model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Round, with a graded border and of the skin's contrast first, as a search starts."""
+    press = np.array([[2, 60.0, 45.0, 16.0, 16.0, 0.0, 0.4, 3.0]])
+    fit = fit_of(model, press, press, "lowering")
+    tried: list[Array] = []
+
+    def kept(_: object, pieces: Array, *__: object) -> Fit:
+        tried.append(pieces)
+        return fit
+
+    monkeypatch.setattr(doubt, "fitted", kept)
+    assert contested(fit, ((1.0, press),), shares_of(press, ELSEWHERE))
+    assert len(tried) == 1  # it costs as much, and that is enough
+    assert tried[0][:, 0].tolist() == [2.0, 2.0]
+    assert np.all(tried[0][:, 7] > 0.0)
+    assert np.log(tried[0][:, 6]) == pytest.approx(fit.frame.usual.log_contrast)
 
 
 def test_it_is_in_doubt_where_it_would_explain_the_frame_nearly_as_well(

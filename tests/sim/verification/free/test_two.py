@@ -52,6 +52,22 @@ def test_two_touches_are_found_where_one_lies_between(contrast: float) -> None:
     assert found.cost < fit.cost - improve.SURER
 
 
+def test_a_thin_touch_does_not_stay_beside_the_two_in_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of 3 mm, the narrowest there is, lies over itself by no more than that; and what lies over it goes, too."""
+    thin = np.array([[0, 60.0, 45.0, 30.0, 3.0, 0.0, 60.0, 0.0], [0, 62.0, 45.0, 8.0, 8.0, 0.0, 60.0, 0.0]])
+    fit, effort = fit_of(pair(), np.vstack([thin, pair()[:1] + np.array([0, 0, 35.0, 0, 0, 0, 0, 0])]))
+    tried: list[Array] = []
+
+    def fitted(_: object, pieces: Array, *__: object) -> Fit:
+        tried.append(pieces)
+        return fit
+
+    monkeypatch.setattr(two, "fitted", fitted)
+    monkeypatch.setattr(two, "areas_mm2", lambda pieces: pieces[:, 3])
+    assert two.apart(fit.frame, fit, np.zeros((0, 30, 45)), effort) is fit
+    assert tried[0][:, 2].tolist() == [80.0, 45.0, 45.0]
+
+
 @pytest.mark.parametrize("narrow", [False, True])
 def test_one_touch_stays_one(narrow: bool) -> None:
     """A bar is no two squares, and one that is as long as wide is not asked for."""

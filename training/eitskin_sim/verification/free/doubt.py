@@ -14,7 +14,7 @@ from eitskin_sim.verification.free.fit import Fit
 from eitskin_sim.verification.free.found import Likely, explained
 from eitskin_sim.verification.free.improve import IMPOSSIBLE, SURER, fitted
 from eitskin_sim.verification.free.seen import left_out, too_small
-from eitskin_sim.verification.free.starts import starts_of
+from eitskin_sim.verification.free.starts import starts_of, tries_of
 
 DOUBT: Final = 0.5
 """Share of belief beyond which what contradicts the touches counts."""
@@ -44,13 +44,15 @@ def contested(fit: Fit, every: Likely, shares: Array, effort: Effort) -> bool:
 
 
 def _surer(fit: Fit, shares: Array, effort: Effort) -> bool:
-    """Return whether a fit explains its frame, and so much better than what the network shows."""
+    """Return whether a fit explains its frame, and so much better than what the network shows, of any contrast."""
     if not explained(fit) or effort.searched():
         return False
     shown = starts_of(shares, fit.frame.model.skin.grid)
-    shown[:, 6] = np.exp(np.log(fit.pieces[:, 6]).mean()) if len(fit.pieces) else np.exp(fit.frame.usual.log_contrast)
-    try:
-        other = fitted(fit.frame, shown, bool(shown[:, 5].any()), effort, effort.searched)
-    except IMPOSSIBLE:
-        return False
-    return other.cost > fit.cost + SURER
+    for one in tries_of(shown, None, fit.frame.usual):
+        try:
+            other = fitted(fit.frame, one, bool(one[:, 5].any()), effort, effort.searched)
+        except IMPOSSIBLE:
+            return False
+        if other.cost <= fit.cost + SURER:
+            return False
+    return True

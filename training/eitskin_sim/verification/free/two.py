@@ -96,6 +96,7 @@ def apart(frame: Frame, fit: Fit, shares: Array, effort: Effort) -> Fit:
     two[:, 1:3] += np.outer([-0.5, 0.5], [np.cos(turn), np.sin(turn)]) * (side + GAP_MM)
     two[:, 3:5], two[:, 7] = side, np.minimum(two[:, 7], side - 0.01)
     over = gap_mm(np.tile(piece, (len(fit.pieces), 1)), fit.pieces) < OVER_MM
+    over[largest] = True  # a thin one lies over itself by less
     try:
         other = fitted(frame, np.vstack([fit.pieces[~over], two]), fit.turning, effort, effort.searched)
     except IMPOSSIBLE:

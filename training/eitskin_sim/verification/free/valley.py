@@ -5,6 +5,8 @@ A disc of contrast c answers as (c - 1) / (c + 1) times its area, as long as it 
 that begins has a lower one, however the skin is made. So a share of belief goes to gentler touches, and how much of it
 stays is decided by the sizes that they would have, and by what they leave unexplained. The map is drawn from all of
 them, each by its share: what is sure is drawn full, and what depends on the contrast is drawn in part.
+
+They are followed from the touches that were found, a contrast at a time, each from the one before.
 """
 
 from dataclasses import replace
@@ -44,7 +46,7 @@ STEPS: Final = 3
 """Steps of each, from the touches of the contrast before: with fewer, gentler ones are believed too little."""
 
 FAR: Final = 8.0
-"""What costs so much more even if a step keeps what it promises is not gone on with, nor is what lies beyond."""
+"""What costs so much more, even if a step keeps its promise, is left, and gentler ones with it."""
 
 LEAST: Final = 0.02
 """A smaller share of belief is none."""
