@@ -53,7 +53,7 @@ def test_a_place_that_the_network_alone_shows_is_in_doubt_where_nothing_explains
 def test_what_the_network_shows_of_a_press_is_held_against_the_frame_as_a_press(
     model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Round, with a graded border and of the skin's contrast first, as a search starts."""
+    """Round, with a graded border and of the skin's contrast, as a search starts."""
     press = np.array([[2, 60.0, 45.0, 16.0, 16.0, 0.0, 0.4, 3.0]])
     fit = fit_of(model, press, press, "lowering")
     tried: list[Array] = []
@@ -64,7 +64,6 @@ def test_what_the_network_shows_of_a_press_is_held_against_the_frame_as_a_press(
 
     monkeypatch.setattr(doubt, "fitted", kept)
     assert contested(fit, ((1.0, press),), shares_of(press, ELSEWHERE))
-    assert len(tried) == 1  # it costs as much, and that is enough
     assert tried[0][:, 0].tolist() == [2.0, 2.0]
     assert np.all(tried[0][:, 7] > 0.0)
     assert np.log(tried[0][:, 6]) == pytest.approx(fit.frame.usual.log_contrast)

@@ -6,8 +6,6 @@ more however they are moved, nothing is left to doubt.
 
 from typing import Final
 
-import numpy as np
-
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Fit
@@ -44,15 +42,13 @@ def contested(fit: Fit, every: Likely, shares: Array, effort: Effort) -> bool:
 
 
 def _surer(fit: Fit, shares: Array, effort: Effort) -> bool:
-    """Return whether a fit explains its frame, and so much better than what the network shows, of any contrast."""
+    """Return whether a fit explains its frame, and so much better than what the network shows, of usual contrast."""
     if not explained(fit) or effort.searched():
         return False
     shown = starts_of(shares, fit.frame.model.skin.grid)
-    for one in tries_of(shown, None, fit.frame.usual):
-        try:
-            other = fitted(fit.frame, one, bool(one[:, 5].any()), effort, effort.searched)
-        except IMPOSSIBLE:
-            return False
-        if other.cost <= fit.cost + SURER:
-            return False
-    return True
+    usual = tries_of(shown, None, fit.frame.usual)[0] if len(shown) else shown
+    try:
+        other = fitted(fit.frame, usual, bool(usual[:, 5].any()), effort, effort.searched)
+    except IMPOSSIBLE:
+        return False
+    return other.cost > fit.cost + SURER
