@@ -11,9 +11,10 @@ from typing import Any, Final
 
 import pytest
 
-NOT_COUNTED: Final = frozenset({"make", "cc", "gcc", "nm", "ld", "ldconfig", "objdump", "lscpu"})
-"""The C core is built once and loaded into the test's own process; ctypes looks for libraries with such programs, and
-numpy.testing before 2.0 asks lscpu for the processor."""
+NOT_COUNTED: Final = frozenset({"make", "cc", "gcc", "nm", "ld", "ldconfig", "objdump", "lscpu", "fc-list"})
+"""The C core is built once and loaded into the test's own process; ctypes looks for libraries with such programs,
+numpy.testing before 2.0 asks lscpu for the processor, and the first picture that matplotlib draws for somebody asks
+fc-list for the fonts."""
 
 _started: list[str] = []
 

@@ -135,7 +135,6 @@ def test_reinfer_without_the_bundle_that_ran_says_that_it_compares_with_nothing(
     assert said == "compared with nothing: name the bundle that was running with --recorded-bundle"
 
 
-@pytest.mark.process  # matplotlib asks for the system's fonts
 def test_reinfer_draws_what_it_computed(file: Path, tmp_path: Path, capsys: Capture) -> None:
     pytest.importorskip("matplotlib")
     picture = tmp_path / "maps.png"

@@ -181,7 +181,6 @@ def test_a_bundle_of_another_skin_is_refused(file: Path) -> None:
         bundle_of(script, SECOND)
 
 
-@pytest.mark.process  # matplotlib asks for the system's fonts
 def test_maps_and_a_picture_are_written(file: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     script, bundle = Script(file), load_bundle(TINY)

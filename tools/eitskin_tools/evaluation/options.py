@@ -15,16 +15,19 @@ SIMULATED: Final = ("phantoms", *TRIALS)
 SOLVED: Final = (*SIMULATED, "measured", "devices")
 """Where a solver is named, a network's too."""
 
+EVERY_SOLVER: Final = "all"
+"""With phantoms, all solvers side by side, each as it is meant: another way, where none is named."""
+
 OWN: Final = {
     "solver": Own("vd2t", (*SOLVED, "tank"), {"tank": "tikhonov"}),
     "reference": Own(None, SOLVED),
-    "bundle": Own(None, SOLVED),
+    "bundle": Own(None, (*SOLVED, EVERY_SOLVER)),
     "prediction": Own("scan", SOLVED),
-    "noise": Own("N2", (*SIMULATED, "devices")),
-    "snr_db": Own(50.0, (*SIMULATED, "devices")),
-    "seeds": Own(1, SIMULATED),
-    "shift_px": Own(0.0, SIMULATED),
-    "cloud": Own("scan", SIMULATED),
+    "noise": Own("N2", (*SIMULATED, "devices", EVERY_SOLVER)),
+    "snr_db": Own(50.0, (*SIMULATED, "devices", EVERY_SOLVER)),
+    "seeds": Own(1, (*SIMULATED, EVERY_SOLVER)),
+    "shift_px": Own(0.0, (*SIMULATED, EVERY_SOLVER)),
+    "cloud": Own("scan", (*SIMULATED, EVERY_SOLVER)),
     "at_rest": Own(0, SIMULATED),
     "picture": Own(None, ("phantoms",)),
     "family": Own("A", TRIALS),
@@ -49,7 +52,7 @@ def way_of(arguments: argparse.Namespace) -> str:
         UsageError: An option was named that does nothing there.
     """
     way = next(name for name in WAYS if getattr(arguments, name) is not None and getattr(arguments, name) is not False)
-    settle(arguments, way, OWN)
+    settle(arguments, EVERY_SOLVER if way == "phantoms" and arguments.all else way, OWN)
     return way
 
 

@@ -13,7 +13,7 @@ from eitskin_tools.command_line.noise import check_snr
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.console.say import say
 from eitskin_tools.errors import UsageError
-from eitskin_tools.evaluation.options import add_arguments, way_of
+from eitskin_tools.evaluation.options import OWN, SIMULATED, add_arguments, way_of
 
 __all__ = ["add_arguments", "run"]
 
@@ -32,6 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not 0.0 <= arguments.shift_px <= 1.0:
         raise UsageError(f"--shift-px {arguments.shift_px:g}: expected from 0 to 1")
     check_snr(arguments.snr_db)
+    _check_classical(arguments, way)
     if arguments.all and way != "phantoms":
         raise UsageError("--all needs --phantoms: the table stands beside the paper's")
     if arguments.at_rest < 0:
@@ -52,6 +53,20 @@ def run(arguments: argparse.Namespace) -> int:
     if way == "phantoms":
         return _phantoms(arguments, request, conditions)
     return _trial(arguments, request, conditions)
+
+
+def _check_classical(arguments: argparse.Namespace, way: str) -> None:
+    """Refuse what only networks read where a classical solver is meant; elsewhere a bundle's gate judges for these."""
+    from eitskin_sim.evaluation.harness import SOLVERS
+
+    if arguments.solver not in SOLVERS or way not in SIMULATED:
+        return
+    named = [name for name in ("bundle", "prediction") if getattr(arguments, name) != OWN[name].usual]
+    if named:
+        raise UsageError(
+            f"--{named[0]} does nothing with --solver {arguments.solver}: leave it out; networks read it, that solver "
+            "is made of the skin alone"
+        )
 
 
 def _measured(arguments: argparse.Namespace, request: Any) -> int:
