@@ -117,6 +117,9 @@ BOUNDS: Final[dict[str, tuple[float, float]]] = {
 }  # fmt: skip
 """Least and most of each number."""
 
+SHAPES: Final = {"field_mm": "field_rms", "stray_spread": "stray_pF"}
+"""What only says how another number is spread."""
+
 LAB: Final = Mismatch(
     electrodes_mm=0.5, impedance_factor=10.0, impedance_spread=0.5, field_rms=0.05, gauge_factor=1.0, contrast=10.0,
     border_mm=2.0, scan_noise_mm=0.3,
@@ -218,6 +221,9 @@ def _row(item: object, where: str) -> Row:
             low, high = BOUNDS[one.name]
             values[one.name] = number(value, f"{where}.{one.name}", low=low, high=high)
     given.close()
+    for name_of_shape, size in SHAPES.items():
+        if name_of_shape in values and not values.get(size):
+            raise SceneError(f"{where}.{name_of_shape} does nothing without {size}: give that too, or leave it out")
     found = Mismatch(**values)
     touch = Touch((Disc(20.0, 20.0, 20.0),), 50.0, found.contrast, found.border_mm, found.dent_mm)
     check_touch(touch, Sheet(), where)
