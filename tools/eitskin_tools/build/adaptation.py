@@ -24,7 +24,7 @@ class Adaptation:
     deformations: int = 100
     per_deformation: int = 500
     epochs: int = 4
-    learning_rate: float = 5e-4
+    learning_rate: float = 2.5e-4
     seed: int = 0
     gate: GateWork = field(default_factory=GateWork)
     card: CardWork = field(default_factory=lambda: CardWork(deformations=4, each=2, draws=1))

@@ -13,7 +13,7 @@ from eitskin_tools.build.folder import keep, stored
 from eitskin_tools.build.recipe import BuildRecipe
 
 EPOCHS: Final = 2
-RATE: Final = 0.4
+RATE: Final = 0.8
 """Of the learning rate of the leg before it."""
 
 FILE: Final = "presses.json"

@@ -3,7 +3,8 @@
 Devices are drawn from the lab mix, as ``eitskin evaluate --devices lab`` draws them. Of each is recorded what
 ``eitskin calibrate --guided`` asks for (:mod:`eitskin_tools.bench.twins.session`). ``eitskin calibrate`` makes a twin
 of it, ``eitskin adapt-skin`` lets the bundle learn that, and both bundles are tried on the true device, each told of
-the skin that it is for. The work is kept in ``--work`` and gone on with, device by device.
+the skin that it is for, the adapted one with and without the check by physics. The work is kept in ``--work`` and gone
+on with, device by device.
 """
 
 import argparse
@@ -54,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _device(number: int, arguments: argparse.Namespace) -> list[dict[str, Any]]:
-    """Return the rows of one device: the bundle as it is, told of the twin, and adapted to it."""
+    """Return the rows of one device: the bundle as it is, adapted to the twin, and that with physics besides."""
     from eitskin.model.bundle import load_bundle
     from eitskin_proto.skin.skin import PAPER
     from eitskin_tools.command_line import files
@@ -71,7 +72,8 @@ def _device(number: int, arguments: argparse.Namespace) -> list[dict[str, Any]]:
     gauge = twin.layer.gauge_factor
     rows[-1] |= {"gauge_factor": round(gauge.value, 3), "its_error": round(gauge.spread, 3)}
     rows[-1] |= {"misfit": round(found["misfit"], 3), "learning_s": round(seconds, 1)}
-    return rows
+    checked = _tried(number, adapted, twin, arguments, "verified")
+    return [*rows, {"device": number, "bundle": "adapted, verified", **checked}]
 
 
 def _calibrated(
@@ -122,7 +124,7 @@ def _adapted(bundle: Any, twin: Any, folder: Path, arguments: argparse.Namespace
         return steps.export_run(recipe, place, steps.train_legs(recipe, place, tell), tell)[0]
 
 
-def _tried(number: int, bundle: Any, skin: Any, arguments: argparse.Namespace) -> dict[str, Any]:
+def _tried(number: int, bundle: Any, skin: Any, arguments: argparse.Namespace, solver: str = "vd2t") -> dict[str, Any]:
     """Return what a bundle, told of a skin, scores on the true device."""
     from eitskin_sim.evaluation.devices.mismatch import LAB
     from eitskin_sim.evaluation.devices.runs import Plan
@@ -132,7 +134,7 @@ def _tried(number: int, bundle: Any, skin: Any, arguments: argparse.Namespace) -
     kinds = ("press04", "press06") if bundle.touch_kind == "lowering" else ("mm", "single")
     trials = trials_of(kinds, arguments.deformations, arguments.each)
     plan = Plan(seed=0, first=number, snr_db=arguments.snr_db, skin=skin)
-    (row,) = evaluate_devices([("lab mix", LAB)], trials, Request("vd2t", bundle=str(bundle.path)), plan)["rows"]
+    (row,) = evaluate_devices([("lab mix", LAB)], trials, Request(solver, bundle=str(bundle.path)), plan)["rows"]
     found: dict[str, Any] = {}
     for kind in kinds:
         one = row[kind]
