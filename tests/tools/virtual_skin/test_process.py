@@ -72,7 +72,8 @@ def test_it_prints_its_port_first_and_streams_the_script(tmp_path: Path) -> None
     written = np.load(wire)
     sequence = np.array([frame.sequence for frame in frames])  # a starved skin skips scans that are long overdue
     assert (written[sequence] > 0).all()
-    assert not np.delete(written, sequence).any()
+    before = np.setdiff1d(np.arange(sequence[-1]), sequence)  # what comes behind may be written before the line closes
+    assert not written[before].any()
     assert (np.diff(written[sequence]) > 0).all()
     assert [event["event"] for event in read_log(log)] == ["boot", "start", "stop"]
 
