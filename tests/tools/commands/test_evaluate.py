@@ -165,6 +165,13 @@ def test_picture_shows_every_phantom_and_solver(tiny, file, tmp_path, capsys):
     assert cli.main(["evaluate", "--phantoms", file, "--picture", "x.png", "--all"]) == 2
 
 
+def test_a_bundle_that_a_classical_solver_does_not_read_is_told_of(tiny, file, capsys):
+    assert cli.main(["evaluate", "--phantoms", file, "--solver", "tikhonov", "--bundle", str(tiny), "--json"]) == 0
+    found = capsys.readouterr()
+    assert json.loads(found.out)["solver"] == "tikhonov"
+    assert "--bundle does nothing with --solver tikhonov" in found.err
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [
@@ -176,7 +183,6 @@ def test_picture_shows_every_phantom_and_solver(tiny, file, tmp_path, capsys):
         (["--untouched", "--each", "4"], "--each does nothing with --untouched"),
         (["--phantoms", "paper_mm", "--all", "--solver", "l1"], "--solver does nothing with --all"),
         (["--phantoms", "paper_mm", "--all", "--reference", "pre"], "--reference does nothing with --all"),
-        (["--phantoms", "paper_mm", "--solver", "l1", "--bundle", "free"], "--bundle does nothing with --solver l1"),
         (["--single", "10", "--solver", "sbl", "--prediction", "none"], "--prediction does nothing with --solver sbl"),
         (["--phantoms", "paper_mm", "--family", "B"], "--family does nothing with --phantoms"),
         (["--phantoms", "paper_mm", "--disc"], "--disc does nothing with --phantoms"),

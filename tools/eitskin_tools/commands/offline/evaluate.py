@@ -56,17 +56,19 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check_classical(arguments: argparse.Namespace, way: str) -> None:
-    """Refuse what only networks read where a classical solver is meant; elsewhere a bundle's gate judges for these."""
+    """Tell of a bundle that a classical solver does not read, and refuse a prediction; elsewhere its gate judges.
+
+    Whoever goes through all solvers may name a bundle for each.
+    """
     from eitskin_sim.evaluation.harness import SOLVERS
 
     if arguments.solver not in SOLVERS or way not in SIMULATED:
         return
-    named = [name for name in ("bundle", "prediction") if getattr(arguments, name) != OWN[name].usual]
-    if named:
-        raise UsageError(
-            f"--{named[0]} does nothing with --solver {arguments.solver}: leave it out; networks read it, that solver "
-            "is made of the skin alone"
-        )
+    said = f"does nothing with --solver {arguments.solver}, which is made of the skin alone"
+    if arguments.prediction != OWN["prediction"].usual:
+        raise UsageError(f"--prediction {said}: leave it out")
+    if arguments.bundle is not None and arguments.picture is None:
+        say(f"eitskin evaluate: --bundle {said}", error=True)
 
 
 def _measured(arguments: argparse.Namespace, request: Any) -> int:

@@ -222,7 +222,7 @@ def _row(item: object, where: str) -> Row:
             values[one.name] = number(value, f"{where}.{one.name}", low=low, high=high)
     given.close()
     for name_of_shape, size in SHAPES.items():
-        if name_of_shape in values and not values.get(size):
+        if name_of_shape in values and size not in values:
             raise SceneError(f"{where}.{name_of_shape} does nothing without {size}: give that too, or leave it out")
     found = Mismatch(**values)
     touch = Touch((Disc(20.0, 20.0, 20.0),), 50.0, found.contrast, found.border_mm, found.dent_mm)
