@@ -1,4 +1,4 @@
-"""Checks that hold for every test, and fixtures of more than one package.
+"""Settings of every run, and fixtures of more than one package.
 
 Imports of packages stay inside: tests/runtime also runs where torch is absent.
 """
@@ -7,14 +7,9 @@ import os
 import signal
 import tempfile
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
-
-from .checks.cpu_limit import LIMIT_S, CpuLimit
-from .checks.leftovers import Leftovers, temporary_directory
-from .checks.started_processes import StartedProcesses
 
 # One thread a product, as BLAS and torch read it when they are first imported: tests share the cores already, and
 # threads that wait for each other cost more than they bring.
@@ -22,32 +17,27 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """Have every test checked for its CPU time and its processes, and let what it starts hear Ctrl-C."""
-    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as behind a shell's "&", and a new program would inherit it
-        signal.signal(signal.SIGINT, lambda *_: None)  # no less deaf here, but a new program starts with the default
-    config.pluginmanager.register(CpuLimit(LIMIT_S), "cpu-limit")
-    config.pluginmanager.register(StartedProcesses(), "started-processes")
+def pytest_configure() -> None:
+    """Let programs that tests start hear Ctrl-C, behind a shell's "&" too, where a new program would ignore it."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, lambda *_: None)
 
 
-@pytest.fixture(scope="session")
-def _leftovers() -> Iterator[Leftovers]:
-    """Give the run a temporary directory of its own, and fail at the end if anything is left there.
+@pytest.fixture(scope="session", autouse=True)
+def _temporary_directory() -> Iterator[None]:
+    """Give the run, and what it starts, a temporary directory of its own, which goes when it ends.
 
-    Its name is short: sockets lie in it, and a socket's path has at most 107 bytes.
+    Its name is short: sockets are created in it, and a socket's path has at most 107 bytes.
     """
-    with tempfile.TemporaryDirectory(prefix="t", ignore_cleanup_errors=True) as name, temporary_directory(name):
-        found = Leftovers(Path(name))
-        yield found
-        left = found.left()
-    if left:
-        pytest.fail("left in the temporary directory: " + "; ".join(left), pytrace=False)
-
-
-@pytest.fixture(autouse=True)
-def _leaves_nothing(_leftovers: Leftovers, request: pytest.FixtureRequest) -> Iterator[None]:
-    yield
-    _leftovers.look(request.node.nodeid)
+    before = os.environ.get("TMPDIR")
+    with tempfile.TemporaryDirectory(prefix="t", ignore_cleanup_errors=True) as name:
+        os.environ["TMPDIR"] = tempfile.tempdir = name
+        yield
+        tempfile.tempdir = None
+        if before is None:
+            del os.environ["TMPDIR"]
+        else:
+            os.environ["TMPDIR"] = before
 
 
 @pytest.fixture(scope="session")
