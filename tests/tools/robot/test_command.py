@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.robot.config import load_robot
 from eitskin_tools import cli
-from eitskin_tools.robot.words import words_of
+from eitskin_tools.robot.child import command_line_of
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 HEAD = 'format = "eitskin-robot"\nversion = 1\n'
@@ -129,7 +129,7 @@ def test_every_key_of_the_file_becomes_an_option_that_run_takes(robot):
         "sched_fifo = 5", "affinity = [0, 1]", "mlock = true", "[skins.verify]", 'mode = "always"', "budget_ms = 30",
         "nice = 3", "affinity = [1]",
     )  # fmt: skip
-    found = vars(cli._parser("run").parse_args(words_of(load_robot(path).skins[0])))
+    found = vars(cli._parser("run").parse_args(command_line_of(load_robot(path).skins[0])))
     folder = Path(path).parent
     assert {key: found[key] for key in (
         "port", "baud", "bundle", "skin", "touches", "reference", "curve_keys", "solver", "budget_ms",
@@ -144,7 +144,7 @@ def test_every_key_of_the_file_becomes_an_option_that_run_takes(robot):
         "publish": f"ipc://{folder}/sockets/left/frames", "control": f"ipc://{folder}/sockets/left/control",
         "verify": "always", "verify_budget_ms": 30.0, "verify_nice": 3, "verify_affinity": "1",
     }  # fmt: skip
-    assert "--reference-frames=5" in words_of(load_robot(robot("reference_frames = 5")).skins[0])
+    assert "--reference-frames=5" in command_line_of(load_robot(robot("reference_frames = 5")).skins[0])
 
 
 @pytest.mark.process

@@ -8,7 +8,7 @@ import pytest
 
 import eitskin
 from eitskin_tools import cli
-from eitskin_tools.robot.life import SILENT_S
+from eitskin_tools.robot.child import SILENT_S
 
 from .conftest import HERE, PATIENCE_S, Family
 
@@ -34,7 +34,7 @@ def test_a_skin_whose_solver_keeps_the_interpreter_is_ended_and_started_again(po
     found = Family(tmp_path, [skin], PATIENCE_S, SILENT_S, *program, HANGS_ONCE=str(tmp_path / "hangs"))
     try:
         error = found.until(lambda event: event["event"] == "error")
-        assert "ended by signal 6 (Aborted): no sign of life for 5 s: its frame loop stands still" in error["text"]
+        assert "ended by signal 6 (Aborted): no sign of life for 10 s: its frame loop stands still" in error["text"]
         said = [event["text"] for event in found.heard if event["event"] == "warning"]
         assert any("hanging_process.py" in line and line.endswith("in hang") for line in said), said
         found.until(lambda event: event["event"] == "ready" and event.get("skin") == "arm")

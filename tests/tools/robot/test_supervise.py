@@ -12,7 +12,7 @@ import pytest
 
 from eitskin.robot.config import load_robot
 from eitskin.robot.described import FILE
-from eitskin_tools.processes.pauses import Pauses
+from eitskin_tools.processes.children import Backoff
 from eitskin_tools.processes.signals import met_by
 from eitskin_tools.robot.child import SkinProcess
 
@@ -70,9 +70,9 @@ def test_a_skin_starts_again_where_that_is_asked_for_and_the_others_do_not_notic
 
 
 def test_pauses_between_starts_double_up_to_the_longest(family):
-    pauses = Pauses()
-    assert [pauses.after(count) for count in range(1, 8)] == [1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
-    assert pauses.after(10**6) == 30.0
+    backoff = Backoff()
+    assert [backoff.pause_s(count) for count in range(1, 8)] == [1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
+    assert backoff.pause_s(10**6) == 30.0
     with family("on-failure", a="fails", b="good") as found:
         said = []
         while len(said) < 5:
@@ -103,7 +103,7 @@ def test_a_process_whose_end_nobody_could_hear_of_is_not_left_behind(tmp_path, m
     )
     started = []
     program = (sys.executable, "-c", "import time; time.sleep(600)")
-    one = SkinProcess(load_robot(tmp_path / "robot.toml").skins[0], Pauses(), program=program)
+    one = SkinProcess(load_robot(tmp_path / "robot.toml").skins[0], Backoff(), program=program)
     monkeypatch.setattr(os, "pidfd_open", too_many)
     with pytest.raises(OSError, match="Too many"):
         one.start()

@@ -18,9 +18,9 @@ from eitskin.messaging.frame_record import FrameRecord
 from eitskin.messaging.publish import Publisher
 from eitskin.serving import serve
 from eitskin.skin import Skin
-from eitskin_tools.processes.pauses import Pauses
-from eitskin_tools.verifier.handover import Handover
-from eitskin_tools.verifier.keeper import Keeper, Place
+from eitskin_tools.processes.children import Backoff
+from eitskin_tools.verifier.child import Place, VerifierProcess
+from eitskin_tools.verifier.feed import VerifierFeed
 
 HERE = Path(__file__).parent
 TESTS = HERE.parents[1]
@@ -52,13 +52,15 @@ def virtual_skin(**options: Any) -> Iterator[str]:
 class Stream:
     """What runs, and where it publishes."""
 
-    def __init__(self, skin: Skin, publisher: Publisher, keeper: Keeper, handover: Handover, script: Path) -> None:
-        self.skin, self.publisher, self.keeper, self.handover = skin, publisher, keeper, handover
+    def __init__(
+        self, skin: Skin, publisher: Publisher, process: VerifierProcess, feed: VerifierFeed, script: Path
+    ) -> None:
+        self.skin, self.publisher, self.process, self.feed = skin, publisher, process, feed
         self.script = script
         self.go = threading.Event()
         """While it is not set, the frame loop waits behind its frame."""
         self.go.set()
-        skin.loop.verifier_status = handover.status
+        skin.loop.verifier_status = feed.status
         self._thread = threading.Thread(target=self._serve)
         self._thread.start()
 
@@ -67,7 +69,7 @@ class Stream:
 
     def _behind(self, record: FrameRecord) -> None:
         self.go.wait(PATIENCE_S)
-        self.handover.behind(record)
+        self.feed.after_frame(record)
 
     def subscribed(self, **options: Any) -> Any:
         """Subscribe to every verdict."""
@@ -99,7 +101,7 @@ def streaming(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
     @contextmanager
     def run(
-        mode: str = "always", *, still_s: float = 10.0, most_failures: int = 5, every_map: bool = False, **device: Any
+        mode: str = "always", *, still_s: float = 10.0, max_failures: int = 5, every_map: bool = False, **device: Any
     ) -> Iterator[Stream]:
         with ExitStack() as stack:
             port = stack.enter_context(virtual_skin(**{"touches": TOUCHED, **device}))
@@ -109,9 +111,9 @@ def streaming(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
             publisher = Publisher(f"ipc://{tmp_path}/frames")
             stack.callback(publisher.close)
             place = Place(nice=5, program=SCRIPTED)
-            pauses = Pauses(0.1, 0.2, 60.0)
-            keeper = stack.enter_context(Keeper(place, pauses, still_s, most_failures))
-            stream = Stream(skin, publisher, keeper, Handover(skin, publisher, keeper, mode), tmp_path)
+            backoff = Backoff(0.1, 0.2, 60.0)
+            process = stack.enter_context(VerifierProcess(place, backoff, still_s, max_failures))
+            stream = Stream(skin, publisher, process, VerifierFeed(skin, publisher, process, mode), tmp_path)
             stack.callback(stream.stop)
             yield stream
 

@@ -17,7 +17,7 @@ from eitskin_sim.scene.nominal import flat_metric_of
 from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.sheet.model import model_of_cloud
 from eitskin_tools.verifier.checkers import CannotVerifyError, FreeChecker, UnitChecker, checker_of
-from eitskin_tools.verifier.keeper import Keeper, Place
+from eitskin_tools.verifier.child import Place, VerifierProcess
 from eitskin_tools.verifier.letters import LARGEST_ANSWER, STATE, FrameLetter, RestLetter, Setup, answered, frame_letter
 from eitskin_tools.verifier.mailbox import FRAME, SETUP
 
@@ -119,7 +119,7 @@ def test_a_sheet_seen_at_rest_is_known_and_one_that_is_not_its_scans_is_said(uni
 def test_the_process_refuses_another_skin_and_answers_frames_of_the_next(units):
     setup, change, values = units
     found = []
-    with Keeper(Place()) as keeper:
+    with VerifierProcess(Place()) as keeper:
         keeper.mailbox.put(SETUP, dataclasses.replace(setup, skin_digest="0123456789abcdef").packed())
         keeper.ring()
 

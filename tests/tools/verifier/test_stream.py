@@ -11,7 +11,7 @@ import pytest
 import eitskin
 from eitskin_tools import cli
 from eitskin_tools.evaluation.verified.resting import FRAMES
-from eitskin_tools.verifier.handover import LATE
+from eitskin_tools.verifier.feed import LATE
 
 from .conftest import PATIENCE_S, TOUCHED, until
 
@@ -57,7 +57,7 @@ def test_what_rests_is_verified_once(streaming):
             first(verdicts, lambda one: not one.verified)
         assert stream.skin.statistics.frames > found.sequence + 100
         assert len(stream.taken) <= 3  # noise may have looked like a change
-        assert stream.handover.counts["flagged"] == 0
+        assert stream.feed.counts["flagged"] == 0
 
 
 def test_the_newest_wins_and_what_was_skipped_is_counted(streaming):
@@ -89,8 +89,8 @@ def test_a_touch_that_is_gone_is_verified_no_more(streaming):
         stream.tell("hold")
         with stream.subscribed() as verdicts:
             until(lambda: len(stream.taken) == 1)
-            before = stream.keeper.mailbox.written[1]
-            until(lambda: stream.keeper.mailbox.written[1] >= before + 4)
+            before = stream.process.mailbox.written[1]
+            until(lambda: stream.process.mailbox.written[1] >= before + 4)
             stream.tell("hold", off=True)
             first(verdicts, lambda one: one.verified)
             second = first(verdicts, lambda one: one.verified and one.frame is not None)
@@ -159,7 +159,7 @@ def test_a_verifier_that_dies_or_hangs_is_started_again_and_the_stream_goes_on(s
     ):
         first(verdicts, lambda one: one.verified)
         before = next(frames).number
-        os.kill(stream.keeper.pid, number)
+        os.kill(stream.process.pid, number)
         found = first(verdicts, lambda one: one.state == "waiting")
         assert ("hung, and was ended" if number == signal.SIGSTOP else "by signal 9 (Killed)") in found.why
         assert "starts again in" in found.why
@@ -178,44 +178,44 @@ def test_a_computation_that_hangs_is_said_and_ended_and_the_stream_goes_on(strea
         assert (late.state, late.why) == ("ready", LATE)
         assert stream.skin.status()["verifier"]["why"] == LATE
         stream.tell("hang", off=True)
-        stream.keeper.hangs_s = 0.0
+        stream.process.hangs_s = 0.0
         assert "hung, and was ended" in first(verdicts, lambda one: one.state == "waiting").why
-        stream.keeper.hangs_s = PATIENCE_S
+        stream.process.hangs_s = PATIENCE_S
         first(verdicts, lambda one: one.verified)
-        assert stream.keeper.restarts >= 1
+        assert stream.process.restarts >= 1
 
 
 def test_an_end_is_said_although_another_one_runs_before_the_frame_loop_looks(streaming):
     with streaming() as stream, stream.subscribed() as verdicts:
         first(verdicts, lambda one: one.verified)
         stream.go.clear()
-        before = stream.keeper.pid
+        before = stream.process.pid
         os.kill(before, signal.SIGKILL)
-        until(lambda: stream.keeper.restarts == 1 and stream.keeper.pid not in (0, before))
+        until(lambda: stream.process.restarts == 1 and stream.process.pid not in (0, before))
         stream.go.set()
         assert "by signal 9 (Killed)" in first(verdicts, lambda one: one.state == "waiting").why
         first(verdicts, lambda one: one.state in ("starting", "preparing", "ready"))
 
 
 def test_one_that_keeps_dying_is_given_up_and_it_is_said(streaming):
-    with streaming(most_failures=3) as stream:
+    with streaming(max_failures=3) as stream:
         with stream.subscribed() as verdicts:
             first(verdicts, lambda one: one.state in ("ready", "preparing"))
             stream.tell("die")
-            os.kill(stream.keeper.pid, signal.SIGKILL)
+            os.kill(stream.process.pid, signal.SIGKILL)
             found = first(verdicts, lambda one: one.state == "failed")
             again = first(verdicts, lambda one: one.sequence > found.sequence)
         assert "died as it was told" in found.why
         assert "3 times in a row, so it is given up" in found.why
         assert (again.state, again.why) == (found.state, found.why)
-        assert stream.keeper.pid == 0
+        assert stream.process.pid == 0
 
 
 def test_the_end_of_the_runtime_ends_it_even_while_it_is_stopped(streaming):
     with streaming() as stream:
         with stream.subscribed() as verdicts:
             first(verdicts, lambda one: one.verified)
-        pid = stream.keeper.pid
+        pid = stream.process.pid
         os.kill(pid, signal.SIGSTOP)
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
@@ -225,7 +225,7 @@ def test_nothing_is_handed_over_while_nobody_asks(streaming):
     with streaming(touches=TOUCHED) as stream, eitskin.subscribe(stream.publisher.endpoint, "all") as frames:
         begin = first(frames, lambda frame: frame.solver != "none").number
         first(frames, lambda frame: frame.number > begin + 50)
-        assert stream.keeper.mailbox.written[1] == 0
+        assert stream.process.mailbox.written[1] == 0
         with stream.subscribed(frames=False) as verdicts:
             assert first(verdicts, lambda one: one.verified).frame is None
 

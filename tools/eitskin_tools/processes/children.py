@@ -1,8 +1,10 @@
-"""The processes of the demonstration: started together, watched together, and gone together.
+"""Child processes: started, watched, started again after growing pauses, ended, and what they said last.
 
-Each child has a process group of its own, so that Ctrl-C reaches the parent alone, which then ends them in order. The
-kernel ends them if the parent dies without having the chance. Their standard error goes to files; the last line of it
-is what the demonstration reports when one of them dies.
+Each child has a process group of its own, so that Ctrl-C reaches the parent alone, which then ends its children in
+order. The kernel ends them if the parent dies without having the chance.
+
+:class:`ChildProcess` is what the demonstration, ``eitskin run --config`` and the verifier have in common;
+:class:`Child` adds files for its output.
 """
 
 import ctypes
@@ -12,8 +14,9 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from eitskin_proto.errors import SkinError
 from eitskin_tools.processes.signals import endings, met_by
@@ -27,12 +30,103 @@ PR_SET_PDEATHSIG: Final = 1
 _LIBC: Final = ctypes.CDLL(None, use_errno=True) if sys.platform == "linux" else None
 
 
+@dataclass(frozen=True, slots=True)
+class Backoff:
+    """Pauses before a child that failed is started again.
+
+    Attributes:
+        first_s: Before the first new start; each further pause is twice as long.
+        longest_s: Longest pause.
+        settled_s: A child that ran for so long begins with the first pause again.
+    """
+
+    first_s: float = 1.0
+    longest_s: float = 30.0
+    settled_s: float = 60.0
+
+    def pause_s(self, failures: int) -> float:
+        """Return the pause after this many failures in a row, from 1 on."""
+        return float(min(self.first_s * 2.0 ** min(failures - 1, 60), self.longest_s))
+
+
+class ChildProcess:
+    """One child, now and after each new start.
+
+    Args:
+        command: Program and arguments.
+        backoff: Pauses between starts.
+    """
+
+    def __init__(self, command: Sequence[str], backoff: Backoff | None = None) -> None:
+        self.command, self.backoff = list(command), backoff or Backoff()
+        self.restarts = 0
+        self.failures = 0
+        """In a row."""
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def start(self, **options: Any) -> subprocess.Popen[bytes]:
+        """Start it, without an input of its own.
+
+        Args:
+            options: As for :class:`subprocess.Popen`.
+
+        Raises:
+            OSError: There are too few processes, descriptors or memory.
+        """
+        self.process = subprocess.Popen(self.command, stdin=subprocess.DEVNULL, process_group=0, **options)
+        return self.process
+
+    @property
+    def pid(self) -> int:
+        """Its process id; 0 while none runs."""
+        process = self.process
+        return 0 if process is None else process.pid
+
+    @property
+    def status(self) -> int | None:
+        """Exit status, or None while it runs."""
+        return None if self.process is None else self.process.poll()
+
+    def wait(self, timeout_s: float) -> int | None:
+        """Wait for its end; return its status, or None if it runs on."""
+        try:
+            return None if self.process is None else self.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return None
+
+    def stop(self, number: signal.Signals = signal.SIGINT, grace_s: float = GRACE_S) -> None:
+        """End it: by a signal, and after the grace by force."""
+        if self.process is not None:
+            if self.process.poll() is None:
+                self.process.send_signal(number)
+                if self.wait(grace_s) is None:
+                    self.process.kill()
+            self.process.wait()
+
+    def next_pause_s(self) -> float:
+        """Count a failure, and return the pause before the next start."""
+        self.failures += 1
+        return self.backoff.pause_s(self.failures)
+
+
+def how_it_ended(status: int, last_words: str) -> str:
+    """Return in words how a process ended, and the last that it said."""
+    how = f"by signal {-status} ({signal.strsignal(-status)})" if status < 0 else f"with status {status}"
+    return f"ended {how}" + (f": {last_words}" if last_words else "")
+
+
+def last_line(text: str) -> str:
+    """Return the last line of a text that is not blank; empty if there is none."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return lines[-1] if lines else ""
+
+
 class ChildDiedError(SkinError):
-    """A process of the demonstration ended before its time."""
+    """A child process ended before its time."""
 
 
-class Child:
-    """One process.
+class Child(ChildProcess):
+    """A Python module as a child, started at once, whose output goes to files.
 
     Args:
         name: What messages call it.
@@ -42,27 +136,11 @@ class Child:
     """
 
     def __init__(self, name: str, module: str, arguments: Sequence[str], folder: Path) -> None:
+        super().__init__([sys.executable, "-m", module, *arguments])
         self.name = name
         self.out, self.err = folder / f"{name}.out", folder / f"{name}.err"
         with self.out.open("wb") as out, self.err.open("wb") as err:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", module, *arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=err,
-                process_group=0,
-                preexec_fn=die_with_parent,  # noqa: PLW1509 -- no thread runs yet, and the function is one system call
-            )
-
-    @property
-    def pid(self) -> int:
-        """Its process id."""
-        return self._process.pid
-
-    @property
-    def status(self) -> int | None:
-        """Exit status, or None while it runs."""
-        return self._process.poll()
+            self.start(stdout=out, stderr=err, preexec_fn=die_with_parent)  # no thread runs yet; one system call
 
     def check(self) -> None:
         """Raise ChildDiedError if it has ended."""
@@ -70,9 +148,8 @@ class Child:
             raise ChildDiedError(f"{self.name} ended with status {self.status}: {self.last_words()}")
 
     def last_words(self) -> str:
-        """Return the last line of its standard error, without the command's name."""
-        lines = [line.strip() for line in self.err.read_text(errors="replace").splitlines() if line.strip()]
-        return lines[-1] if lines else "it said nothing"
+        """Return the last line of its standard error."""
+        return last_line(self.err.read_text(errors="replace")) or "it said nothing"
 
     def line(self, path: Path, start: str, timeout_s: float, others: Sequence["Child"] = ()) -> str:
         """Wait for a line of one of its outputs and return it.
@@ -97,21 +174,6 @@ class Child:
                 child.check()
             time.sleep(0.02)
         raise TimeoutError(f"{self.name} was not ready within {timeout_s:g} s: {self.last_words()}")
-
-    def wait(self, timeout_s: float) -> int | None:
-        """Wait for its end; return its status, or None if it runs on."""
-        try:
-            return self._process.wait(timeout_s)
-        except subprocess.TimeoutExpired:
-            return None
-
-    def stop(self) -> None:
-        """End it: by SIGINT, then by force."""
-        if self.status is None:
-            self._process.send_signal(signal.SIGINT)
-            if self.wait(GRACE_S) is None:
-                self._process.kill()
-        self._process.wait()
 
 
 @contextmanager

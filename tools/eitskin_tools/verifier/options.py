@@ -96,7 +96,7 @@ def cpus(arguments: argparse.Namespace, available: set[int]) -> tuple[int, ...]:
 def verifying(
     skin: Any, publisher: Any, arguments: argparse.Namespace
 ) -> "Iterator[Callable[[FrameRecord], None] | None]":
-    """Keep a verifier while a skin is served, and give what is called behind each frame; None where nobody verifies.
+    """Run a verifier while a skin is served, and give what to call after each frame; None with ``--verify off``.
 
     Args:
         skin: Open.
@@ -106,12 +106,12 @@ def verifying(
     if arguments.verify == "off":
         yield None
         return
-    from eitskin_tools.verifier.handover import Handover
-    from eitskin_tools.verifier.keeper import IDLE_STILL_S, STILL_S, Keeper, Place
+    from eitskin_tools.verifier.child import IDLE_STILL_S, STILL_S, Place, VerifierProcess
+    from eitskin_tools.verifier.feed import VerifierFeed
 
     nice = NICE if arguments.verify_nice is None else arguments.verify_nice
     place = Place(nice, arguments.verify_cpus, idle=arguments.verify == "idle")
-    with Keeper(place, still_s=IDLE_STILL_S if place.idle else STILL_S) as keeper:
-        handover = Handover(skin, publisher, keeper, arguments.verify, (arguments.verify_budget_ms or 0.0) * 1e-3)
-        skin.loop.verifier_status = handover.status
-        yield handover.behind
+    with VerifierProcess(place, still_s=IDLE_STILL_S if place.idle else STILL_S) as process:
+        feed = VerifierFeed(skin, publisher, process, arguments.verify, (arguments.verify_budget_ms or 0.0) * 1e-3)
+        skin.loop.verifier_status = feed.status
+        yield feed.after_frame

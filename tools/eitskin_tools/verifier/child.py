@@ -1,13 +1,11 @@
-"""Keeps the verifier's process: starts it, sees it die or hang, starts it again with growing pauses, gives up, ends it.
+"""The verifier's process as the runtime sees it: started, watched, started again after growing pauses, given up, ended.
 
-Looks are counted, not seconds: where this process was stopped, or got no core, the verifier is not blamed for it.
+It watches by counting looks, not seconds: while this process was stopped, or got no core, the verifier is not blamed.
 """
 
 import json
 import os
-import signal
 import socket
-import subprocess
 import sys
 import threading
 from contextlib import ExitStack, suppress
@@ -15,35 +13,36 @@ from dataclasses import dataclass
 from typing import Final
 
 from eitskin.messaging.verified.message import FAILED, STARTING, WAITING
+from eitskin_tools.processes.children import Backoff, ChildProcess, how_it_ended, last_line
 from eitskin_tools.processes.lookout import Lookout
-from eitskin_tools.processes.pauses import Pauses
 from eitskin_tools.verifier.letters import LARGEST_ANSWER
 from eitskin_tools.verifier.mailbox import FRAME, Mailbox
 
 LOOK_S: Final = 0.1
+"""Between two looks."""
 
 STILL_S: Final = 10.0
-"""Without a beat for so long it hangs; a busy machine may keep its core for a second."""
+"""A verifier without a beat for so long hangs; a busy machine may keep its core for a second."""
 
 IDLE_STILL_S: Final = 30.0
-"""The same of one that runs only while nothing else wants the core."""
+"""The same for one that runs only while nothing else wants the core."""
 
 HANGS_S: Final = 60.0
-"""So far beyond what it may take, in time that it had, what is computed hangs. Amid a frame the model of its surface
-may be made anew, which counts beside its budget, and a small computer takes many times as long as others."""
+"""A computation that is over its budget by so much hangs, counted in time that it had. A frame may need a new model
+of its surface, which counts beside its budget, and a small computer is many times slower than others."""
 
 LATE_S: Final = 1.0
-"""So far beyond it is said."""
+"""A computation that is over its budget by so much is reported as late."""
 
 LEAVES_S: Final = 0.2
-"""How long its end is waited for by who leaves. It needs a core to end as well, which one that runs at the lowest
-priority may not get for seconds; who is killed keeps nothing, and the kernel sees to the rest."""
+"""How long leaving waits for its end. It needs a core to end as well, which it may not get for seconds at the lowest
+priority; a killed verifier keeps nothing, and the kernel sees to the rest."""
 
-MOST_FAILURES: Final = 5
+MAX_FAILURES: Final = 5
 """In a row, after which it is given up."""
 
-LAST_WORDS: Final = 4096
-"""Bytes of its standard error that are looked at."""
+LAST_WORDS_BYTES: Final = 4096
+"""Of its standard error that are read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,28 +58,29 @@ class Place:
     """What runs; a test gives its own."""
 
 
-class Keeper(Lookout):
-    """Keeps a verifier from when it is entered to when it is left.
+class VerifierProcess(Lookout):
+    """Runs a verifier from when it is entered to when it is left.
 
     Args:
         place: Where it runs.
-        pauses: Between starts.
+        backoff: Pauses between starts.
         still_s: Without a beat for so long it hangs.
-        most_failures: In a row, after which it is given up.
+        max_failures: In a row, after which it is given up.
         hangs_s: So far beyond what it may take, what is computed hangs.
     """
 
     def __init__(
         self,
         place: Place,
-        pauses: Pauses | None = None,
+        backoff: Backoff | None = None,
         still_s: float = STILL_S,
-        most_failures: int = MOST_FAILURES,
+        max_failures: int = MAX_FAILURES,
         hangs_s: float = HANGS_S,
     ) -> None:
-        super().__init__("verifier-keeper", LOOK_S)
-        self.place, self._pauses = place, pauses or Pauses()
-        self._most_looks, self._most_failures = round(still_s / LOOK_S), most_failures
+        super().__init__("verifier-process", LOOK_S)
+        self.place = place
+        self._child = ChildProcess(place.program, backoff)
+        self._max_looks, self._max_failures = round(still_s / LOOK_S), max_failures
         self.hangs_s = hangs_s
         self.mailbox = Mailbox.made()
         self.bell = os.eventfd(0, os.EFD_NONBLOCK)
@@ -90,10 +90,8 @@ class Keeper(Lookout):
         """``starting`` while a process is there, else ``waiting`` or ``failed``, and why."""
         self.ended = ""
         """What became of the last process that there was, for who looks only once another one runs."""
-        self.restarts = 0
-        self._process: subprocess.Popen[bytes] | None = None
         self._errors = -1
-        self._failures = self._beat = self._still_looks = self._looks = self._wait_looks = 0
+        self._beat = self._still_looks = self._looks = self._wait_looks = 0
         self._hung = False
         self.is_late = False
         """Whether what it computes takes longer than it may."""
@@ -101,8 +99,12 @@ class Keeper(Lookout):
     @property
     def pid(self) -> int:
         """Of the process; 0 while none runs."""
-        process = self._process
-        return 0 if process is None else process.pid
+        return self._child.pid
+
+    @property
+    def restarts(self) -> int:
+        """New starts since the first."""
+        return self._child.restarts
 
     def ring(self) -> None:
         """Tell the process that there is a letter."""
@@ -111,16 +113,16 @@ class Keeper(Lookout):
 
     def look(self) -> None:
         """See whether it lives, and start it when it is time."""
-        process = self._process
+        process = self._child.process
         if process is None:
             if self.state == WAITING:
                 self._wait_looks -= 1
                 if self._wait_looks <= 0:
-                    self.restarts += 1
+                    self._child.restarts += 1
                     self._start()
             return
         if process.poll() is not None:
-            self._ended(process)
+            self._ended(process.returncode)
             return
         late_s = self.mailbox.late_s
         self.is_late = late_s > LATE_S
@@ -128,11 +130,11 @@ class Keeper(Lookout):
         beat = self.mailbox.beat
         self._still_looks = self._still_looks + 1 if beat == self._beat else 0
         self._beat = beat
-        if self._still_looks >= self._most_looks or late_s > self.hangs_s:
+        if self._still_looks >= self._max_looks or late_s > self.hangs_s:
             self._hung = True
             process.kill()  # a later look sees it ended: one that runs only while nothing else does may take a while
-        elif self._looks * LOOK_S >= self._pauses.settled_s:
-            self._failures = 0
+        elif self._looks * LOOK_S >= self._child.backoff.settled_s:
+            self._child.failures = 0
 
     def _start(self) -> None:
         self._still_looks = self._looks = 0
@@ -158,60 +160,48 @@ class Keeper(Lookout):
                 end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4 * LARGEST_ANSWER)
             ours.setblocking(False)
             self._errors = os.memfd_create("eitskin-verifier-stderr")
-            told = {
+            options = {
                 "memory": self.mailbox.descriptor, "bell": self.bell, "answers": theirs.fileno(), "parent": os.getpid(),
                 "nice": self.place.nice, "idle": self.place.idle, "skip": self.mailbox.written[FRAME],
                 "cpus": list(self.place.cpus or os.sched_getaffinity(0)),
             }  # fmt: skip
-            self._process = subprocess.Popen(
-                [*self.place.program, json.dumps(told)],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
+            self._child.command = [*self.place.program, json.dumps(options)]
+            self._child.start(
+                stdout=self._errors,
                 stderr=self._errors,
                 pass_fds=(self.mailbox.descriptor, self.bell, theirs.fileno()),
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-                process_group=0,
             )
             left.pop_all()
         return ours
 
-    def _ended(self, process: subprocess.Popen[bytes]) -> None:
-        status = process.returncode
-        how = f"by signal {-status} ({signal.strsignal(-status)})" if status < 0 else f"with status {status}"
-        said = self._last_words()
-        self._process = None
-        self._fail("hung, and was ended" if self._hung else f"ended {how}" + (f": {said}" if said else ""))
+    def _ended(self, status: int) -> None:
+        size = os.fstat(self._errors).st_size
+        text = os.pread(self._errors, LAST_WORDS_BYTES, max(0, size - LAST_WORDS_BYTES)).decode(errors="replace")
+        self._child.process = None
+        self._fail("hung, and was ended" if self._hung else how_it_ended(status, last_line(text)))
 
     def _fail(self, why: str) -> None:
         if self._errors >= 0:
             os.close(self._errors)
             self._errors = -1
-        self._failures += 1
-        if self._failures >= self._most_failures:
-            self.state, self.why = FAILED, f"the verifier {why}; {self._failures} times in a row, so it is given up"
+        pause_s, failures = self._child.next_pause_s(), self._child.failures
+        if failures >= self._max_failures:
+            self.state, self.why = FAILED, f"the verifier {why}; {failures} times in a row, so it is given up"
             return
-        pause_s = self._pauses.after(self._failures)
         self._wait_looks = round(pause_s / LOOK_S)
         self.state, self.why = WAITING, f"the verifier {why}; it starts again in {pause_s:g} s"
         self.ended = self.why
 
-    def _last_words(self) -> str:
-        size = os.fstat(self._errors).st_size
-        text = os.pread(self._errors, LAST_WORDS, max(0, size - LAST_WORDS)).decode(errors="replace")
-        lines = [line.strip() for line in text.splitlines() if line.strip()]
-        return lines[-1] if lines else ""
-
     def _run(self) -> None:
         self._start()  # in the thread that lives as long as the process may: the kernel ends it with this one
         super()._run()
-        process = self._process
+        process = self._child.process
         if process is not None:
             process.kill()  # also if it is stopped; it keeps nothing
-            try:
-                process.wait(LEAVES_S)
-            except subprocess.TimeoutExpired:
+            if self._child.wait(LEAVES_S) is None:
                 threading.Thread(target=process.wait, name="verifier-leaves", daemon=True).start()
-            self._process = None
+            self._child.process = None
             os.close(self._errors)
 
     def __exit__(self, *_: object) -> None:

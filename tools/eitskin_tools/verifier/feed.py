@@ -1,4 +1,4 @@
-"""Between the frame loop and the verifier: called behind each frame, when it has gone out, and never waits.
+"""Between the frame loop and the verifier: called after each frame that has gone out, and never waits.
 
 A changed frame is put into the mailbox, over one that was not taken yet: the newest wins, and what was skipped is
 counted by the letters' numbers. What the verifier has answered meanwhile goes to the subscribers. ::
@@ -22,14 +22,14 @@ from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
 from eitskin_proto.skin.toml import to_toml
 from eitskin_tools.evaluation.verified.resting import FRAMES, Resting
-from eitskin_tools.verifier.keeper import Keeper
+from eitskin_tools.verifier.child import VerifierProcess
 from eitskin_tools.verifier.letters import LARGEST_ANSWER, STATE, Rows, Setup, answered, frame_letter, rest_letter
 from eitskin_tools.verifier.mailbox import FRAME, REST, SETUP
 
 REPEAT_NS: Final = 1_000_000_000
 """After which it is said again how the verifier is."""
 
-HEAR_NS: Final = 50_000_000
+RECEIVE_NS: Final = 50_000_000
 """Between two looks for what a verifier says of itself, while no verdict is waited for."""
 
 REMEMBERED: Final = 2000
@@ -39,34 +39,36 @@ LATE: Final = "what it computes takes longer than it may; if it hangs it is ende
 """Said meanwhile."""
 
 
-class Handover:
+class VerifierFeed:
     """Hands frames to a verifier, and its verdicts to subscribers.
 
     Args:
         skin: Open.
         publisher: Bound.
-        keeper: Of the verifier's process.
+        process: The verifier's.
         mode: "always" or "idle".
         budget_s: What a frame may take; 0 for the usual.
     """
 
-    def __init__(self, skin: Skin, publisher: Publisher, keeper: Keeper, mode: str, budget_s: float = 0.0) -> None:
-        self._skin, self._publisher, self._keeper = skin, publisher, keeper
+    def __init__(
+        self, skin: Skin, publisher: Publisher, process: VerifierProcess, mode: str, budget_s: float = 0.0
+    ) -> None:
+        self._skin, self._publisher, self._process = skin, publisher, process
         self.mode, self._budget_s = mode, budget_s
         self._pipeline = skin.pipeline
         self._nothing_missing = np.zeros(len(skin.pipeline.buffers.change[0]), dtype=np.bool_)
         self._stillness = Stillness()
         self._resting = Resting()
         self._candidate: bytes | None = None
-        self._key: tuple[object, Reference | None] = (None, None)
+        self._setup_for: tuple[object, Reference | None] = (None, None)
         self._setup = 0
         self._answers: socket.socket | None = None
-        self._child = STARTING, ""
-        self._told = "", ""
-        self._told_ns = self._hear_ns = self._number = 0
-        self._posted = self._answered = self._withdrawn = 0
+        self._verifier = STARTING, ""
+        self._reported = "", ""
+        self._reported_ns = self._receive_ns = self._number = 0
+        self._sent = self._answered = self._withdrawn = 0
         self._blank: deque[int] = deque(maxlen=REMEMBERED)
-        self._asked = False
+        self._is_wanted = False
         self.counts = {"checked": 0, "flagged": 0, "skipped": 0}
         self._spent_ms: deque[float] = deque(maxlen=REMEMBERED)
         self._setup_ms = 0.0
@@ -74,43 +76,43 @@ class Handover:
     @property
     def state(self) -> tuple[str, str]:
         """How the verifier is, and what is wrong."""
-        keeper = self._keeper
-        if keeper.state in (WAITING, FAILED):
-            return keeper.state, keeper.why
-        return (self._child[0], LATE) if keeper.is_late else self._child
+        process = self._process
+        if process.state in (WAITING, FAILED):
+            return process.state, process.why
+        return (self._verifier[0], LATE) if process.is_late else self._verifier
 
-    def behind(self, record: FrameRecord) -> None:
+    def after_frame(self, record: FrameRecord) -> None:
         """Take the frame that has just gone out."""
-        keeper, buffers = self._keeper, self._pipeline.buffers
-        if keeper.answers is not self._answers:  # another process: it knows nothing
+        process, buffers = self._process, self._pipeline.buffers
+        if process.answers is not self._answers:  # another process: it knows nothing
             if self._answers is not None:
                 self._answers.close()  # in the thread that reads it
-                if self._told[0] != WAITING:  # the pause was shorter than what passed between two looks
-                    self._say(record, (WAITING, keeper.ended))
-            self._answers, self._child, self._hear_ns = keeper.answers, (STARTING, ""), 0
+                if self._reported[0] != WAITING:  # the pause was shorter than what passed between two looks
+                    self._report(record, (WAITING, process.ended))
+            self._answers, self._verifier, self._receive_ns = process.answers, (STARTING, ""), 0
             self._stillness.forget()
-        if buffers.geometry is not self._key[0] or self._skin.reference is not self._key[1]:
-            self._tell_setup(record)
-            self._say(record)  # before the answer, which may be quick
-        if self._publisher.verified != self._asked:
-            self._asked, self._told_ns, self._hear_ns = self._publisher.verified, 0, 0
-            self._forget()
-        if self._asked:
-            self._take(record)
+        if buffers.geometry is not self._setup_for[0] or self._skin.reference is not self._setup_for[1]:
+            self._send_setup(record)
+            self._report(record)  # before the answer, which may be quick
+        if self._publisher.verified != self._is_wanted:
+            self._is_wanted, self._reported_ns, self._receive_ns = self._publisher.verified, 0, 0
+            self._withdraw()
+        if self._is_wanted:
+            self._consider(record)
         now_ns = record.stamps[PUBLISH]
-        if self._waits or now_ns >= self._hear_ns:
-            self._hear_ns = now_ns + HEAR_NS
-            self._hear()
-            self._say(record)
+        if self._is_waiting or now_ns >= self._receive_ns:
+            self._receive_ns = now_ns + RECEIVE_NS
+            self._receive()
+            self._report(record)
 
     @property
-    def _waits(self) -> bool:
+    def _is_waiting(self) -> bool:
         """Whether a letter has gone out that was neither answered nor taken back."""
-        return self._posted > max(self._answered, self._withdrawn)
+        return self._sent > max(self._answered, self._withdrawn)
 
-    def _take(self, record: FrameRecord) -> None:
+    def _consider(self, record: FrameRecord) -> None:
         if not record.touched or record.map_is_zero:
-            self._forget()
+            self._withdraw()
             if not (record.touched or record.idle):  # an idle frame leaves dV as the last whole one had it
                 self._rest()
                 return
@@ -121,9 +123,9 @@ class Handover:
             self._drop()
             self._candidate = self._letter(record)
             if self.mode == "always":
-                self._post()
+                self._send_frame()
         elif self._candidate is not None:
-            self._post()
+            self._send_frame()
         self._resting.forget()
 
     def _rest(self) -> None:
@@ -131,21 +133,21 @@ class Handover:
         if not self._setup or self._missing.any():
             return
         if (mean := self._resting.take(self._pipeline.buffers.change[0])) is not None:
-            self._keeper.mailbox.put(REST, rest_letter(self._setup, FRAMES, mean))
-            self._keeper.ring()
+            self._process.mailbox.put(REST, rest_letter(self._setup, FRAMES, mean))
+            self._process.ring()
 
     def _is_known(self) -> bool:
         """Return whether the frame in hand is the one that was handed over last, but for noise, however long ago."""
         self._stillness.age = 0
         return self._stillness.still(self._pipeline.buffers.change[0])
 
-    def _forget(self) -> None:
+    def _withdraw(self) -> None:
         """Take back what waits: it is touched no more, or otherwise known."""
         self._drop()
         self._stillness.forget()
-        if self._waits:
-            self._posted = self._withdrawn = self._keeper.mailbox.put(FRAME)
-            self._blank.append(self._posted)
+        if self._is_waiting:
+            self._sent = self._withdrawn = self._process.mailbox.put(FRAME)
+            self._blank.append(self._sent)
 
     @property
     def _missing(self) -> Rows:
@@ -159,21 +161,21 @@ class Handover:
             self._missing, buffers.change[0], buffers.map[0],
         )  # fmt: skip
 
-    def _post(self) -> None:
+    def _send_frame(self) -> None:
         assert self._candidate is not None
-        self._posted = self._keeper.mailbox.put(FRAME, self._candidate)
+        self._sent = self._process.mailbox.put(FRAME, self._candidate)
         self._candidate = None
-        self._keeper.ring()
+        self._process.ring()
 
     def _drop(self) -> None:
         if self._candidate is not None:
             self._candidate = None
             self.counts["skipped"] += 1
 
-    def _tell_setup(self, record: FrameRecord) -> None:
+    def _send_setup(self, record: FrameRecord) -> None:
         """Tell of another surface or reference: the model is made anew, and what rests is verified anew."""
         pipeline, reference = self._pipeline, self._skin.reference
-        self._key = pipeline.buffers.geometry, reference
+        self._setup_for = pipeline.buffers.geometry, reference
         if reference is None:
             return
         flat, step_V = reference.flat(), pipeline.normaliser.volts_per_count
@@ -186,15 +188,15 @@ class Handover:
             cloud_mm=np.asarray(cloud, dtype="<f4").tobytes(), reference_V=flat.voltages_V.astype("<f8").tobytes(),
             spread_V=np.hypot(flat.spread_V, step_V / math.sqrt(12.0)).astype("<f8").tobytes(), budget_s=self._budget_s,
         )  # fmt: skip
-        self._setup = self._keeper.mailbox.put(SETUP, setup.packed())
-        self._keeper.ring()
+        self._setup = self._process.mailbox.put(SETUP, setup.packed())
+        self._process.ring()
         for one in (self._stillness, self._resting):
             one.use(flat.voltages_V, flat.spread_V, flat.frames, step_V)
-        self._forget()
-        if self._child[0] != STARTING:
-            self._child = PREPARING, ""
+        self._withdraw()
+        if self._verifier[0] != STARTING:
+            self._verifier = PREPARING, ""
 
-    def _hear(self) -> None:
+    def _receive(self) -> None:
         """Take what the verifier has answered."""
         answers = self._answers
         if answers is None:
@@ -205,14 +207,14 @@ class Handover:
             except (BlockingIOError, ConnectionResetError):
                 return
             if not answer:
-                return  # it has ended; the keeper says why
-            self._understand(answered(answer))
+                return  # it has ended, and its process says why
+            self._handle(answered(answer))
 
-    def _understand(self, answer: list[Any]) -> None:
+    def _handle(self, answer: list[Any]) -> None:
         if answer[0] == STATE:
             _, state, setup, why, setup_ms = answer
             if setup == self._setup:
-                self._child = state, why
+                self._verifier = state, why
                 self._setup_ms = setup_ms or self._setup_ms
             return
         _, letter, told, flagged, spent_ms = answer
@@ -227,15 +229,15 @@ class Handover:
             self._spent_ms.append(spent_ms)
         self._send(told)
 
-    def _say(self, record: FrameRecord, was: tuple[str, str] | None = None) -> None:
+    def _report(self, record: FrameRecord, was: tuple[str, str] | None = None) -> None:
         """Say how the verifier is, or was: when that changes, to who has just come, and every second."""
         found, now_ns = was or self.state, record.stamps[PUBLISH]
-        if found != self._told:
-            if found[0] != self._told[0]:
+        if found != self._reported:
+            if found[0] != self._reported[0]:
                 self._pipeline.intake.tell_next(f"verifier:{found[0]}")
-            self._told, self._told_ns = found, 0
-        if self._asked and now_ns - self._told_ns >= REPEAT_NS:
-            self._told_ns = now_ns
+            self._reported, self._reported_ns = found, 0
+        if self._is_wanted and now_ns - self._reported_ns >= REPEAT_NS:
+            self._reported_ns = now_ns
             stamps = record.stamps[READ], record.stamps[PUBLISH], 0, 0
             self._send(rest(record.sequence, record.device_us, record.cloud, *found, stamps))
 
@@ -248,9 +250,9 @@ class Handover:
         state, why = self.state
         spent = list(self._spent_ms)
         p50, p99 = (0.0, 0.0) if not spent else map(float, np.percentile(spent, [50, 99]))
-        place = self._keeper.place
+        place = self._process.place
         return {
             "mode": self.mode, "state": state, "why": why, **self.counts, "setup_ms": round(self._setup_ms, 1),
-            "frame_ms_p50": round(p50, 2), "frame_ms_p99": round(p99, 2), "restarts": self._keeper.restarts,
-            "pid": self._keeper.pid, "nice": place.nice, "cpus": list(place.cpus),
+            "frame_ms_p50": round(p50, 2), "frame_ms_p99": round(p99, 2), "restarts": self._process.restarts,
+            "pid": self._process.pid, "nice": place.nice, "cpus": list(place.cpus),
         }  # fmt: skip

@@ -11,7 +11,7 @@ from eitskin.messaging.verified.message import STARTING
 from eitskin.reference.captured import Reference
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.evaluation.verified.resting import FRAMES
-from eitskin_tools.verifier.handover import REMEMBERED, Handover
+from eitskin_tools.verifier.feed import REMEMBERED, VerifierFeed
 from eitskin_tools.verifier.letters import FrameLetter, RestLetter
 from eitskin_tools.verifier.mailbox import FRAME, REST, Mailbox
 
@@ -32,10 +32,10 @@ class Line:
         reference = Reference(np.ones(104), np.full(104, NOISE), 100, "s", 0, "c", "")
         skin = SimpleNamespace(pipeline=pipeline, reference=reference, loop=SimpleNamespace(run_id="r"))
         publisher = SimpleNamespace(verified=True, send_beside=lambda message: None)
-        keeper = SimpleNamespace(
+        process = SimpleNamespace(
             mailbox=mailbox, answers=None, state=STARTING, why="", is_late=False, ring=lambda: None
         )
-        self.handover = Handover(skin, publisher, keeper, "always")
+        self.feed = VerifierFeed(skin, publisher, process, "always")
         self.record = FrameRecord(memoryview(buffers.map[0]).cast("B"), PAPER.grid.shape)
 
     def frame(self, *, touched=False, idle=False):
@@ -47,7 +47,7 @@ class Line:
         record.inferred, record.solver = touched and not idle, "vd2t" if touched and not idle else "none"
         record.sequence += 1
         record.stamps[PUBLISH] += 5_000_000
-        self.handover.behind(record)
+        self.feed.after_frame(record)
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def line():
 def test_frames_of_a_few_drives_are_not_what_the_sheet_reads_at_rest(line):
     for _ in range(FRAMES):
         line.frame()
-    mailbox = line.handover._keeper.mailbox
+    mailbox = line.feed._process.mailbox
     _, letter = mailbox.take(REST)
     assert np.std(RestLetter.of(letter).change) < 2.0 * NOISE / np.sqrt(FRAMES)
     line.frame()
@@ -72,7 +72,7 @@ def test_frames_of_a_few_drives_are_not_what_the_sheet_reads_at_rest(line):
 def test_a_map_of_a_region_alone_is_not_where_physics_starts(line):
     line.record.regions = (Region(0, 9, 0, 9),)  # as others need it; the whole is computed some frames later
     line.frame(touched=True)
-    mailbox = line.handover._keeper.mailbox
+    mailbox = line.feed._process.mailbox
     assert mailbox.take(FRAME) is None
     line.record.regions = whole(PAPER.grid.shape)
     line.frame(touched=True)
@@ -83,4 +83,4 @@ def test_touches_that_come_and_go_while_nobody_answers_take_no_more_and_more_mem
     for _ in range(REMEMBERED + 100):
         line.frame(touched=True)
         line.frame()
-    assert len(line.handover._blank) == REMEMBERED
+    assert len(line.feed._blank) == REMEMBERED

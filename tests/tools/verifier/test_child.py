@@ -11,8 +11,8 @@ import threading
 import pytest
 
 from eitskin.messaging.verified.message import STARTING, WAITING
-from eitskin_tools.processes.pauses import Pauses
-from eitskin_tools.verifier.keeper import Keeper, Place
+from eitskin_tools.processes.children import Backoff
+from eitskin_tools.verifier.child import Place, VerifierProcess
 
 from .conftest import PATIENCE_S, until
 
@@ -23,12 +23,12 @@ STAYS = (sys.executable, "-c", "import time; time.sleep(600)")
 def test_leaving_does_not_wait_for_a_process_that_does_not_end(monkeypatch):
     killed = []
     monkeypatch.setattr(subprocess.Popen, "kill", lambda process: killed.append(process.pid))
-    keeper = Keeper(Place(program=STAYS))
-    keeper.__enter__()
-    until(lambda: keeper.pid)
-    child = keeper.pid
-    os.kill(child, signal.SIGSTOP)  # the end of the keeper's thread would end it, if it could
-    leaving = threading.Thread(target=keeper.__exit__, args=(None, None, None))
+    verifier = VerifierProcess(Place(program=STAYS))
+    verifier.__enter__()
+    until(lambda: verifier.pid)
+    child = verifier.pid
+    os.kill(child, signal.SIGSTOP)  # the end of the verifier's thread would end it, if it could
+    leaving = threading.Thread(target=verifier.__exit__, args=(None, None, None))
     leaving.start()
     try:
         leaving.join(PATIENCE_S)
@@ -45,18 +45,18 @@ def test_leaving_does_not_wait_for_a_process_that_does_not_end(monkeypatch):
 @pytest.mark.process
 @pytest.mark.parametrize("where", [(os, "memfd_create"), (socket, "socketpair"), (subprocess, "Popen")])
 def test_without_descriptors_it_starts_another_time(monkeypatch, where):
-    keeper = Keeper(Place(program=STAYS), Pauses(0.1, 0.2, 60.0))
+    verifier = VerifierProcess(Place(program=STAYS), Backoff(0.1, 0.2, 60.0))
 
     def none_left(*_, **__):
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
     with monkeypatch.context() as held:
         held.setattr(*where, none_left)
-        keeper.__enter__()
-        until(lambda: keeper.state == WAITING)
-        assert keeper.why == "the verifier cannot be started: Too many open files; it starts again in 0.1 s"
+        verifier.__enter__()
+        until(lambda: verifier.state == WAITING)
+        assert verifier.why == "the verifier cannot be started: Too many open files; it starts again in 0.1 s"
     try:
-        until(lambda: keeper.pid)
-        assert (keeper.state, keeper.restarts > 0) == (STARTING, True)
+        until(lambda: verifier.pid)
+        assert (verifier.state, verifier.restarts > 0) == (STARTING, True)
     finally:
-        keeper.__exit__()
+        verifier.__exit__()
