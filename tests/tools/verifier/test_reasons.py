@@ -2,23 +2,17 @@
 
 import pytest
 
-from eitskin.messaging.verified.message import CONTESTED, TIME, UNEXPLAINED
+from eitskin.messaging.verified.message import TIME, UNEXPLAINED
 from eitskin_sim.verification.free.found import FreeVerdict
 from eitskin_sim.verification.verdict import Verdict
 from eitskin_tools.verifier.reasons import reason_of
 
 
-@pytest.mark.parametrize(("p_value", "unfinished", "contested", "why"), [
-    (0.4, False, False, ""),
-    (0.009, False, False, UNEXPLAINED),
-    (0.009, True, True, TIME),
-    (0.046, True, False, TIME),
-    (0.4, False, True, CONTESTED),
-    (0.4, True, True, CONTESTED),
-    (0.001, False, True, UNEXPLAINED),
+@pytest.mark.parametrize(("p_value", "unfinished", "why"), [
+    (0.4, False, ""), (0.009, False, UNEXPLAINED), (0.009, True, TIME), (0.046, True, TIME),
 ])  # fmt: skip
-def test_shapes(p_value, unfinished, contested, why):
-    verdict = FreeVerdict((), 100.0, 100, p_value, 0.01, 1, 0.1, unfinished, contested=contested)
+def test_shapes(p_value, unfinished, why):
+    verdict = FreeVerdict((), 100.0, 100, p_value, 0.01, 1, 0.1, unfinished)
     assert reason_of(verdict) == why
     assert verdict.flagged == bool(why)
 

@@ -2,15 +2,12 @@
 
 from typing import Any
 
-from eitskin.messaging.verified.message import CONTESTED, TIME, UNEXPLAINED
-from eitskin_sim.verification.free.found import FreeVerdict
+from eitskin.messaging.verified.message import TIME, UNEXPLAINED
 from eitskin_sim.verification.verdict import Verdict
 
 
 def reason_of(verdict: Verdict[Any]) -> str:
-    """Return why a verdict is flagged; of one that also is contested, that where physics explains the frame."""
+    """Return why a verdict is flagged."""
     if not verdict.flagged:
         return ""
-    if isinstance(verdict, FreeVerdict) and verdict.contested and verdict.p_value >= verdict.level:
-        return CONTESTED
     return TIME if verdict.unfinished else UNEXPLAINED

@@ -160,15 +160,6 @@ def test_a_step_that_leads_up_is_shortened_only_if_much_is_to_be_gained(monkeypa
         assert found.settled is (tries == 1)
 
 
-def test_a_fit_may_end_roughly_and_go_on() -> None:
-    frame = verifier()._frame(seen(SQUARE) / flat_V() - 1.0)
-    begun = frame.at(moved([0, 2.0, 1.0, 0, 0, 0, 0, 0]))
-    rough, whole = refine(frame, begun, 20, enough=1e9), refine(frame, begun, 20)
-    assert begun.cost > rough.cost > whole.cost
-    assert not rough.settled
-    assert refine(frame, rough, 20).cost == pytest.approx(whole.cost, abs=1.0)
-
-
 def test_errors_of_a_fit_are_told_by_the_derivatives_of_its_last_short_step() -> None:
     frame = verifier()._frame(seen(BETWEEN) / flat_V() - 1.0)
     near = refine(frame, refine(frame, frame.at(BETWEEN), 20), 20)
@@ -238,16 +229,6 @@ def test_a_touch_is_found_within_its_errors_from_a_wrong_start() -> None:
     assert abs(touch.strength_mm2 - 120.0 * np.log(50.0)) < 4.0 * touch.strength_error_mm2
     assert touch.size_contrast_correlation < -0.5
     assert touch.area_range_mm2[0] < touch.area_mm2 < touch.area_range_mm2[1]
-
-
-@pytest.mark.slow
-def test_a_touch_that_the_map_lacks_is_added_and_one_that_is_not_there_is_none() -> None:
-    two = np.vstack([SQUARE, moved([0, 45.0, 20.0, 0, 0, 0, 0, 0])])
-    found = verified(two, SQUARE)
-    assert len(found.touches) == 2
-    assert not found.flagged
-    assert np.abs(np.sort(found.pieces[:, 1]) - two[:, 1]).max() < 2.0
-    assert len(verified(np.zeros((0, 8)), np.zeros((0, 8))).touches) == 0
 
 
 @pytest.mark.slow

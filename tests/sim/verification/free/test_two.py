@@ -1,6 +1,5 @@
 """One touch between two explains a frame on a sheet that is known badly, and two explain one that lies across."""
 
-from dataclasses import replace
 from itertools import count
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.free import improve, two
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Fit
@@ -93,60 +91,3 @@ def test_a_touch_is_shown_as_it_was_found_where_the_nearest_one_has_its_sides() 
     assert shown_as(BETWEEN, shown, PAPER.grid)
     assert not shown_as(longer, shown, PAPER.grid)
     assert not shown_as(BETWEEN, np.zeros((0, 30, 45)), PAPER.grid)
-
-
-@pytest.mark.parametrize("turned", [False, True])
-def test_two_that_lie_along_one_touch_are_one(turned: bool) -> None:
-    one = np.array([2, 60.0, 45.0, 34.0, 12.0, 40.0 if turned else 0.0, 60.0, 2.0])
-    way = np.array([np.cos(np.deg2rad(one[5])), np.sin(np.deg2rad(one[5]))])
-    halves = np.array([[2, *(one[1:3] + step * way), 14.0, 14.0, 0.0, 60.0, 2.0] for step in (-9.0, 9.0)])
-    fit, effort = fit_of(one[None], halves)
-    found = two.as_one(fit.frame, fit, effort)
-    assert len(found.pieces) == 1
-    assert found.pieces[0, 1:3] == pytest.approx(one[1:3], abs=1.0)
-    assert (found.pieces[0, 5] - one[5] + 90.0) % 180.0 - 90.0 == pytest.approx(0.0, abs=10.0)
-    assert found.cost < fit.cost
-
-
-@pytest.mark.parametrize(("touches", "shown"), [(pair(), 2), (pair() + np.outer([0, 1], [0, 30.0, *[0] * 6]), 1)])
-def test_two_stay_two_where_the_network_shows_both_and_where_they_lie_far_apart(touches: Array, shown: int) -> None:
-    fit, effort = fit_of(touches, touches)
-    fit = replace(fit, frame=replace(fit.frame, shown=shown))
-    assert two.as_one(fit.frame, fit, effort) is fit
-    assert effort.fits == 0
-
-
-def test_two_that_are_two_explain_more_than_one() -> None:
-    fit, effort = fit_of(pair(), pair())
-    assert two.as_one(fit.frame, fit, effort) is fit
-    assert effort.fits == 2
-
-
-@pytest.mark.parametrize("shape", [0, 2])
-def test_one_in_place_of_two_has_their_area_and_their_middle(shape: int) -> None:
-    halves = pair()
-    halves[:, 0] = shape
-    halves[1, 3:5] = 20.0, 5.0
-    one = two._along(halves)
-    assert areas_mm2(one[None])[0] == pytest.approx(areas_mm2(halves).sum())
-    assert one[1:3] == pytest.approx([60.0, 45.0])
-    assert one[5] % 180.0 == pytest.approx(0.0, abs=1e-6)
-    assert two._along(np.vstack([halves[:1], halves[:1]]))[3:5] == pytest.approx(np.sqrt(2.0) * halves[0, 3:5])
-
-
-def fewer_of(found: Array, *, anyhow: bool) -> tuple[int, int]:
-    """Return touches that are left of some that were found of a pair, and how often some were fitted."""
-    fit, effort = fit_of(pair(), found)
-    return len(improve.fewer(fit.frame, fit, effort, anyhow).pieces), effort.fits
-
-
-def test_a_touch_too_many_is_left_out_though_all_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that answers little, or whose place another one takes where fewer may be right anyhow."""
-    speck = np.array([0, 60.0, 75.0, 3.0, 3.0, 0.0, 2.0, 0.0])
-    assert fewer_of(np.vstack([pair(), speck]), anyhow=False) == (2, 1)
-    assert fewer_of(pair(), anyhow=False) == (2, 0)
-    parts = np.array([[0, 50.0, 45.0, 10.0, 10.0, 0.0, 60.0, 0.0], [0, 67.5, 45.0, 5.0, 10.0, 0.0, 60.0, 0.0]])
-    parts = np.vstack([parts, [0, 72.5, 45.0, 4.9, 10.0, 0.0, 60.0, 0.0]])
-    monkeypatch.setattr(improve, "HOPELESS", 1.0)
-    assert fewer_of(parts, anyhow=False) == (3, 0)
-    assert fewer_of(parts, anyhow=True) == (2, 1)

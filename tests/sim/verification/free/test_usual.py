@@ -22,9 +22,7 @@ from eitskin_sim.verification.free.seen import (
     DECISIVE,
     closed,
     joints_of,
-    left_out,
     together,
-    too_small,
     unseen,
 )
 from eitskin_sim.verification.free.usual import Usual, usual_of
@@ -43,16 +41,6 @@ def test_a_touch_that_only_physics_sees_is_known_by_its_place() -> None:
     assert unseen(near, shares_of(both), PAPER.grid) == []
     assert unseen(near, shares_of(SQUARE), PAPER.grid) == [1]
     assert unseen(both, shares_of(np.zeros((0, 8))), PAPER.grid) == [0, 1]
-
-
-def test_a_touch_that_the_network_sees_plainly_is_not_left_out_without_a_word() -> None:
-    assert left_out(SQUARE, shares_of(np.vstack([SQUARE, OTHER])), PAPER.grid)
-    assert not left_out(SQUARE, shares_of(SQUARE), PAPER.grid)
-    speck = OTHER.copy()
-    speck[0, 3:5] = 4.0
-    assert not left_out(SQUARE, shares_of(np.vstack([SQUARE, speck])), PAPER.grid)
-    assert not left_out(speck, shares_of(OTHER), PAPER.grid)  # a gentle touch as a smaller hard one
-    assert not left_out(np.zeros((0, 8)), shares_of(np.zeros((0, 8))), PAPER.grid)
 
 
 def test_a_crack_within_one_touch_of_the_map_is_closed_and_gaps_between_two_stay() -> None:
@@ -105,15 +93,6 @@ def test_what_the_network_shows_as_one_is_made_one_unless_the_frame_speaks_again
     found = improve.joined(frame, fit, map_of(ell)[None], Effort(100.0))
     assert (found is not fit) == bound
     assert improve.joined(frame, fit, shares_of(ell), Effort(100.0)) is fit
-
-
-def test_no_touch_is_much_smaller_than_the_skin_s() -> None:
-    tiny = OTHER.copy()
-    tiny[0, 3:5] = 4.0, 4.5
-    assert too_small(np.vstack([SQUARE, tiny]), 5.0)
-    assert not too_small(np.vstack([SQUARE, tiny]), 4.0)
-    assert not too_small(SQUARE, 5.0)
-    assert not too_small(np.zeros((0, 8)), 5.0)
 
 
 def test_a_touch_that_only_physics_sees_must_answer_much(monkeypatch: pytest.MonkeyPatch) -> None:

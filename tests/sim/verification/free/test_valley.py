@@ -16,7 +16,6 @@ from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Frame, refine
 from eitskin_sim.verification.free.found import FreeVerdict, drawn, map_of, scatter_of, touches_of
 from eitskin_sim.verification.free.search import FreeVerifier
-from eitskin_sim.verification.free.seen import left_out, too_small
 from eitskin_sim.verification.free.two import parted
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.free.valley import likely, scaled
@@ -96,17 +95,6 @@ def test_a_step_promises_what_it_keeps_where_derivatives_are_near(model: Model) 
     assert 0.0 < kept == pytest.approx(promised, rel=0.1)
 
 
-def test_a_faint_touch_is_none_of_hard_ones_smaller_than_any(model: Model) -> None:
-    """As a hard touch it would be smaller than the skin's, and a fifth of what the network shows."""
-    faint = GENTLE.copy()
-    faint[0, 6] = 1.45
-    found = verified(model, faint)
-    grid, shown = PAPER.grid, map_of(faint)[None]
-    assert left_out(found.pieces, shown, grid) or too_small(found.pieces, PAPER.touches.size_mm[0])
-    assert found.p_value > LEVEL
-    assert not found.flagged
-
-
 def test_a_hard_touch_has_one_contrast_and_a_press_may_be_gentler(model: Model) -> None:
     found = verified(model, HARD)
     assert len(found.likely) == 1
@@ -179,7 +167,6 @@ def test_a_frame_that_time_did_not_suffice_to_explain_is_flagged(
 ) -> None:
     """At p between the level of flags and what counts as explained, the search goes on; its end by time is said."""
     monkeypatch.setattr("eitskin_sim.verification.free.found.p_value", lambda *_: 3.0 * LEVEL)
-    monkeypatch.setattr("eitskin_sim.verification.free.improve.moved", lambda *_: ("", None))
     monkeypatch.setattr(Effort, "searched", lambda _: late)
     found = verified(model, HARD)
     assert found.p_value == 3.0 * LEVEL

@@ -171,7 +171,6 @@ def refine(
     fit: Fit,
     steps: int = 8,
     over: Callable[[], bool] = never,
-    enough: float = ENOUGH,
     by: Array | None = None,
 ) -> Fit:
     """Return touches moved, resized and made to conduct so that they explain a frame better, never worse.
@@ -182,7 +181,6 @@ def refine(
         steps: The most derivatives.
         over: Whether time is over: asked before each derivative and each solution, so that one of them is what a frame
             takes longer at most.
-        enough: A step that gains less is the last.
         by: (rows + p, r) derivatives for the first step, from near by; None takes them anew.
     """
     damping, stale = 1e-2, 0
@@ -221,8 +219,10 @@ def refine(
             continue
         gained, before, used = fit.cost - best.cost, fit, by
         fit = best
-        if gained < max(enough, SLOW * (fit.chi_squared - len(fit.residual))):
-            return _served(fit, used) if gained < ENOUGH else fit
+        if gained < ENOUGH:
+            return _served(fit, used)
+        if gained < SLOW * (fit.chi_squared - len(fit.residual)):
+            return fit
         by, stale = _secant(by, before, fit, own, scale, stale)
         if first:
             damping = max(damping / 5.0, 1e-4)

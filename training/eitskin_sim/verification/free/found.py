@@ -79,10 +79,7 @@ class FreeVerdict(Verdict[FreeTouch]):
     pieces: Array = field(default_factory=lambda: np.zeros((0, 8)))
     """(n, 8) the touches as a table: the next frame's first start."""
     trail: tuple[str, ...] = ()
-    """Which moves were taken."""
-    contested: bool = False
-    """Whether the network plainly shows a touch that is not among these, or one is smaller than touches of this skin
-    are."""
+    """Which other sheets were gone on with."""
     likely: Likely = ()
     """Shares of belief, and touches as they are drawn: ``pieces``, and those of other contrasts that the data allow."""
     scatter: Array = field(default_factory=lambda: np.zeros((0, 0, COUNT)))
@@ -101,8 +98,8 @@ class FreeVerdict(Verdict[FreeTouch]):
 
     @property
     def flagged(self) -> bool:
-        """Whether physics cannot explain the frame by these touches, or they are ``contested`` or ``unfinished``."""
-        return self.contested or self.unfinished or self.p_value < self.level
+        """Whether physics cannot explain the frame by these touches, or they are ``unfinished``."""
+        return self.unfinished or self.p_value < self.level
 
 
 def touches_of(fit: Fit, scatter: Array, others: Sequence[Array] = ()) -> tuple[FreeTouch, ...]:

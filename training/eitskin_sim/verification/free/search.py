@@ -30,9 +30,8 @@ from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.verification.chi_squared import LEVEL
 from eitskin_sim.verification.frame import check_frame
 from eitskin_sim.verification.free import improve, two
-from eitskin_sim.verification.free.doubt import contested
 from eitskin_sim.verification.free.effort import Effort
-from eitskin_sim.verification.free.fit import ENOUGH, Fit, Frame, on_sheet, refine
+from eitskin_sim.verification.free.fit import Fit, Frame, on_sheet
 from eitskin_sim.verification.free.found import (
     FreeVerdict,
     degrees_of_freedom,
@@ -52,12 +51,6 @@ from eitskin_sim.verification.sheet.spreads import Spreads
 
 BUDGET_S: Final = 2.0
 """What a frame may take; most take a thirtieth of it."""
-
-FEW: Final = 5
-"""Derivatives taken on a model that its first frames may show to be off, before that is looked at."""
-
-ROUGHLY: Final = 10.0
-"""Of what is minimised: a step that gains less is the last, as long as the model may be made again."""
 
 NEARLY: Final = 1e-3
 """p from which a looser sheet is gone on with."""
@@ -161,7 +154,6 @@ class FreeVerifier:
             unfinished,
             fit.pieces,
             tuple(trail),
-            contested(fit, every, shares, effort),
             drawn_whole,
             scatter,
             fit.frame.joints,
@@ -188,23 +180,13 @@ class FreeVerifier:
         if not explained(fit):
             usual = improve.usually(frame, two.parted(frame, fit, effort), effort)
             frame, fit = self._settled(frame, usual, effort)
-        while not effort.searched() and not explained(fit):
-            name, better = improve.moved(frame, fit, effort)
-            if better is not None:
-                frame, fit = self._settled(frame, better, effort)
-                trail.append(name)
             if (anew := self._loosened(fit, start, effort)) is not None:
                 trail.append("loosen")
                 return self._search(start, anew, shares, effort, trail)
-            if better is None:
-                break
         unfinished = effort.searched() and not explained(fit)
-        fit = improve.straightened(frame, improve.usually(frame, two.parted(frame, fit, effort), effort), effort)
-        fit = improve.fewer(frame, fit, effort, anyhow=bool(trail) or len(fit.pieces) > max(self._shown, 2))
+        fit = improve.usually(frame, two.parted(frame, fit, effort), effort)
         fit, confirmed_all = improve.confirmed(frame, fit, shares, effort)
         fit = two.apart(frame, fit, shares, effort)
-        if trail:
-            fit = two.as_one(frame, fit, effort)
         if (anew := self._loosened(fit, start, effort)) is not None:
             trail.append("loosen")
             return self._search(start, anew, shares, effort, trail)
@@ -256,9 +238,7 @@ class FreeVerifier:
         tries.append(np.zeros((0, 8)))
         best = None
         for one in tries:
-            limits = (improve.STEPS, ENOUGH) if self.deformation.was_made_anew else (FEW, ROUGHLY)
-            turning = bool(one[:, 5].any())
-            found = improve.fitted(frame, one, turning, effort, effort.searched, *limits)
+            found = improve.fitted(frame, one, bool(one[:, 5].any()), effort, effort.searched)
             frame, fit = self._settled(frame, found, effort)
             if best is not None and best.frame is not frame:
                 best = frame.at(best.pieces, best.turning)
@@ -276,7 +256,6 @@ class FreeVerifier:
 
     def _settled(self, frame: Frame, fit: Fit, effort: Effort) -> tuple[Frame, Fit]:
         """Return the fit on a model that is made again where the sheet is stretched otherwise by much."""
-        whole = self.deformation.was_made_anew
         while self.deformation.may_be_made_anew and self._may_be_made(effort):
             model = frame.model
             amplitudes = self._amplitudes(fit, rough=self.deformation.is_rough)
@@ -284,6 +263,5 @@ class FreeVerifier:
                 break
             self._made(partial(self.deformation.make_anew, amplitudes), effort)
             frame = self._frame(frame.change)
-            fit = improve.fitted(frame, fit.pieces, fit.turning, effort, effort.searched, FEW, ROUGHLY)
-            whole = False
-        return frame, fit if whole else refine(frame, fit, improve.STEPS, effort.searched)
+            fit = improve.fitted(frame, fit.pieces, fit.turning, effort, effort.searched)
+        return frame, fit

@@ -1,8 +1,7 @@
 """Where physics and the network tell different things: touches that only one of them sees.
 
 A sheet that is not quite the model's leaves a residual, and a further touch in the right place takes part of it away.
-So a touch that only physics sees must answer much, or it is none. And a touch that the network sees plainly may not be
-left out without a word.
+So a touch that only physics sees must answer much, or it is none.
 """
 
 from typing import Final
@@ -12,16 +11,13 @@ import numpy as np
 from eitskin_proto.skin.grid import Grid
 from eitskin_sim.scene.gap import gap_mm
 from eitskin_sim.scene.touch_table import RECTANGLE, Array, cover, pixel_lines
-from eitskin_sim.shapes.parameters import areas_mm2, parameters_of
+from eitskin_sim.shapes.parameters import parameters_of
 from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.free.prior.joints import Joints, crack
 from eitskin_sim.verification.free.starts import starts_of
 
 SEEN: Final = 0.2
 """Share of a touch that must be in the other's map."""
-
-PLAIN: Final = 3.0
-"""Pixels that a touch of the network's map has at least, or it may be left out."""
 
 DECISIVE: Final = 50.0
 """Chi-squared that a touch must take away, to be believed, where the network shows none."""
@@ -30,24 +26,11 @@ BESIDE: Final = 300.0
 """The same of one beside those that the network shows: it seldom misses one of several, while a sheet that is not the
 model's often seems to have one more, which takes 50 to 200 away. A hard touch of 10 mm takes thousands."""
 
-SMALL: Final = 0.85
-"""Of the smallest touch's side: a gentle touch of usual size comes out no smaller."""
-
 ALIKE: Final = 0.25
 """Logarithm by which sides differ at most."""
 
 CRACK_MM: Final = 3.0
 """Between two shapes of one touch: less than a pixel."""
-
-
-def too_small(pieces: Array, least_mm: float) -> bool:
-    """Return whether a touch is smaller than any of its skin: it explains the sheet's difference from its model.
-
-    Args:
-        pieces: (m, 8) touches.
-        least_mm: Side of the skin's smallest touches.
-    """
-    return bool(np.any(areas_mm2(pieces) < (SMALL * least_mm) ** 2))
 
 
 def shown_as(piece: Array, shares: Array, grid: Grid) -> bool:
@@ -131,19 +114,3 @@ def unseen(pieces: Array, shares: Array, grid: Grid) -> list[int]:
         if np.sum(share * shown[rows, columns]) < SEEN * share.sum():
             found.append(number)
     return found
-
-
-def left_out(pieces: Array, shares: Array, grid: Grid) -> bool:
-    """Return whether touches lack one that the network shows plainly: none covers it, and none lies on it.
-
-    Args:
-        pieces: (m, 8) touches.
-        shares: (n, rows, columns) of the network's map, what each of its touches has of every pixel.
-        grid: Of the map.
-    """
-    plain = shares[shares.sum(axis=(1, 2)) >= PLAIN]
-    drawn = np.array([map_of(piece[None], grid) for piece in pieces]).reshape(len(pieces), *grid.shape)
-    shared = np.einsum("nrc,mrc->nm", plain, drawn)
-    covered = shared.sum(axis=1) >= SEEN * plain.sum(axis=(1, 2))
-    met = (shared >= SEEN * drawn.sum(axis=(1, 2))).any(axis=1)
-    return bool(np.any(~(covered | met)))

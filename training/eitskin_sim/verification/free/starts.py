@@ -34,6 +34,9 @@ AS_GOOD: Final = 1.5
 MOVED_MM: Final = 15.0
 """What a touch moves from frame to frame at most, or it is another."""
 
+LOG_CONTRAST_OF_NEITHER_SIGN: Final = float(np.log(40.0))
+"""With which a start is tried where touches may raise conductance or lower it."""
+
 LEAST_MM: Final = 3.0
 """The shortest side of a start."""
 
@@ -176,7 +179,7 @@ def _pairs(share: Array, grid: Grid) -> Iterator[list[Array]]:
 
 
 def tries_of(rectangles: Array, upright: Array | None, usual: Usual) -> list[Array]:
-    """Return (n, 8) touches each to start from, the likeliest first.
+    """Return (n, 8) touches of the usual contrast, each to start from, the likeliest first.
 
     Args:
         rectangles: (n, 8) that draw the map.
@@ -184,21 +187,9 @@ def tries_of(rectangles: Array, upright: Array | None, usual: Usual) -> list[Arr
             that lies across. None where none are.
         usual: What touches are like.
     """
-    if not len(rectangles):
-        return []
-    logs = contrasts_of(usual.log_contrast)
-    tried = [(rectangles, log) for log in logs]
-    if upright is not None:
-        tried[1:] = [(upright, log) for log in logs]
     found = []
-    for one, log in tried:
-        found.append(presses_of(one, usual.border_mm) if usual.sign < 0 else one.copy())
-        found[-1][:, 6] = np.exp(log)
+    for drawn in (rectangles, upright):
+        if drawn is not None and len(drawn):
+            found.append(presses_of(drawn, usual.border_mm) if usual.sign < 0 else drawn.copy())
+            found[-1][:, 6] = np.exp(usual.log_contrast or LOG_CONTRAST_OF_NEITHER_SIGN)
     return found
-
-
-def contrasts_of(usual: float) -> tuple[float, ...]:
-    """Return the log contrasts that a start is tried with, one after the other, from the usual one."""
-    if usual > 0.0:
-        return (usual, np.log(8.0), np.log(2.0))
-    return (usual, 2.0 * usual) if usual < 0.0 else (np.log(40.0), np.log(4.0), np.log(0.5))

@@ -8,12 +8,12 @@ from typing import Final
 import numpy as np
 
 from eitskin_sim.scene.gap import gap_mm
-from eitskin_sim.scene.touch_table import RECTANGLE, Array
+from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Fit, Frame
 from eitskin_sim.verification.free.found import explained
-from eitskin_sim.verification.free.improve import IMPOSSIBLE, SURER, fewer, fitted
+from eitskin_sim.verification.free.improve import IMPOSSIBLE, SURER, fitted
 from eitskin_sim.verification.free.seen import shown_as
 
 WEAK: Final = 1.0
@@ -33,9 +33,6 @@ NARROW: Final = 1.2
 
 GAP_MM: Final = 10.0
 """so far apart at first, if they cost beyond doubt less."""
-
-NEAR_MM: Final = 12.0
-"""Gap up to which two touches may be one."""
 
 OVER_MM: Final = -3.0
 """A gap from which another touch lies over it, and is a part of the two as well."""
@@ -101,48 +98,7 @@ def apart(frame: Frame, fit: Fit, shares: Array, effort: Effort) -> Fit:
         other = fitted(frame, np.vstack([fit.pieces[~over], two]), fit.turning, effort, effort.searched)
     except IMPOSSIBLE:
         return fit
-    if other.cost >= fit.cost - SURER:
-        return fit
-    return fewer(frame, other, effort) if len(other.pieces) > 2 else other
-
-
-def as_one(frame: Frame, fit: Fit, effort: Effort) -> Fit:
-    """Return the fit, or one with one touch along both in place of the two nearest, if that is likelier.
-
-    It is tried where there are more touches than the network shows.
-    """
-    if len(fit.pieces) <= max(frame.shown, 1) or effort.searched():
-        return fit
-    one, other = np.tril_indices(len(fit.pieces), -1)
-    gaps = gap_mm(fit.pieces[one], fit.pieces[other])
-    least = int(np.argmin(gaps))
-    if gaps[least] > NEAR_MM:
-        return fit
-    both = [int(one[least]), int(other[least])]
-    pieces = np.vstack([np.delete(fit.pieces, both, axis=0), _along(fit.pieces[both])])
-    try:
-        found = fitted(frame, pieces, True, effort, effort.searched)
-    except IMPOSSIBLE:
-        return fit
-    return found if found.cost < fit.cost else fit
-
-
-def _along(pieces: Array) -> Array:
-    """Return the (8,) touch of the area and the moments of some."""
-    turn, of_side = np.deg2rad(pieces[:, 5]), np.where(pieces[:, 0] == RECTANGLE, 12.0, 16.0)
-    area = areas_mm2(pieces)
-    weight = area / area.sum()
-    middle = weight @ pieces[:, 1:3]
-    spread = np.einsum("n,ni,nj->ij", weight, pieces[:, 1:3] - middle, pieces[:, 1:3] - middle)
-    for axis in (0, 1):
-        way = np.stack([np.cos(turn + axis * np.pi / 2), np.sin(turn + axis * np.pi / 2)], axis=-1)
-        spread += np.einsum("n,ni,nj->ij", weight * pieces[:, 3 + axis] ** 2 / of_side, way, way)
-    own, ways = np.linalg.eigh(spread)
-    sides = np.sqrt(of_side[0] * own[::-1])
-    sides *= np.sqrt(area.sum() / areas_mm2(np.array([[pieces[0, 0], 0, 0, *sides, 0, 1, 0]]))[0])
-    contrast = np.exp(weight @ np.log(pieces[:, 6]))
-    angle_deg = float(np.rad2deg(np.arctan2(ways[1, 1], ways[0, 1]))) % 180.0
-    return np.array([pieces[0, 0], *middle, *sides, angle_deg, contrast, min(pieces[:, 7].min(), sides.min() - 0.01)])
+    return other if other.cost < fit.cost - SURER else fit
 
 
 def _side_of_two_mm(piece: Array, log: float) -> float:
