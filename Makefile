@@ -134,7 +134,7 @@ firmware qemu: $(VENV)/.dev system-packages
 	$(MAKE) -C firmware_proto $@ PYTHON=$(abspath $(BIN)/python)
 
 powercut fuzz hotplug: $(VENV)/.dev system-packages
-	$(BIN)/python -m eitskin_tools.fault_injection.$@
+	$(BIN)/python -m tests.faults.$@
 
 # ATTACK names what is passed on, such as `make attack ATTACK="--only connections --seed 7"`.
 attack: $(VENV)/.dev system-packages
@@ -142,7 +142,7 @@ attack: $(VENV)/.dev system-packages
 
 SECONDS ?= 1200
 soak: $(VENV)/.dev system-packages
-	$(BIN)/python -m eitskin_tools.fault_injection.soak --seconds $(SECONDS)
+	$(BIN)/python -m tests.faults.soak --seconds $(SECONDS)
 
 clean:
 	rm -rf .build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

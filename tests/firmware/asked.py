@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.emulator.board import Board
+from tests.emulator.device_core import HostDevice
 
 from eitskin.acquisition.serial_port import SerialPort
 from eitskin_proto.wire import config_toml, framing
@@ -13,8 +15,6 @@ from eitskin_proto.wire import messages as m
 from eitskin_proto.wire.codes import Code, EventCode
 from eitskin_proto.wire.config import Configuration
 from eitskin_proto.wire.frames import Frame
-from eitskin_tools.emulator.board import Board
-from eitskin_tools.emulator.device_core import HostDevice
 from eitskin_tools.virtual_skin.device import VirtualDevice
 from eitskin_tools.virtual_skin.identity import Identity
 from eitskin_tools.virtual_skin.server import SkinServer

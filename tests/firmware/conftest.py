@@ -1,7 +1,6 @@
 import pytest
-
-from eitskin_tools.emulator.device_core import HostDevice, library
-from eitskin_tools.emulator.firmware import missing_tools
+from tests.emulator.device_core import HostDevice, library
+from tests.emulator.firmware import missing_tools
 
 from .asked import DEVICES
 

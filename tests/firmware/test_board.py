@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
+from tests.emulator.board import Board, record
+from tests.emulator.firmware import missing_tools
+from tests.emulator.patience import patient
+from tests.faults import powercut
 
 from eitskin.acquisition.serial_port import SerialPort
 from eitskin_proto.sensor.table import FULL_TABLE, ROW_IN_FULL
 from eitskin_proto.wire import config_toml, framing, messages
 from eitskin_proto.wire.codes import HelloFlag
 from eitskin_proto.wire.frames import Frame
-from eitskin_tools.emulator.board import Board, record
-from eitskin_tools.emulator.firmware import missing_tools
-from eitskin_tools.emulator.patience import patient
-from eitskin_tools.fault_injection import powercut
 from eitskin_tools.flash import procedure
 
 MISSING = missing_tools("qemu")

@@ -2,8 +2,7 @@ import json
 import subprocess
 
 import pytest
-
-from eitskin_tools.emulator import firmware
+from tests.emulator import firmware
 
 
 def test_the_core_uses_no_heap_no_stdio_and_no_globals(core, tmp_path):

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.emulator.device_core import OK, CoreDeframer, FrameState, packet
 
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.wire import config_toml, framing, messages
 from eitskin_proto.wire.config import Configuration
 from eitskin_proto.wire.frames import Frame, full_scale
 from eitskin_proto.wire.scan_rows import drive_count, row_count
-from eitskin_tools.emulator.device_core import OK, CoreDeframer, FrameState, packet
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "wire.json").read_text())
 CANARY = b"\xa5" * 16
@@ -112,7 +112,7 @@ def test_both_decoders_accept_the_same_messages(junk, name, data):
     at = data.draw(st.integers(0, min(len(payload), 110) - 1))
     end = at + data.draw(st.integers(0, 4))
     changed = bytes(payload[:at]) + data.draw(st.binary(max_size=4)) + bytes(payload[end:])
-    from eitskin_tools.emulator.device_core import library
+    from tests.emulator.device_core import library
 
     for candidate in (junk, changed, bytes(payload) + junk, payload[:1] + junk):
         raw = bytes(candidate)
@@ -164,7 +164,7 @@ def electronics_accept(configuration):
 def test_host_and_device_accept_the_same_configurations(data):
     from dataclasses import replace
 
-    from eitskin_tools.emulator.device_core import library
+    from tests.emulator.device_core import library
 
     base = config_toml.named(data.draw(st.sampled_from(config_toml.NAMED)))
     changes = {

@@ -1,11 +1,11 @@
 import json
 
 from cobs import cobs
+from tests.faults import fuzz
 
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.wire import framing
 from eitskin_proto.wire.frames import Frame
-from eitskin_tools.fault_injection import fuzz
 
 
 def test_mutated_frames_are_never_accepted_and_intact_ones_never_lost(core, capsys):

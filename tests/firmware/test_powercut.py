@@ -1,8 +1,7 @@
 import json
 
 import pytest
-
-from eitskin_tools.fault_injection import powercut
+from tests.faults import powercut
 
 
 @pytest.mark.parametrize("kind", powercut.KINDS)

@@ -5,12 +5,12 @@ import shutil
 import subprocess
 
 import pytest
+from tests.emulator import device_core, firmware
+from tests.faults import powercut
+from tests.faults.requests.lines import UNASKED, CoreLine
+from tests.faults.requests.search import search
 
 from eitskin_proto.wire import framing
-from eitskin_tools.emulator import device_core, firmware
-from eitskin_tools.fault_injection import powercut
-from eitskin_tools.fault_injection.request_sequences.lines import UNASKED, CoreLine
-from eitskin_tools.fault_injection.request_sequences.search import search
 
 from .asked import VirtualAsked
 

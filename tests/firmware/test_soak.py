@@ -1,9 +1,8 @@
 import json
 
 import pytest
-
-from eitskin_tools.emulator.firmware import missing_tools
-from eitskin_tools.fault_injection import soak
+from tests.emulator.firmware import missing_tools
+from tests.faults import soak
 
 
 @pytest.mark.process

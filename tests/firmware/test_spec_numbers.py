@@ -3,11 +3,11 @@
 import re
 
 import pytest
+from tests.emulator.firmware import FOLDER
+from tests.faults.requests import specification
 
 from eitskin_proto.sensor import ids
 from eitskin_proto.wire import codes, config, hardware, messages
-from eitskin_tools.emulator.firmware import FOLDER
-from eitskin_tools.fault_injection.request_sequences import specification, state
 from eitskin_tools.virtual_skin import device, store
 
 SPEC = (FOLDER / "SPEC.md").read_text(encoding="utf-8")
@@ -69,7 +69,7 @@ def test_times_are_the_same_everywhere(sentence, us):
     seconds = int(re.search(sentence, FLAT).group(1))
     assert define(us, "eit_device.h") == seconds * 1_000_000
     elsewhere = {
-        "EIT_LOCK_US": (store.LOCK_NS, state.LOCK_S), "EIT_TRIAL_US": (device.TRIAL_NS, state.TRIAL_S)
+        "EIT_LOCK_US": (store.LOCK_NS, specification.LOCK_S), "EIT_TRIAL_US": (device.TRIAL_NS, specification.TRIAL_S)
     }[us]  # fmt: skip
     assert elsewhere == (seconds * 1_000_000_000, seconds)
 

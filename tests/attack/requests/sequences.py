@@ -1,8 +1,8 @@
 """Random requests with power cuts at every write: on the C core in memory, and on the emulated board."""
 
-from eitskin_tools.emulator.firmware import missing_tools
-from eitskin_tools.fault_injection import powercut
-from eitskin_tools.fault_injection.request_sequences.search import Figures
+from tests.emulator.firmware import missing_tools
+from tests.faults import powercut
+from tests.faults.requests.search import Figures
 
 from ..outcome import Effort, Outcome
 

@@ -1,8 +1,7 @@
 """The short form of the attacks by requests and by a device's answers."""
 
 import pytest
-
-from eitskin_tools.emulator.firmware import missing_tools
+from tests.emulator.firmware import missing_tools
 
 from ..outcome import Effort, Outcome
 from .flashing import flashing

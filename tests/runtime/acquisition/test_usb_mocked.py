@@ -6,8 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from eitskin_tools.fault_injection.usb_skin import WRAPPER, MockedUsb, missing
+from tests.faults.usb_skin import WRAPPER, MockedUsb, missing
 
 LACKING = missing()
 pytestmark = [pytest.mark.process, pytest.mark.skipif(bool(LACKING), reason=LACKING)]

@@ -13,6 +13,8 @@ import time
 
 import pytest
 import usb.core
+from tests.faults.usb_bus import PACKET
+from tests.faults.usb_skin import MockedUsb
 
 from eitskin.acquisition import usb_port
 from eitskin.acquisition.device import Device
@@ -24,8 +26,6 @@ from eitskin_proto.wire.codes import MessageType
 from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.framing import encode
 from eitskin_proto.wire.unwrap import StreamCounter
-from eitskin_tools.fault_injection.usb_skin import MockedUsb
-from eitskin_tools.fault_injection.usb_urb import PACKET
 
 pytestmark = pytest.mark.process
 

@@ -7,15 +7,17 @@ import sys
 
 import numpy as np
 import pytest
+from tests.emulator.emulated_skin import recording
+from tests.emulator.firmware import FOLDER, missing_tools
 
 from eitskin.acquisition.device import Device
 from eitskin.acquisition.serial_port import SerialPort
+from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.table import ROW_IN_FULL
 from eitskin_proto.wire.codes import MessageType
 from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.scan_rows import table_rows
-from eitskin_tools.emulator.emulated_skin import recording
-from eitskin_tools.emulator.firmware import missing_tools
+from eitskin_tools.demo import show
 from eitskin_tools.processes.skin_log import read_log, script_start
 
 MISSING = missing_tools("qemu")
@@ -37,9 +39,9 @@ def test_a_recording_repeats_the_scripts_period_with_equal_reciprocal_rows():
 def test_the_firmware_streams_the_scripts_voltages_and_its_log_says_when(tmp_path):
     log, wire = tmp_path / "skin.log", tmp_path / "wire.npy"
     process = subprocess.Popen(
-        [sys.executable, "-m", "eitskin_tools.emulator.emulated_skin", "--rate=100", "--noise=none", f"--log={log}",
+        [sys.executable, "-m", "tests.emulator.emulated_skin", "--rate=100", "--noise=none", f"--log={log}",
          f"--wire-times={wire}", "--seconds=900"],
-        stdout=subprocess.PIPE, text=True,
+        stdout=subprocess.PIPE, text=True, cwd=FOLDER.parent,
     )  # fmt: skip
     try:
         port = SerialPort(json.loads(process.stdout.readline())["port"])
@@ -69,3 +71,9 @@ def test_the_firmware_streams_the_scripts_voltages_and_its_log_says_when(tmp_pat
     flat = recording(100.0, None, "none", 0)[0, ROW_IN_FULL]
     # Half a step of 24 bit, and half a step of the recording.
     assert np.abs(volts - flat).max() <= 0.6 * device.hello.volts_per_count
+
+
+def test_a_wheel_without_the_emulated_board_says_so_in_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(show, "__file__", str(tmp_path / "a" / "b" / "c" / "show.py"))
+    with pytest.raises(SkinError, match="--device qemu needs a source checkout"):
+        show.checkout()

@@ -4,9 +4,9 @@ import threading
 from contextlib import contextmanager
 
 import pytest
+from tests.emulator.device_core import HostDevice
+from tests.emulator.firmware import missing_tools
 
-from eitskin_tools.emulator.device_core import HostDevice
-from eitskin_tools.emulator.firmware import missing_tools
 from eitskin_tools.virtual_skin.pty import PtyPort
 from eitskin_tools.virtual_skin.server import SkinServer
 

@@ -6,12 +6,12 @@ import subprocess
 import sys
 
 import pytest
+from tests.emulator.device_core import HostDevice
+from tests.emulator.firmware import missing_tools
 
 from eitskin_proto.wire import config_toml, framing, messages
 from eitskin_tools import cli
 from eitskin_tools.commands.live import flash
-from eitskin_tools.emulator.device_core import HostDevice
-from eitskin_tools.emulator.firmware import missing_tools
 from eitskin_tools.flash import procedure
 
 FAST = config_toml.named("fast")

@@ -6,13 +6,13 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from tests.emulator.patience import patient
 
 from eitskin.acquisition.serial_port import SerialPort
 from eitskin.errors import PortBusy
 from eitskin_proto.wire import config_toml, framing, messages
 from eitskin_proto.wire.codes import Code
 from eitskin_tools import cli
-from eitskin_tools.emulator.patience import patient
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange, Refused, Silent
 from eitskin_tools.virtual_skin.configure import configuration_for

@@ -146,7 +146,7 @@ def test_a_stream_is_recorded_until_told_to_stop(file: Path, tmp_path: Path) -> 
 def test_killed_at_any_moment_it_leaves_a_file_that_lacks_no_frame_but_the_last_ones(
     file: Path, tmp_path: Path
 ) -> None:
-    from eitskin_tools.fault_injection.recorder_kill import Witness, kill_one
+    from tests.faults.recorder_kill import Witness, kill_one
 
     with played(file, tmp_path) as endpoint:
         witness = Witness(endpoint)
@@ -164,7 +164,7 @@ def test_killed_at_any_moment_it_leaves_a_file_that_lacks_no_frame_but_the_last_
 def test_killed_while_one_file_is_ended_and_the_next_begun_all_are_readable_and_lack_no_frame(
     file: Path, tmp_path: Path, rotation: tuple[str, str]
 ) -> None:
-    from eitskin_tools.fault_injection.recorder_kill import Witness, kill_one
+    from tests.faults.recorder_kill import Witness, kill_one
 
     with played(file, tmp_path) as endpoint:
         witness = Witness(endpoint)
@@ -214,7 +214,7 @@ def numbers_in(first: Path) -> list[int]:
 
 def test_what_a_killed_recorder_left_is_told(tmp_path: Path, items: list[Any]) -> None:
     """Files that cannot be read, and frames that are missing in the middle of a series, are found."""
-    from eitskin_tools.fault_injection.recorder_kill import left_in
+    from tests.faults.recorder_kill import left_in
 
     wire = [one for one in items if isinstance(one, WireFrame)]
     gone = {one.n for one in wire[70:73]}

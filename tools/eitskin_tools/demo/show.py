@@ -47,6 +47,10 @@ CLOUDS_HZ: Final = 4.0
 """Clouds a second, as a robot's camera would give."""
 
 
+EMULATED_SKIN: Final = "tests.emulator.emulated_skin"
+"""Runs the firmware under QEMU; it belongs to the checkout, as the firmware's sources do, not to the wheel."""
+
+
 @dataclass(frozen=True, slots=True)
 class Options:
     """What the demonstration is like."""
@@ -185,16 +189,15 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     if (described := played.skin_of(options.bundle, options.touches)) != PAPER:
         (description := folder / "skin.toml").write_text(to_toml(described), encoding="utf-8")
         sheet = ["--skin", str(description)]
-    module, first = (
-        ("eitskin_tools.emulator.emulated_skin", [])
-        if options.device == "qemu"
-        else ("eitskin_tools.cli", ["virtual-skin"])
-    )
+    module, command, environment = ("eitskin_tools.cli", ["virtual-skin"], None)
+    if options.device == "qemu":
+        module, command, environment = (EMULATED_SKIN, [], {"PYTHONPATH": str(checkout())})
     skin = Child(
         "virtual-skin", module,
-        [*first, "--json", f"--rate={options.rate_hz:g}", f"--noise={options.noise}", f"--seed={options.seed}",
+        [*command, "--json", f"--rate={options.rate_hz:g}", f"--noise={options.noise}", f"--seed={options.seed}",
          *scene, *sheet,
          f"--seconds={longest:g}", f"--log={folder / 'skin.log'}", f"--wire-times={folder / 'wire.npy'}"], folder,
+        environment,
     )  # fmt: skip
     children.append(skin)
     port = json.loads(skin.line(skin.out, "{", START_S))["port"]
@@ -229,6 +232,21 @@ def show_page(address: str) -> None:
     print(f"look at it: {address}", file=sys.stderr, flush=True)
     if sys.stderr.isatty() and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         webbrowser.open(address)
+
+
+def checkout() -> Path:
+    """Return the folder of the checkout that holds the emulated skin.
+
+    Raises:
+        SkinError: This is an installed wheel.
+    """
+    root = Path(__file__).resolve().parents[3]
+    if not (root / "tests" / "emulator" / "emulated_skin.py").is_file():
+        raise SkinError(
+            f"the emulated board is not in {root}: --device qemu needs a source checkout of eitskin; "
+            "without one, leave --device out"
+        )
+    return root
 
 
 def _scanner(options: Options, control: str, folder: Path, scene: list[str]) -> Child:

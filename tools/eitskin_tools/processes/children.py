@@ -8,11 +8,12 @@ order. The kernel ends them if the parent dies without having the chance.
 """
 
 import ctypes
+import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -133,14 +134,24 @@ class Child(ChildProcess):
         module: Python module that it runs.
         arguments: Of its command line.
         folder: Where its output goes, ``NAME.out`` and ``NAME.err``.
+        environment: Variables that it gets besides this process's own.
     """
 
-    def __init__(self, name: str, module: str, arguments: Sequence[str], folder: Path) -> None:
+    def __init__(
+        self,
+        name: str,
+        module: str,
+        arguments: Sequence[str],
+        folder: Path,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         super().__init__([sys.executable, "-m", module, *arguments])
         self.name = name
         self.out, self.err = folder / f"{name}.out", folder / f"{name}.err"
+        variables = None if environment is None else {**os.environ, **environment}
         with self.out.open("wb") as out, self.err.open("wb") as err:
-            self.start(stdout=out, stderr=err, preexec_fn=die_with_parent)  # no thread runs yet; one system call
+            # no thread runs yet, and the function is one system call
+            self.start(stdout=out, stderr=err, env=variables, preexec_fn=die_with_parent)
 
     def check(self) -> None:
         """Raise ChildDiedError if it has ended."""

@@ -7,17 +7,31 @@ also a :class:`eitskin.acquisition.transport.Transport`, so that everything that
 import ctypes
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from tests.emulator.firmware import build
 
 from eitskin.errors import PortLost
-from eitskin_tools.emulator.firmware import build
-from eitskin_tools.emulator.outcome import MOST_OUTCOMES, Outcome
 
 OK: Final = 0
 """``EIT_OK``."""
+
+
+MOST_OUTCOMES: Final = 32
+"""So many different outcomes are kept between two looks."""
+
+
+class Outcome(NamedTuple):
+    """What a device runs after a boot, and what once every trial is over; generation 0 is what is built in."""
+
+    generation: int
+    digest: int
+    trial: int
+    """1: it runs on trial."""
+    settled_generation: int
+    settled_digest: int
 
 
 class _DeframerState(ctypes.Structure):

@@ -9,9 +9,9 @@ import struct
 from dataclasses import dataclass
 from typing import Any, Final
 
+from tests.faults.requests.specification import HARDWARE_ID, Request, digest_of
+
 from eitskin_proto.wire import config_toml, framing
-from eitskin_tools.fault_injection.request_sequences.specification import HARDWARE_ID, Request
-from eitskin_tools.fault_injection.request_sequences.state import digest_of
 
 BLOBS: Final = {name: config_toml.named(name).to_blob() for name in config_toml.NAMED}
 NAMES: Final = tuple(BLOBS)

@@ -1,6 +1,6 @@
 """A long stream from the emulated board: every sequence number must arrive, or be counted by whoever lost it.
 
-``python -m eitskin_tools.fault_injection.soak --seconds S [--port PORT]``. The board says in each frame how many scans
+``python -m tests.faults.soak --seconds S [--port PORT]``. The board says in each frame how many scans
 it could not send; a gap that it did not count was lost on the line, and must show as corrupt packets, of which each
 explains two frames at most (a damaged delimiter joins two packets). With ``--port`` a device that is there is soaked
 instead. One JSON line comes last; the exit status is 1 if a number is missing without account.
@@ -14,14 +14,15 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
+from tests.emulator.board import Board
+from tests.emulator.patience import patient
+
 from eitskin.acquisition.ports import open_line
 from eitskin.acquisition.transport import Transport
 from eitskin_proto.wire import framing, messages
 from eitskin_proto.wire.codes import MessageType
 from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.unwrap import StreamCounter
-from eitskin_tools.emulator.board import Board
-from eitskin_tools.emulator.patience import patient
 
 
 def soak(seconds: float, port: str | None = None) -> dict[str, float]:

@@ -26,6 +26,8 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from tests.emulator.board import Board, new_storage, record
+from tests.emulator.patience import patient
 
 from eitskin.acquisition.serial_port import SerialPort
 from eitskin_proto.errors import SkinError
@@ -36,8 +38,6 @@ from eitskin_proto.wire.codes import MessageType
 from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.framing import Deframer
 from eitskin_proto.wire.scan_rows import ALL_DRIVES, table_rows
-from eitskin_tools.emulator.board import Board, new_storage, record
-from eitskin_tools.emulator.patience import patient
 from eitskin_tools.flash import procedure
 from eitskin_tools.scripted_scene.prepare import prepare
 from eitskin_tools.virtual_skin.configure import configuration_for

@@ -20,10 +20,10 @@ from typing import Final, Self
 
 import numpy as np
 import numpy.typing as npt
+from tests.emulator.firmware import build, missing_tools
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.table import N_FULL_ROWS
-from eitskin_tools.emulator.firmware import build, missing_tools
 
 STORAGE_BYTES: Final = 16 << 20
 POWER_AT: Final = 0x80000

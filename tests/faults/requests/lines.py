@@ -1,22 +1,29 @@
-"""The two devices that sequences are played on: the C core in this process, and the firmware on the emulated board."""
+"""The two devices that sequences are played on: the C core in this process, and the firmware on the emulated board.
+
+A line is a device with a power switch. ``ask`` returns the payloads that answer a packet (none once the power is cut),
+``await_restart`` lets a device that answered RESTART come back, ``wait`` lets seconds pass, ``boot`` switches off and
+on, ``cut`` cuts the power at a change of storage from now (0: never), and ``outcomes`` returns what would have booted
+if the power had failed at any change since the last call, where that is known. ``timely`` is False once the machine was
+too busy to keep the device's own limits of time.
+"""
 
 import ctypes
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
+
+from tests.emulator.board import Board, new_storage
+from tests.emulator.device_core import HostDevice, Outcome
+from tests.emulator.patience import UntilStopped
+from tests.faults.requests.specification import LOCK_S
 
 from eitskin.acquisition.serial_port import SerialPort
 from eitskin.errors import PortLost
 from eitskin_proto.errors import SkinError
 from eitskin_proto.wire import framing
 from eitskin_proto.wire.codes import EventCode, MessageType
-from eitskin_tools.emulator.board import Board, new_storage
-from eitskin_tools.emulator.device_core import HostDevice
-from eitskin_tools.emulator.outcome import Outcome
-from eitskin_tools.emulator.patience import UntilStopped
-from eitskin_tools.fault_injection.request_sequences.state import LOCK_S
 
 SILENCE_S: Final = 60.0
 """A board that says nothing for so long is gone; a busy machine may starve it for seconds."""
@@ -24,100 +31,48 @@ SILENCE_S: Final = 60.0
 UNASKED: Final = (MessageType.FRAME, MessageType.EVENT)
 
 
-class Line(Protocol):
-    """A device with a power switch."""
-
-    def ask(self, packet: bytes, answers: bool = True) -> list[bytes]:
-        """Return the payloads that answer a packet; none if the power is cut or no answer is to be waited for."""
-
-    def await_restart(self) -> None:
-        """Return once the device that answered RESTART runs again, or is dead."""
-
-    def wait(self, seconds: int) -> None:
-        """Let time pass."""
-
-    def boot(self) -> None:
-        """Switch off and on."""
-
-    def cut(self, change: int, seed: int) -> None:
-        """Cut the power at a change of storage from now, half done by this seed; 0 for never."""
-
-    def outcomes(self) -> list[Outcome]:
-        """Return what would have booted if power had failed at any change since the last call, if that is known."""
-
-    @property
-    def dead(self) -> bool:
-        """Whether the power is cut."""
-
-    @property
-    def timely(self) -> bool:
-        """Whether no limit of time was near that a sequence did not ask for."""
-
-    @property
-    def images(self) -> int:
-        """States of storage that were booted for ``outcomes``."""
-
-    def close(self) -> None:
-        """Switch off for good."""
-
-
 class CoreLine:
-    """The C core in memory.
+    """The C core in memory, whose clock is turned by hand.
 
     Args:
         seed: Of the words that are torn to see what would boot.
         core: Its library; by default the one built from the sources.
     """
 
+    timely = True
+
     def __init__(self, seed: int = 1, core: ctypes.CDLL | None = None) -> None:
         self.device = HostDevice(core)
         self.device.watch(seed | 1)
         self._deframer = framing.Deframer()
-        self.device.run(0)
-        self.device.take()
+        self._pass(0, 50)
+        self.cut = self.device.cut_power_at
+        self.outcomes = self.device.outcomes
+
+    def _pass(self, duration_us: int, step_us: int) -> bytes:
+        self.device.run(duration_us, step_us=step_us)
+        return self.device.take()
 
     def ask(self, packet: bytes, answers: bool = True) -> list[bytes]:
-        """Return the payloads that answer a packet."""
         self.device.write(b"\0" + packet)
-        self.device.run(1000, step_us=1000)
+        data = self._pass(1000, 1000)
         if self.device.dead:
-            self.device.take()
             return []
-        return [found for found in self._deframer.feed(self.device.take()) if found[0] not in UNASKED]
+        return [found for found in self._deframer.feed(data) if found[0] not in UNASKED]
 
     def await_restart(self) -> None:
-        """Let the device restart."""
-        self.device.run(25_000, step_us=5000)
-        self.device.take()
+        self._pass(25_000, 5000)
 
     def wait(self, seconds: int) -> None:
-        """Turn the clock on."""
-        self.device.run(seconds * 1_000_000, step_us=1_000_000)
-        self.device.take()
+        self._pass(seconds * 1_000_000, 1_000_000)
 
     def boot(self) -> None:
-        """Switch off and on."""
         self.device.boot()
-        self.device.run(0)
-        self.device.take()
-
-    def cut(self, change: int, seed: int) -> None:
-        """Cut the power at a change of storage from now."""
-        self.device.cut_power_at(change, seed)
-
-    def outcomes(self) -> list[Outcome]:
-        """Return what would have booted."""
-        return self.device.outcomes()
+        self._pass(0, 50)
 
     @property
     def dead(self) -> bool:
-        """Whether the power is cut."""
         return self.device.dead
-
-    @property
-    def timely(self) -> bool:
-        """Always: its clock is turned by hand."""
-        return True
 
     @property
     def images(self) -> int:
@@ -135,11 +90,13 @@ class BoardLine:
         storage: Its storage file, which is made anew.
     """
 
+    images = 0
+
     def __init__(self, storage: Path) -> None:
         new_storage(storage)
         self._storage = storage
         self._cut = (0, 0)
-        self._timely = True
+        self.timely = True
         self._switch_on()
 
     def _switch_on(self) -> None:
@@ -150,18 +107,15 @@ class BoardLine:
         self._booted_s = time.monotonic()
 
     def close(self) -> None:
-        """Switch off for good."""
         self._port.close()
         self._board.kill()
 
     def ask(self, packet: bytes, answers: bool = True) -> list[bytes]:
-        """Return the payloads that answer a packet."""
         clock = framing.encode(bytes([MessageType.TIME_REQUEST, 255]))
         self._port.write(b"\0" + packet + (b"" if answers else clock))
         return [found for found in self._until(_is_answer) if found[0] not in (*UNASKED, MessageType.TIME)]
 
     def await_restart(self) -> None:
-        """Wait for the event that follows a boot."""
         self._until(_follows_a_boot)
 
     def _until(self, last: Callable[[bytes], bool]) -> list[bytes]:
@@ -173,26 +127,20 @@ class BoardLine:
                 if not data:
                     raise SkinError(f"the emulated board said nothing for {SILENCE_S:g} s")
                 said += self._deframer.feed(data)
-        self._timely &= time.monotonic() - self._booted_s < LOCK_S - 1
+        # A starved board may lose a lock or a trial that a sequence did not mean to lose.
+        self.timely &= time.monotonic() - self._booted_s < LOCK_S - 1
         return [] if self.dead else said
 
     def wait(self, seconds: int) -> None:
-        """Refuse.
-
-        Raises:
-            SkinError: Always: the clock of an emulated board cannot be turned on.
-        """
         raise SkinError("the clock of an emulated board cannot be turned on")
 
     def boot(self) -> None:
-        """Kill it and start it anew."""
         change, seed = self._cut
         self._cut = (max(0, change - self._board.changes), seed)
         self.close()
         self._switch_on()
 
     def cut(self, change: int, seed: int) -> None:
-        """Cut the power at a change of storage from now."""
         self._cut = (change + self._board.changes if change else 0, seed)
         self._board.cut_power_at(change, seed)
 
@@ -202,18 +150,7 @@ class BoardLine:
 
     @property
     def dead(self) -> bool:
-        """Whether the power is cut."""
         return self._board.stopped
-
-    @property
-    def timely(self) -> bool:
-        """Whether nothing took as long after a boot as a lock or a trial lasts; a starved board may lose either."""
-        return self._timely
-
-    @property
-    def images(self) -> int:
-        """None."""
-        return 0
 
 
 def _is_answer(payload: bytes) -> bool:

@@ -1,6 +1,6 @@
 """Pulling the plug again and again: each time the stream must resume, with no descriptor and no thread left behind.
 
-``python -m eitskin_tools.fault_injection.hotplug [--cycles N] [--usb-cycles N]``. A virtual skin streams to a host over
+``python -m tests.faults.hotplug [--cycles N] [--usb-cycles N]``. A virtual skin streams to a host over
 :class:`eitskin.acquisition.hotplug.HotPlug`; after some frames the port vanishes and returns, first a pseudo-terminal
 under another number, then a device on a mocked USB bus under a real libusb. One JSON line comes last; exit status 1 if
 a stream did not resume or something leaked. Where umockdev is missing, the USB part says so and does not count.
@@ -18,6 +18,8 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
+from tests.faults.usb_skin import ROOT, MockedUsb, Puller, Steady, missing
+
 from eitskin.acquisition.device import Device
 from eitskin.acquisition.hotplug import HotPlug
 from eitskin.acquisition.ports import open_line
@@ -25,7 +27,6 @@ from eitskin.errors import HandshakeError, PortLost, PortReturned
 from eitskin_proto.wire.codes import MessageType
 from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.unwrap import StreamCounter
-from eitskin_tools.fault_injection.usb_skin import MockedUsb, Puller, Steady, missing
 from eitskin_tools.virtual_skin.configure import configuration_for
 from eitskin_tools.virtual_skin.device import VirtualDevice
 from eitskin_tools.virtual_skin.identity import Identity
@@ -86,12 +87,16 @@ def pull_usb(cycles: int) -> dict[str, Any]:
     lacking = missing()
     if lacking:
         return {"not_run": lacking}
-    command = [sys.executable, "-m", "eitskin_tools.fault_injection.hotplug", "--host"]
+    command = [sys.executable, "-m", "tests.faults.hotplug", "--host"]
     last = ""
     with (
         MockedUsb() as usb,
         subprocess.Popen(
-            [*command, usb.port, "--cycles", str(cycles)], env=usb.environment, stdout=subprocess.PIPE, text=True
+            [*command, usb.port, "--cycles", str(cycles)],
+            env=usb.environment,
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
         ) as host,
     ):
         for line in host.stdout or ():

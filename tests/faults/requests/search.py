@@ -6,11 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from eitskin_tools.fault_injection.request_sequences.lines import Line
-from eitskin_tools.fault_injection.request_sequences.player import Player, Verdict
-from eitskin_tools.fault_injection.request_sequences.steps import Step, draw
+from tests.faults.requests.player import Player, Verdict
+from tests.faults.requests.steps import Step, draw
 
-Fresh = Callable[[int], Line]
+Fresh = Callable[[int], Any]
 """Makes a fresh device; the number is a seed."""
 
 
@@ -47,7 +46,7 @@ def sequence(seed: int, number: int, waits: bool = True) -> list[Step]:
     return draw(random.Random(seed * 1_000_003 + number), waits)
 
 
-def play(fresh: Fresh, steps: list[Step], seed: int = 1) -> tuple[Verdict, Line]:
+def play(fresh: Fresh, steps: list[Step], seed: int = 1) -> tuple[Verdict, Any]:
     """Play a sequence on a fresh device; return what came of it, and the device, switched off."""
     line = fresh(seed)
     try:

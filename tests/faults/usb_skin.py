@@ -15,19 +15,23 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 from typing import Final, Self
 
 import numpy as np
 import numpy.typing as npt
+from tests.faults.usb_bus import BusPort
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_tools.fault_injection.usb_bus import BusPort
 from eitskin_tools.virtual_skin.configure import configuration_for
 from eitskin_tools.virtual_skin.device import VirtualDevice
 from eitskin_tools.virtual_skin.faults import Fault, FaultPlayer
 from eitskin_tools.virtual_skin.identity import Identity
 from eitskin_tools.virtual_skin.server import SkinServer
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+"""The checkout, from which this module runs as a program."""
 
 WRAPPER: Final = "umockdev-wrapper"
 """Debian's program that preloads umockdev's library."""
@@ -67,8 +71,8 @@ def missing() -> str:
     if shutil.which(WRAPPER) is None:
         return f"{WRAPPER} not found: apt-get install umockdev gir1.2-umockdev-1.0 python3-gi"
     tried = subprocess.run(
-        [sys.executable, "-c", "from eitskin_tools.fault_injection.usb_bus import bindings; bindings()"],
-        capture_output=True, text=True, check=False,
+        [sys.executable, "-c", "from tests.faults.usb_bus import bindings; bindings()"],
+        capture_output=True, text=True, check=False, cwd=ROOT,
     )  # fmt: skip
     return "" if tried.returncode == 0 else tried.stderr.strip().splitlines()[-1]
 
@@ -90,8 +94,8 @@ class MockedUsb:
         self.port = f"usb:{serial_number}"
         """What ``--port`` is given."""
         self._process = subprocess.Popen(
-            [WRAPPER, sys.executable, "-m", "eitskin_tools.fault_injection.usb_skin", serial_number, str(rate_hz)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            [WRAPPER, sys.executable, "-m", "tests.faults.usb_skin", serial_number, str(rate_hz)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT,
             env={name: value for name, value in os.environ.items() if name != "UMOCKDEV_DIR"},
         )  # fmt: skip
         assert self._process.stdout is not None

@@ -1,9 +1,8 @@
 import json
 
 import pytest
-
-from eitskin_tools.fault_injection import hotplug
-from eitskin_tools.fault_injection.usb_skin import missing
+from tests.faults import hotplug
+from tests.faults.usb_skin import missing
 
 
 def test_the_stream_resumes_after_every_pulled_plug_and_nothing_leaks(capsys):

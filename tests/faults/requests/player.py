@@ -6,15 +6,15 @@ is judged from what the device said and did, so that a wrong state machine canno
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
+
+from tests.emulator.device_core import Outcome
+from tests.faults.requests import specification as states
+from tests.faults.requests.specification import Reply, Request, State, answer, digest_of
+from tests.faults.requests.steps import FACTORY, TYPES, Known, Step, damaged, payload, resolve
 
 from eitskin_proto.wire import framing
 from eitskin_proto.wire.codes import Code, HelloFlag, MessageType
-from eitskin_tools.emulator.outcome import Outcome
-from eitskin_tools.fault_injection.request_sequences import state as states
-from eitskin_tools.fault_injection.request_sequences.lines import Line
-from eitskin_tools.fault_injection.request_sequences.specification import Reply, Request, answer
-from eitskin_tools.fault_injection.request_sequences.state import State, digest_of
-from eitskin_tools.fault_injection.request_sequences.steps import FACTORY, TYPES, Known, Step, damaged, payload, resolve
 
 
 @dataclass(slots=True)
@@ -45,10 +45,10 @@ class Player:
     """Plays one sequence.
 
     Args:
-        line: A fresh device.
+        line: A fresh device (lines.py).
     """
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: Any) -> None:
         self._line = line
         self.verdict = Verdict()
         self._known = Known()
@@ -85,12 +85,10 @@ class Player:
         self._request(("hello",))
 
     def _request(self, request: Request) -> None:
-        self.verdict.requests += 1
-        self._tag = self._tag % 250 + 1
         running = (self._known.generation, self._known.digest)
         if request[0] == "confirm" and request[1:] == running and running[0]:
             self._confirmed.add(running)  # from now on it may count, however the power fails
-        said = self._line.ask(framing.encode(payload(request, self._tag)))
+        said = self._said(request)
         after = [(state, *answer(state, request)) for state in self._may_be]
         possible = [state for before, then, _ in after for state in (before, then)]
         if self._line.dead:
@@ -102,6 +100,12 @@ class Player:
         self._learn(request, reply)
         if request[0] == "restart" and reply[:2] == ("ack", Code.OK):
             self._restart()
+
+    def _said(self, request: Request) -> list[bytes]:
+        self.verdict.requests += 1
+        self._tag = self._tag % 250 + 1
+        answers: list[bytes] = self._line.ask(framing.encode(payload(request, self._tag)))
+        return answers
 
     def _restart(self) -> None:
         before = self._may_be
@@ -126,22 +130,13 @@ class Player:
             booted = [states.boot(state) for state in stored]
             self._look([*stored, *booted])
             self._may_be = list(dict.fromkeys(booted))
-            self._hello_after_boot()
+            reply = self._reply(self._said(("hello",)), ("hello",))
             if not self._line.dead:
+                states_left = [state for state in self._may_be if answer(state, ("hello",))[1] == reply]
+                self._may_be = self._only(states_left, ("boot",), reply)
+                self._learn(("hello",), reply)
                 return
             stored, cut = [*stored, *booted], True
-
-    def _hello_after_boot(self) -> None:
-        self.verdict.requests += 1
-        self._tag = self._tag % 250 + 1
-        said = self._line.ask(framing.encode(payload(("hello",), self._tag)))
-        if self._line.dead:
-            return
-        reply = self._reply(said, ("hello",))
-        self._may_be = self._only(
-            [state for state in self._may_be if answer(state, ("hello",))[1] == reply], ("boot",), reply
-        )
-        self._learn(("hello",), reply)
 
     def _learn(self, request: Request, reply: Reply) -> None:
         known = self._known

@@ -1,6 +1,6 @@
 """Power cut at every write of a flash: the device must come back with the old or the new configuration, never neither.
 
-``python -m eitskin_tools.fault_injection.powercut [--seeds N] [--board-steps N] [--sequences N]`` first runs the host
+``python -m tests.faults.powercut [--seeds N] [--board-steps N] [--sequences N]`` first runs the host
 model, where the word that was being written may be torn in any way, then the real firmware under QEMU, which is killed;
 then random sequences of requests, boots and cuts on both (request_sequences). One JSON line comes last; exit status 1
 if a device was lost.
@@ -16,16 +16,17 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from tests.emulator.board import Board, new_storage
+from tests.emulator.device_core import HostDevice
+from tests.emulator.firmware import missing_tools
+from tests.emulator.patience import UntilStopped, patient
+from tests.faults.requests.lines import BoardLine, CoreLine
+from tests.faults.requests.search import Figures, search
+
 from eitskin.acquisition.serial_port import SerialPort
 from eitskin_proto.errors import SkinError
 from eitskin_proto.wire import config_toml
 from eitskin_proto.wire.config import Configuration
-from eitskin_tools.emulator.board import Board, new_storage
-from eitskin_tools.emulator.device_core import HostDevice
-from eitskin_tools.emulator.firmware import missing_tools
-from eitskin_tools.emulator.patience import UntilStopped, patient
-from eitskin_tools.fault_injection.request_sequences.lines import BoardLine, CoreLine
-from eitskin_tools.fault_injection.request_sequences.search import Figures, search
 from eitskin_tools.flash import procedure, stored
 from eitskin_tools.flash.exchange import Exchange
 

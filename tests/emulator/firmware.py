@@ -9,7 +9,7 @@ from pathlib import Path
 
 from eitskin_proto.errors import SkinError
 
-FOLDER = Path(__file__).resolve().parents[3] / "firmware_proto"
+FOLDER = Path(__file__).resolve().parents[2] / "firmware_proto"
 """The sources, in a checkout."""
 
 

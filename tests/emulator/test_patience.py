@@ -1,10 +1,10 @@
 """A line to a board fails as soon as the board has stopped, and waits for one that is only slow."""
 
 import pytest
+from tests.emulator.patience import UntilStopped, patient
 
 from eitskin.errors import PortLost
 from eitskin_proto.wire import framing, messages
-from eitskin_tools.emulator.patience import UntilStopped, patient
 
 
 class Slow:

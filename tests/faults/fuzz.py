@@ -1,6 +1,6 @@
 """Mutated frames through both decoders: nothing damaged may be accepted, nothing intact may be lost, both must agree.
 
-``python -m eitskin_tools.fault_injection.fuzz [--frames N] [--seed S]`` sends N frames, each with its own sequence
+``python -m tests.faults.fuzz [--frames N] [--seed S]`` sends N frames, each with its own sequence
 number; about half of them are mutated: flips, drops, inserts, truncation, repeats, splices with the next one. A frame
 is intact if its bytes and the delimiter before it are. A tenth as many payloads are damaged before the check is put on,
 so that the decoders behind it are reached, too. Then libFuzzer, where clang is installed, bends the whole C device's
@@ -21,13 +21,13 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
+from tests.emulator.device_core import OK, CoreDeframer, library
+from tests.emulator.firmware import FOLDER
 
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.wire import framing, messages
 from eitskin_proto.wire.frames import Frame, FrameView, frame_bytes
 from eitskin_proto.wire.scan_rows import row_count
-from eitskin_tools.emulator.device_core import OK, CoreDeframer, library
-from eitskin_tools.emulator.firmware import FOLDER
 
 BATCH: Final = 500
 """Frames in one stretch of the stream."""
