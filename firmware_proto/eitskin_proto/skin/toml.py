@@ -10,12 +10,11 @@
 A table or key that is left out has the paper's value. Keys and bounds are those of :mod:`eitskin_proto.skin.parts`.
 """
 
-import difflib
 from dataclasses import Field, fields
 from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
-from eitskin_proto.files.plain import plain, quoted
+from eitskin_proto.fields import Fields
 from eitskin_proto.files.reading import parse_toml
 from eitskin_proto.files.shipped import is_name, parse_file, text_named
 from eitskin_proto.sensor.table import N_ELECTRODES
@@ -34,12 +33,16 @@ TABLES: Final[dict[str, type]] = {
 """Tables of the file, and the part of a skin that each is."""
 
 TEXTS: Final = ("name", "calibrated_from", "stated_grid_id")
-HEAD: Final = ("format", "version", *TEXTS)
 
 NAMED: Final = ("paper", "hydrogel", "lab")
 """Descriptions that come with the package."""
 
 LONGEST_NAME: Final = 60
+
+SPREADS: Final[tuple[Law, ...]] = tuple(law for law in LAWS if law != "exact")
+"""Keys of a quantity that is not known exactly."""
+
+MOST_SPREAD: Final = 1e6
 
 A_LINE: Final = 8
 """Numbers of a list on one line."""
@@ -73,26 +76,15 @@ def parse(text: str) -> Skin:
         ValueError: Not TOML, an unknown key, a wrong type, an impossible value or uncertainty, or parts that contradict
             each other.
     """
-    content = parse_toml(text)
-    if content.get("format") != FORMAT or content.get("version") != VERSION:
-        found = f"{quoted(content.get('format'))} version {quoted(content.get('version'))}"
-        raise ValueError(f"format is {found}, expected {FORMAT!r} version {VERSION}: is it a skin's description?")
-    unknown(content, [*HEAD, *TABLES], "the head of the file")
-    texts: dict[str, Any] = {name: _text(content.get(name, ""), name) for name in TEXTS}
-    parts: dict[str, Any] = {name: _part(kind, content.get(name, {}), name) for name, kind in TABLES.items()}
+    content = Fields(parse_toml(text), "")
+    content.check_format(FORMAT, VERSION, "a skin's description")
+    texts: dict[str, Any] = {name: content.text(name, "", least=0, longest=LONGEST_NAME) for name in TEXTS}
+    parts: dict[str, Any] = {name: _part(kind, content.table(name, f"[{name}]")) for name, kind in TABLES.items()}
+    content.close()
     skin = Skin(**{**texts, "name": texts["name"] or "unnamed"}, **parts)
     if not skin.calibrated_from:  # what was found is as uncertain as it was found
         check_reach(skin)
     return skin
-
-
-def unknown(content: dict[str, Any], known: list[str], where: str) -> None:
-    """Raise ValueError if a key is not known, with the nearest one that is."""
-    for key in content:
-        if key not in known:
-            near = difflib.get_close_matches(str(key), known, 1, 0.5)
-            meant = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"
-            raise ValueError(f"unknown key {quoted(key)} in {where}{meant}")
 
 
 def to_toml(skin: Skin) -> str:
@@ -125,67 +117,46 @@ def _shown(value: Any) -> str:
     return f'"{value}"' if isinstance(value, str) else repr(value)
 
 
-def _text(value: object, name: str) -> str:
-    if not isinstance(value, str) or len(value) > LONGEST_NAME or plain(value) != value:
-        raise ValueError(f"{name} is {quoted(value)}, expected a text of at most {LONGEST_NAME} printable characters")
-    return value
-
-
-def _part(kind: type, content: object, table: str) -> Any:
-    if not isinstance(content, dict):
-        raise ValueError(f"{table} is {quoted(content)}, expected a table [{table}]")
+def _part(kind: type, content: Fields) -> Any:
     hints = get_type_hints(kind)
-    own = {one.name: one for one in fields(kind)}
-    unknown(content, list(own), f"[{table}]")
-    return kind(**{key: _value(value, own[key], hints[key], f"[{table}] {key}") for key, value in content.items()})
+    content.only(hints)
+    return kind(**{one.name: _value(content, one, hints[one.name]) for one in fields(kind) if one.name in content})
 
 
-def _value(value: object, own: Field[Any], hint: Any, where: str) -> Any:
+def _value(content: Fields, own: Field[Any], hint: Any) -> Any:
+    """Return the value of one field of a part, of the kind that the part declares."""
+    key = own.name
     if get_origin(hint) is Literal:
-        if value not in get_args(hint):
-            raise ValueError(f"{where} is {quoted(value)}, expected one of {', '.join(get_args(hint))}")
-        return value
+        return content.choice(key, get_args(hint))
     if hint is bool:
-        if not isinstance(value, bool):
-            raise ValueError(f"{where} is {quoted(value)}, expected true or false")
-        return value
-    if hint is Quantity:
-        return _quantity(value, own, where)
+        return content.truth(key)
+    bounds = {name: own.metadata[name] for name in ("low", "high")}
     if hint is float:
-        return _number(value, own, where)
-    whole = get_args(hint)[0] is int  # a pair
-    if not isinstance(value, list) or len(value) != 2:
-        raise ValueError(f"{where} is {quoted(value)}, expected two numbers [a, b]")
-    pair = tuple(_number(one, own, where, whole=whole) for one in value)
+        return content.number(key, **bounds)
+    if hint is Quantity:
+        return _quantity(content, own, bounds)
+    if get_args(hint)[0] is int:
+        return content.wholes(key, least=2, most=2, **bounds)
+    pair = content.numbers(key, 2, **bounds)
     if not own.metadata["sizes"] and pair[0] > pair[1]:
-        raise ValueError(f"{where} is from {pair[0]:g} to {pair[1]:g}; the first is the smaller one")
+        raise ValueError(f"{content.path(key)} is from {pair[0]:g} to {pair[1]:g}; the first is the smaller one")
     return pair
 
 
-def _number(value: object, own: Field[Any], where: str, *, whole: bool = False) -> float:
-    low, high = own.metadata["low"], own.metadata["high"]
-    fits = isinstance(value, int if whole else int | float) and not isinstance(value, bool)
-    if not fits or not low <= value <= high:
-        kind = "a whole number" if whole else "a number"
-        raise ValueError(f"{where} is {quoted(value)}, expected {kind} from {low:g} to {high:g}")
-    return value if whole else float(value)  # type: ignore[return-value, arg-type]
-
-
-def _quantity(value: object, own: Field[Any], where: str) -> Quantity:
-    laws = [law for law in LAWS if law != "exact"]
+def _quantity(content: Fields, own: Field[Any], bounds: dict[str, float]) -> Quantity:
     law: Law = "exact"
-    spread: Any = 0.0
-    if isinstance(value, dict):
-        unknown(value, ["value", *laws], where)
-        given = [one for one in laws if one in value]
-        if "value" not in value or len(given) != 1:
-            raise ValueError(f"{where} has {', '.join(value)}; expected value and one of {', '.join(laws)}")
-        law, spread, value = given[0], value[given[0]], value["value"]
-        if isinstance(spread, bool) or not isinstance(spread, int | float) or not 0.0 <= spread < 1e6:
-            raise ValueError(f"{where} {law} is {quoted(spread)}, expected a number from 0 on")
-    if isinstance(value, list) and own.metadata["each"]:
+    key, spread = own.name, 0.0
+    if isinstance(content.value(key), dict):
+        stated = content.table(key)
+        stated.only(["value", *SPREADS])
+        laws = [law for law in SPREADS if law in stated]
+        if "value" not in stated or len(laws) != 1:
+            raise ValueError(f"{stated.where} has {', '.join(stated)}; expected value and one of {', '.join(SPREADS)}")
+        law, spread = laws[0], stated.number(laws[0], low=0.0, high=MOST_SPREAD)
+        content, key = stated, "value"
+    if own.metadata["each"] and isinstance(value := content.value(key), list):
         if len(value) != N_ELECTRODES:
             of = own.metadata["each"]
-            raise ValueError(f"{where} has {len(value)} numbers, expected one, or {N_ELECTRODES}, one {of}")
-        return Quantity(tuple(_number(one, own, f"{where}[{k}]") for k, one in enumerate(value)), law, float(spread))
-    return Quantity(_number(value, own, where), law, float(spread))
+            raise content.wrong(key, f"one number, or {N_ELECTRODES}, one {of}")
+        return Quantity(content.numbers(key, N_ELECTRODES, **bounds), law, spread)
+    return Quantity(content.number(key, **bounds), law, spread)

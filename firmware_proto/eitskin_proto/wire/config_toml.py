@@ -17,7 +17,8 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from eitskin_proto.files.plain import plain, quoted
+from eitskin_proto.fields import Fields
+from eitskin_proto.files.plain import quoted
 from eitskin_proto.files.reading import parse_toml
 from eitskin_proto.files.shipped import is_name, parse_file, text_named
 from eitskin_proto.wire import hardware
@@ -26,15 +27,6 @@ from eitskin_proto.wire.scan_rows import drives_from_list, drives_to_list
 
 NAMED: Final = ("paper", "full208", "idle", "fast")
 """Configurations that come with the package."""
-
-KEYS: Final[dict[str, dict[str, type]]] = {
-    "": {"format": int, "name": str, "revision": int, "hardware": str, "skin": str},
-    "drive": {"frequency_Hz": int, "current_uA": int},
-    "measure": {"settle_us": int, "averages_periods": int, "gain": int, "sample_bits": int},
-    "scan": {"rows": int, "drives": list, "rate_Hz": float},
-    "idle": {"drives": list, "rate_Hz": float},
-}
-"""Tables and keys with their types; all are required, except skin, and that [idle] may be missing as a whole."""
 
 FIELDS: Final = {
     "": ("name", "revision", "hardware_id", "skin"),
@@ -46,89 +38,49 @@ FIELDS: Final = {
 """Fields of a configuration by the tables that hold them; a skin that is none is left out."""
 
 
-def _where(table: str) -> str:
-    return f"[{table}]" if table else "the head of the file"
-
-
-def _unknown(key: str, table: str) -> str:
-    stem = key.split("_", maxsplit=1)[0].lower()
-    for other_table, keys in KEYS.items():
-        for known in keys:
-            if known.split("_")[0].lower() == stem and (known != key or other_table != table):
-                what = "in another unit or spelling" if known != key else "there"
-                return f"unknown key {quoted(key)} in {_where(table)}: {_where(other_table)} has {known!r} {what}"
-    return f"unknown key {quoted(key)} in {_where(table)}; known are {', '.join(KEYS[table])}"
-
-
-def _value(content: dict[str, Any], table: str, key: str) -> Any:
-    kind = KEYS[table][key]
-    if key not in content:
-        raise ValueError(f"{_where(table)} lacks {key!r}")
-    value = content[key]
-    fits = isinstance(value, int | float if kind is float else kind) and not isinstance(value, bool)
-    if kind is list:
-        fits = fits and all(isinstance(item, int) and not isinstance(item, bool) for item in value)
-    if not fits:
-        expected = "a list of int" if kind is list else kind.__name__
-        raise ValueError(f"{key} in {_where(table)} is {quoted(value)}, expected {expected}")
-    return value
-
-
-def _rate_mHz(rate_hz: float, table: str) -> int:
-    if not 0.001 <= rate_hz <= 4e6:
-        raise ValueError(f"rate_Hz in [{table}] is {quoted(rate_hz)}, expected 0.001 to 4e6")
-    return round(rate_hz * 1000)
-
-
 def parse(text: str) -> Configuration:
     """Return the configuration of a TOML text.
 
     Raises:
         ValueError: Not TOML, an unknown or missing key, a wrong type or an impossible value; each named.
     """
-    content = parse_toml(text)
-    tables: dict[str, dict[str, Any]] = {"": {}}
-    for key, value in content.items():
-        if isinstance(value, dict) and key in KEYS:
-            tables[key] = value
-        elif isinstance(value, dict):
-            raise ValueError(f"unknown table [{plain(key)}]; known are " + ", ".join(f"[{t}]" for t in KEYS if t))
-        else:
-            tables[""][key] = value
-    for table, entries in tables.items():
-        for key in entries:
-            if key not in KEYS[table]:
-                raise ValueError(_unknown(key, table))
-    for table in ("drive", "measure", "scan"):
-        if table not in tables:
-            raise ValueError(f"the table [{table}] is missing")
-
-    def get(table: str, key: str) -> Any:
-        return _value(tables[table], table, key)
-
-    if get("", "format") != FORMAT:
-        raise ValueError(f"format is {quoted(get('', 'format'))}, this release reads format {FORMAT}")
-    bits = get("measure", "sample_bits")
+    content = Fields(parse_toml(text), "")
+    if content.whole("format") != FORMAT:
+        raise ValueError(f"format is {quoted(content.value('format'))}, this release reads format {FORMAT}")
+    texts = {"name": content.text("name"), "skin": content.text("skin", "", least=0)}
+    revision, hardware_id = content.whole("revision"), hardware.by_name(content.text("hardware")).id
+    drive, measure, scan, idle = (content.table(name, f"[{name}]") for name in ("drive", "measure", "scan", "idle"))
+    content.close()
+    bits = measure.whole("sample_bits")
     if bits not in (16, 24, 32):
         raise ValueError(f"sample_bits is {quoted(bits)}, expected 16, 24 or 32")
-    idle = "idle" in tables
-    return Configuration(
-        name=get("", "name"),
-        revision=get("", "revision"),
-        hardware_id=hardware.by_name(get("", "hardware")).id,
-        frequency_hz=get("drive", "frequency_Hz"),
-        current_ua=get("drive", "current_uA"),
-        settle_us=get("measure", "settle_us"),
-        averages=get("measure", "averages_periods"),
-        gain=get("measure", "gain"),
+    drives, rate_mHz = _scanned(scan)
+    idle_drives, idle_rate_mHz = _scanned(idle) if len(idle) else (0, 0)
+    found = Configuration(
+        **texts,
+        revision=revision,
+        hardware_id=hardware_id,
+        frequency_hz=drive.whole("frequency_Hz"),
+        current_ua=drive.whole("current_uA"),
+        settle_us=measure.whole("settle_us"),
+        averages=measure.whole("averages_periods"),
+        gain=measure.whole("gain"),
         sample_bytes=bits // 8,
-        rows=get("scan", "rows"),
-        drives=drives_from_list(get("scan", "drives")),
-        rate_mHz=_rate_mHz(get("scan", "rate_Hz"), "scan"),
-        idle_drives=drives_from_list(get("idle", "drives")) if idle else 0,
-        idle_rate_mHz=_rate_mHz(get("idle", "rate_Hz"), "idle") if idle else 0,
-        skin=get("", "skin") if "skin" in tables[""] else "",
+        rows=scan.whole("rows"),
+        drives=drives,
+        rate_mHz=rate_mHz,
+        idle_drives=idle_drives,
+        idle_rate_mHz=idle_rate_mHz,
     )
+    for table in (drive, measure, scan, idle):
+        table.close()
+    return found
+
+
+def _scanned(table: Fields) -> tuple[int, int]:
+    """Return the drives, as bits, and the rate in mHz of a table."""
+    drives = drives_from_list(list(table.wholes("drives")))
+    return drives, round(table.number("rate_Hz", low=0.001, high=4e6) * 1000)
 
 
 def to_toml(configuration: Configuration) -> str:

@@ -24,15 +24,15 @@ import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from eitskin.errors import EndpointError, RobotError
 from eitskin.messaging.endpoints import CONTROL, FRAMES, needs_keys, runtime_folder
-from eitskin.robot.parts import Realtime, Verify, pose_of, realtime_of, verify_of
 from eitskin.robot.pose import Pose
-from eitskin.robot.values import Table
+from eitskin_proto.fields import Fields
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.files.reading import parse_toml, read_text
+from eitskin_proto.sensor.table import N_ELECTRODES
 
 FORMAT: Final = "eitskin-robot"
 VERSION: Final = 1
@@ -46,18 +46,16 @@ MOST: Final = 64
 NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
 """Of a skin: fit for a file's name, for a unit of systemd and for a line of a log."""
 
+LONGEST: Final = 1e9
+"""Of times in s and ms."""
+
+LAST_CORE: Final = 4095
+
 USB: Final = "usb:"
 """How the names of USB devices begin; alone it takes any."""
 
 TAKEN: Final = (FRAMES, CONTROL, "robot")
 """Names that mean something else in the folder."""
-
-KEYS: Final = (
-    "name", "port", "baud", "bundle", "skin", "touches", "reference", "reference_frames", "curve_keys", "publish",
-    "control", "solver", "budget_ms", "every_map", "idle_after_s", "exclude_electrodes", "compensate_drift",
-    "reconnect_s", "restart", "pose", "realtime", "verify",
-)  # fmt: skip
-"""Of one skin."""
 
 RESTARTS: Final = ("never", "on-failure", "always")
 """When a skin's process that ended is started again."""
@@ -82,6 +80,25 @@ class RobotSkin:
     publish: str
     control: str
     pose: Pose = field(default_factory=Pose)
+
+
+@dataclass(frozen=True, slots=True)
+class Realtime:
+    """Settings of a skin's process, as the options of ``eitskin run`` with these names."""
+
+    sched_fifo: int | None = None
+    affinity: tuple[int, ...] = ()
+    mlock: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Verify:
+    """How frames are verified, as the options ``--verify-*`` of ``eitskin run``."""
+
+    mode: str = "off"
+    budget_ms: float | None = None
+    nice: int | None = None
+    affinity: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,85 +155,123 @@ def load_robot(path: str | Path) -> Robot:
     """
     where = Path(path)
     try:
-        return _robot(Table(parse_toml(read_text(where, LARGEST)), "the head of the file"), where.absolute().parent)
+        return _robot(Fields(parse_toml(read_text(where, LARGEST)), ""), where.absolute().parent)
     except ValueError as error:
         text = str(error)
         raise RobotError(text if text.startswith(str(where)) else f"{where}: {text}") from error
 
 
-def _robot(table: Table, beside: Path) -> Robot:
-    if table.text("format") != FORMAT or table.whole("version", 0, 1 << 20) != VERSION:
-        raise ValueError(f"expected format = {FORMAT!r} and version = {VERSION}: is it a robot's list of skins?")
-    stated = table.path("folder", beside)
-    listed = table.take("skins")
-    table.end()
-    if not isinstance(listed, list) or not listed or not all(isinstance(one, dict) for one in listed):
-        raise ValueError(f"skins is {quoted(listed)}, expected one table [[skins]] for each skin, and at least one")
-    if len(listed) > MOST:
-        raise ValueError(f"there are {len(listed)} skins, expected at most {MOST}")
-    folder = runtime_folder() if stated is None else stated
-    skins = tuple(_skin(Table(one, f"skins[{index}]"), folder, beside) for index, one in enumerate(listed))
+def _robot(content: Fields, beside: Path) -> Robot:
+    content.check_format(FORMAT, VERSION, "a robot's list of skins")
+    folder = _path(content, "folder", beside) or runtime_folder()
+    listed = content.entries("skins", least=1, most=MOST, of="tables [[skins]]")
+    content.close()
+    skins = tuple(_skin(listed.table(place), folder, beside) for place in listed)
     _check_distinct(skins)
     return Robot(folder, skins)
 
 
-def _skin(table: Table, folder: Path, beside: Path) -> SkinSettings:
+def _skin(table: Fields, folder: Path, beside: Path) -> SkinSettings:
     name = table.text("name")
-    if name is not None and NAME.fullmatch(name) is not None:
-        table.where = f"skin {name}"
-    table.only(KEYS)
-    if name is None or NAME.fullmatch(name) is None or name.lower() in TAKEN:
-        found = "has no name" if name is None else f"name is {quoted(name)}"
-        raise ValueError(
-            f"{table.where} {found}, expected letters, digits, - and _, at most 32, not beginning with - or _, and "
-            f"none of {', '.join(TAKEN)}: it names a folder"
+    if NAME.fullmatch(name) is None or name.lower() in TAKEN:
+        raise table.wrong(
+            "name",
+            f"letters, digits, - and _, at most 32, not beginning with - or _, and none of {', '.join(TAKEN)}: it "
+            "names a folder",
         )
-    port = table.text("port")
-    if port is None:
-        raise ValueError(f"skin {name} has no port, expected a serial port's path or usb:SERIAL")
-    curve_keys = table.path("curve_keys", beside)
-    publish = _endpoint(table, "publish", folder / name / FRAMES, keys=curve_keys is not None)
-    control = _endpoint(table, "control", folder / name / CONTROL, keys=curve_keys is not None)
-    restart = table.one_of("restart", RESTARTS) or "never"
-    reference = table.path("reference", beside)
-    reference_frames = table.whole("reference_frames", 2, 10_000)
-    if reference is not None and reference_frames is not None:
-        raise ValueError(f"skin {name} has a reference, so reference_frames does nothing: leave one of them out")
-    if restart != "never" and reference is None:
-        raise ValueError(
-            f"skin {name} restart is {restart!r} without a reference: who starts again by itself cannot know that the "
-            "sheet is flat and untouched; capture one with 'eitskin reference', and name it"
-        )
-    return SkinSettings(
-        skin=RobotSkin(name, publish, control, pose_of(table)),
-        port=port,
-        baud=table.whole("baud", 300, 1 << 30),
-        bundle=_named(table.text("bundle"), SHIPPED_BUNDLES, beside),
-        description=_named(table.text("skin"), SHIPPED_SKINS, beside),
-        touches=table.one_of("touches", ("lower", "raise")),
+    table.where = f"skin {name}"
+    curve_keys = _path(table, "curve_keys", beside)
+    reference = _path(table, "reference", beside)
+    found = SkinSettings(
+        skin=RobotSkin(
+            name,
+            _endpoint(table, "publish", folder / name / FRAMES, keys=curve_keys is not None),
+            _endpoint(table, "control", folder / name / CONTROL, keys=curve_keys is not None),
+            _pose(table.table("pose")),
+        ),
+        port=table.text("port", what="a serial port's path or usb:SERIAL"),
+        baud=table.whole("baud", None, low=300, high=1 << 30),
+        bundle=_named(table.text("bundle", None), SHIPPED_BUNDLES, beside),
+        description=_named(table.text("skin", None), SHIPPED_SKINS, beside),
+        touches=table.choice("touches", ("lower", "raise"), None),
         reference=reference,
-        reference_frames=reference_frames,
+        reference_frames=table.whole("reference_frames", None, low=2, high=10_000),
         curve_keys=curve_keys,
-        solver=table.one_of("solver", ("vd2t", "vd2t-int8", "vd2t-small", "tikhonov")),
-        budget_ms=table.number("budget_ms"),
-        every_map=table.truth("every_map") or False,
-        idle_after_s=table.number("idle_after_s"),
-        exclude_electrodes=table.wholes("exclude_electrodes", 15),
-        compensate_drift=table.truth("compensate_drift"),
-        reconnect_s=table.number("reconnect_s"),
-        restart=restart,
-        realtime=realtime_of(table),
-        verify=verify_of(table),
+        solver=table.choice("solver", ("vd2t", "vd2t-int8", "vd2t-small", "tikhonov"), None),
+        budget_ms=table.number("budget_ms", None, above=0.0, high=LONGEST),
+        every_map=table.truth("every_map", False),
+        idle_after_s=table.number("idle_after_s", None, above=0.0, high=LONGEST),
+        exclude_electrodes=table.wholes("exclude_electrodes", (), high=N_ELECTRODES - 1),
+        compensate_drift=table.truth("compensate_drift", None),
+        reconnect_s=table.number("reconnect_s", None, above=0.0, high=LONGEST),
+        restart=table.choice("restart", RESTARTS, "never"),
+        realtime=_realtime(table.table("realtime")),
+        verify=_verify(table.table("verify")),
     )
+    table.close()
+    if reference is not None and found.reference_frames is not None:
+        raise ValueError(f"skin {name} has a reference, so reference_frames does nothing: leave one of them out")
+    if found.restart != "never" and reference is None:
+        raise ValueError(
+            f"skin {name} restart is {found.restart!r} without a reference: who starts again by itself cannot know "
+            "that the sheet is flat and untouched; capture one with 'eitskin reference', and name it"
+        )
+    return found
+
+
+def _pose(table: Fields) -> Pose:
+    """Return where a skin sits; the robot's origin where its table is empty."""
+    ways = ("rotation", "quaternion_wxyz", "quaternion_xyzw")
+    given: dict[str, Any] = {key: value for key in ways if (value := table.value(key, None)) is not None}
+    translation = table.value("translation_mm", [0.0, 0.0, 0.0])
+    table.close()
+    if len(given) > 1:
+        raise ValueError(f"{table.where} has {' and '.join(given)}, expected one of them")
+    if "quaternion_xyzw" in given:
+        last = given.pop("quaternion_xyzw")
+        given["quaternion_wxyz"] = [last[3], *last[:3]] if isinstance(last, list) and len(last) == 4 else last
+    try:
+        return Pose.of(**given, translation_mm=translation)
+    except ValueError as error:
+        raise ValueError(f"{table.where} {error}") from error
+
+
+def _realtime(table: Fields) -> Realtime:
+    found = Realtime(
+        table.whole("sched_fifo", None, low=1, high=99),
+        table.wholes("affinity", (), high=LAST_CORE),
+        table.truth("mlock", False),
+    )
+    table.close()
+    return found
+
+
+def _verify(table: Fields) -> Verify:
+    found = Verify(
+        table.choice("mode", ("off", "idle", "always"), "off"),
+        table.number("budget_ms", None, above=0.0, high=LONGEST),
+        table.whole("nice", None, high=19),
+        table.wholes("affinity", (), high=LAST_CORE),
+    )
+    table.close()
+    if found.mode == "off" and found != Verify():
+        raise ValueError(f'{table.where} has mode off and more; expected mode = "idle" or "always" with it')
+    return found
+
+
+def _path(table: Fields, key: str, beside: Path) -> Path | None:
+    """Return a path; a relative one lies beside the file."""
+    value = table.text(key, None)
+    return None if value is None else beside / Path(value).expanduser()
 
 
 def _named(value: str | None, shipped: tuple[str, ...], beside: Path) -> Path | None:
     return None if value is None else Path(value) if value in shipped else beside / Path(value).expanduser()
 
 
-def _endpoint(table: Table, key: str, default: Path, *, keys: bool) -> str:
+def _endpoint(table: Fields, key: str, default: Path, *, keys: bool) -> str:
     """Return an endpoint that can be bound and that a subscriber can know."""
-    endpoint = table.text(key) or f"ipc://{default}"
+    endpoint = table.text(key, None) or f"ipc://{default}"
     try:
         if needs_keys(endpoint, control=key == "control") and not keys:
             raise ValueError(f"{table.where} {key} is {endpoint}, which others may reach: it needs curve_keys")

@@ -21,20 +21,21 @@
     [missing_electrodes]           teaches it in the end to go on without electrodes: fitting_steps, steps, seed
 """
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import MISSING as NO_DEFAULT
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar, get_args, get_origin, get_type_hints
 
 from eitskin.model.manifest import BESIDE, GENTLE, SMALL
+from eitskin_proto.fields import Fields
 from eitskin_proto.files.digest import id_of_values
 from eitskin_proto.files.plain import plain, quoted
 from eitskin_proto.files.reading import LARGEST_TOML, parse_toml, read_text
 from eitskin_proto.files.shipped import is_name
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.toml import FORMAT as SKIN_FORMAT
-from eitskin_proto.skin.toml import to_toml, unknown
+from eitskin_proto.skin.toml import to_toml
 from eitskin_tools.build.missing_lesson import MissingElectrodesWork
-from eitskin_tools.build.tables import table
 from eitskin_tools.command_line import files, skins
 
 FORMAT: Final = "eitskin-recipe"
@@ -42,6 +43,14 @@ VERSION: Final = 1
 
 MISSING: Final = "missing_electrodes"
 """The table of the last lesson."""
+
+LEAST: Final = {"seed": 0, "kept": 0, "untouched": 0, "fitting_steps": 0}
+"""Of whole numbers; all others are at least 1."""
+
+LARGEST_NUMBER: Final = 10**9
+LONGEST_NAME: Final = 200
+
+Record = TypeVar("Record")
 
 SKIN: Final = "skin"
 """What follows the skin's file: touches of data, noise of training."""
@@ -220,21 +229,21 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
     """
     from eitskin_training.recipes import recipe as network_named
 
-    keys = ["format", "version", "name", "skin", "network", *BESIDE, "data", "training", "gate", "card", MISSING]
-    unknown(content, keys, "the head of the file")
-    if content.get("version") != VERSION:
-        raise ValueError(f"version is {quoted(content.get('version'))}, expected {VERSION}")
-    texts = {key: _text(content, key) for key in ("name", "skin", "network")}
+    head = Fields(content, "")
+    head.check_format(FORMAT, VERSION, "a bundle's recipe")
+    texts = {key: head.text(key, longest=LONGEST_NAME) for key in ("name", "skin", "network")}
+    networks = {key: head.text(key, "", longest=LONGEST_NAME) for key in BESIDE}
     network = network_named(texts["network"])
-    sets, legs = content.get("data"), content.get("training")
-    if not isinstance(sets, dict) or not sets or not all(isinstance(one, dict) for one in sets.values()):
+    sets, legs = head.table("data"), head.entries("training", least=1, of="tables [[training]]")
+    gate, card = head.table("gate", "[gate]"), head.table("card", "[card]")
+    lesson = head.table(MISSING, f"[{MISSING}]")
+    head.close()
+    if not len(sets):
         raise ValueError("there is no data set: expected tables such as [data.touches]")
-    if not isinstance(legs, list) or not legs or not all(isinstance(one, dict) for one in legs):
-        raise ValueError("there is no training: expected tables [[training]]")
     if bad := [name for name in sets if not name.replace("-", "").replace("_", "").isalnum()]:
         raise ValueError(f"a data set is called {quoted(bad[0])}, expected letters, digits, - and _")
-    data = {name: table(Data, one, f"[data.{name}]") for name, one in sets.items()}
-    training = tuple(table(Leg, one, f"[[training]] {number}") for number, one in enumerate(legs, 1))
+    data = {name: _record(Data, sets.table(name, f"[data.{name}]")) for name in sets}
+    training = tuple(_record(Leg, legs.table(place, f"[[training]] {place + 1}")) for place in legs)
     for number, leg in enumerate(training, 1):
         if missing := [name for name in leg.data if name not in data]:
             raise ValueError(f"[[training]] {number} names data {quoted(missing[0])}, known are {', '.join(data)}")
@@ -251,29 +260,43 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
         if (one.set == "free") != (network.labels == "area"):
             kind = "free" if network.labels == "area" else "units"
             raise ValueError(f"[data.{name}] set is {quoted(one.set)}, network {network.name} learns from {kind!r}")
-    lesson = table(MissingElectrodesWork, content[MISSING], f"[{MISSING}]") if MISSING in content else None
     return BuildRecipe(
         plain(texts["name"]),
         _skin(texts["skin"], beside),
         texts["network"],
         data,
         training,
-        table(GateWork, content.get("gate", {}), "[gate]"),
-        table(CardWork, content.get("card", {}), "[card]"),
+        _record(GateWork, gate),
+        _record(CardWork, card),
         beside,
-        missing_electrodes=lesson,
-        small=_text(content, SMALL) if SMALL in content else "",
-        gentle=_text(content, GENTLE) if GENTLE in content else "",
+        missing_electrodes=_record(MissingElectrodesWork, lesson) if MISSING in content else None,
+        small=networks[SMALL],
+        gentle=networks[GENTLE],
     )
+
+
+def _record(kind: type[Record], table: Fields) -> Record:
+    """Return a table as its dataclass, whose annotations say which kind each key has."""
+    values: dict[str, Any] = {}
+    hints = get_type_hints(kind)
+    for one in fields(kind):  # type: ignore[arg-type]  # a dataclass
+        if one.name not in table:
+            if one.default is NO_DEFAULT:
+                raise table.wrong(one.name, "a value")
+            continue
+        hint = hints[one.name]
+        if get_origin(hint) is tuple:
+            values[one.name] = table.texts(one.name)
+        elif hint is str or str in get_args(hint):
+            values[one.name] = table.text(one.name)
+        elif float in get_args(hint):
+            values[one.name] = table.number(one.name, low=0.0, high=LARGEST_NUMBER)
+        else:
+            values[one.name] = table.whole(one.name, low=LEAST.get(one.name, 1), high=LARGEST_NUMBER)
+    table.close()
+    return kind(**values)
 
 
 def _skin(name: str, beside: Path) -> Skin:
     own = beside / name
     return skins.read(str(own) if own.is_file() else name)
-
-
-def _text(content: dict[str, Any], key: str) -> str:
-    value = content.get(key)
-    if not isinstance(value, str) or not value or len(value) > 200:
-        raise ValueError(f"{key} is {quoted(value)}, expected a text")
-    return value
