@@ -118,7 +118,7 @@ def test_skins_are_listed_by_name_endpoint_and_pose(robot, tmp_path):
         (skin(more="budget_ms = nan"), "expected a number above 0"),
         (
             skin(more="exclude_electrodes = [16]"),
-            r"exclude_electrodes\[0\] is 16, expected a whole number from 0 to 15",
+            r"electrodes\[0\] is 16, expected a whole number from 0 to 15",
         ),
         (skin(more='publish = "tcp://0.0.0.0:5555"'), "which others may reach: it needs curve_keys"),
         (skin(more='publish = "tcp://127.0.0.1:*"'), "expected a port that subscribers can know"),
