@@ -1,8 +1,8 @@
-"""Ask for a part of the sheet only, and do without maps in which nothing but noise changed.
+"""Take a part of the sheet, and do without maps in which nothing but noise changed.
 
     python docs/examples/region.py [ENDPOINT]
 
-The runtime computes what its subscribers ask for, all together, and no more.
+The runtime computes whole maps; a map that only noise separates from the one before it is neither computed nor sent.
 """
 
 import sys
@@ -17,5 +17,5 @@ with (
     eitskin.subscribe(*sys.argv[1:2], region_mm=LEFT_EDGE_MM, skip_unchanged=True, timeout_s=10.0) as frames,
 ):
     for frame in frames:
-        part = frame.map[frames.region.slices]  # rows and columns of the rectangle; the rest of the map may be 0
-        print(f"left edge {part.shape}: highest pixel {part.max():.2f}; computed {frame.regions}")
+        part = frame.map[frames.region.slices]  # rows and columns of the rectangle
+        print(f"left edge {part.shape}: highest pixel {part.max():.2f}")

@@ -78,8 +78,8 @@ class Head(nn.Module):
     """(1, 104) dv [, (1, 104) log_predicted], (1, H) bias -> (1, n_pixels) map in [0, 1].
 
     Every permutation is a gather of single elements (``GatherElements``): ONNX Runtime does 1350 in under 2 us, where a
-    Gather or a Transpose of them takes 10 to 35. The first one gives cells as the convolutions read them and is what
-    the runtime changes to cut a region out (:mod:`eitskin.model.onnx.crop_sharpened`); the last one gives pixels.
+    Gather or a Transpose of them takes 10 to 35. The first one gives cells as the convolutions read them; the last one
+    gives pixels.
     """
 
     channel_of_cell: Tensor

@@ -15,7 +15,6 @@
     ├── HandshakeError         nobody answered, or the answer was a refusal
     │   └── NotReady           it did not answer, refused for now or sends no frames: another try may help
     ├── BundleError            a bundle that is damaged or incomplete
-    │   └── UncutError         a network of which no region can be computed by itself
     ├── BadReference           a reference that cannot be used
     ├── EndpointError          an address that may not or cannot be bound or reached
     ├── ControlError           the runtime refused a request
@@ -55,7 +54,6 @@ __all__ = [
     "SkinError",
     "StaleFrame",
     "TransportError",
-    "UncutError",
 ]
 
 
@@ -97,10 +95,6 @@ class NotReady(HandshakeError):
 
 class BundleError(SkinError):
     """A bundle is damaged, incomplete or unreadable."""
-
-
-class UncutError(BundleError):
-    """A network's last layer is of a kind of which no single outputs can be had."""
 
 
 class BadReference(SkinError):

@@ -40,7 +40,6 @@ def serve(
         HandshakeError: The device fell silent and does not answer, or came back as another one.
     """
     next_look_ns = next_join_ns = time.perf_counter_ns()
-    regions = publisher.regions
     publisher.look()
     with closing(skin.publish(publisher, until_ns)) as records:  # what is left of the last frame is done here, and now
         for record in records:
@@ -54,9 +53,6 @@ def serve(
                 publisher.look()
                 if publisher.streams.joined:
                     skin.pipeline.maps.renew()
-                if publisher.regions is not regions:
-                    regions = publisher.regions
-                    skin.set_regions(regions)
             if now_ns >= next_look_ns:
                 next_look_ns = now_ns + LOOK_NS
                 publisher.look_at_connections()

@@ -6,7 +6,7 @@ time; the loop picks them up between two frames.
 """
 
 import time
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
@@ -23,14 +23,12 @@ from eitskin.health.monitor import health_of
 from eitskin.messaging.frame import Frame, unpack_frame
 from eitskin.messaging.frame_message import LastMessage
 from eitskin.messaging.frame_record import FrameRecord
-from eitskin.messaging.regions import Region, union
 from eitskin.model.bundle import Bundle
 from eitskin.model.skin_in_use import Given, bundle_and_skin
 from eitskin.pipeline.cloud_change import CloudChange
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.idle import IdleGate, IdleMode
 from eitskin.pipeline.latency_budget import in_ns
-from eitskin.pipeline.region_worker import RegionWorker
 from eitskin.reference import captured as references
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference
 from eitskin.status import status_of
@@ -108,7 +106,7 @@ class Skin:
             self.transport.close()
             raise
         self.statistics = self.loop.statistics
-        self._closed, self._region_worker = False, RegionWorker(self.pipeline)
+        self._closed = False
 
     def __repr__(self) -> str:
         state = "closed" if self._closed else f"open, {self.statistics.frames} frames"
@@ -169,10 +167,6 @@ class Skin:
             BadReference: There is a prediction, but nothing to hold it against.
         """
         return self._clouds.use(cloud, predicted, predicted_flat, self.reference)
-
-    def set_regions(self, regions: Iterable[Region]) -> None:
-        """Compute only the union of some regions, none meaning all, from a frame some tens of milliseconds later."""
-        self._region_worker.want(union(regions, self.bundle.skin.grid.shape))
 
     def exclude(self, electrodes: tuple[int, ...]) -> None:
         """Go on without these electrodes from the next frame on; may be called from any thread.
@@ -237,7 +231,6 @@ class Skin:
             return
         self._closed = True
         self.stop()  # a port that vanished is not waited for either
-        self._region_worker.close()
         with suppress(SkinError):  # the port may be gone; then there is nothing to stop
             self.device.leave()
         self.transport.close()

@@ -4,6 +4,7 @@ from typing import Any
 
 from eitskin.acquisition.device import Device
 from eitskin.frame_loop import FrameLoop
+from eitskin.messaging.regions import whole
 from eitskin.pipeline.frame_pipeline import Pipeline
 
 
@@ -32,7 +33,7 @@ def status_of(device: Device, pipeline: Pipeline, loop: FrameLoop) -> dict[str, 
         "cloud": record.cloud,
         "idle": record.idle,
         "mode_changes": 0 if loop.idle is None else loop.idle.switches,
-        "regions": [list(region.bounds) for region in record.regions],
+        "regions": [list(region.bounds) for region in whole(pipeline.skin.grid.shape)],
         "clock_drift_ppm": round(intake.clock.drift_ppm, 3),
         "wire_delay_us": intake.clock.shortest_delay_us,
         "serial_number": device.hello.serial_number,

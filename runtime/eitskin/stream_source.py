@@ -20,6 +20,7 @@ import numpy as np
 from eitskin.acquisition.device import Device
 from eitskin.frame_loop import FrameLoop
 from eitskin.messaging.frame import host_id
+from eitskin.messaging.regions import whole
 from eitskin.messaging.streams.desk import StreamDesk
 from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, STATE, WIRE
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, wire_body
@@ -169,7 +170,7 @@ class StreamSource:
         drift = (0, False) if health is None else (health.drift.changes, health.drift.active)
         findings = () if health is None else health.electrodes.findings
         volts = pipeline.normaliser.volts_per_count
-        key = record.cloud, self._loop.reference, record.regions, threshold, drift, findings, volts
+        key = record.cloud, self._loop.reference, threshold, drift, findings, volts
         if key != self._conditions_key:
             self._conditions_key = key
             self._take_reference()
@@ -180,7 +181,7 @@ class StreamSource:
                 seq=record.sequence,
                 cloud=record.cloud,
                 reference=self._digest,
-                regions=record.regions,
+                regions=whole(pipeline.skin.grid.shape),
                 gate_threshold=threshold,
                 drift=None if health is None else health.drift.factors,
                 electrodes=tuple((one.electrode, one.state, one.partner) for one in findings),

@@ -8,9 +8,7 @@ from tests.second_skin import SECOND
 from tests.training.network.skins import SKINS
 from torch import nn
 
-from eitskin.messaging.regions import Region, pixels
 from eitskin.model.onnx.allowed import check_graph
-from eitskin.model.onnx.crop import cut
 from eitskin_export import graphs, parity, quantise
 from eitskin_export.fold import split
 from eitskin_proto.errors import SkinError
@@ -227,63 +225,3 @@ def test_the_int8_head_is_close_smaller_and_keeps_its_first_layer_exact() -> Non
     first = next(index for index, kind in enumerate(kinds) if kind in {"Gemm", "MatMul", "MatMulInteger"})
     assert kinds[first] != "MatMulInteger"
     assert kinds.count("MatMulInteger") == len(model.architecture.widths) + 1
-
-
-def both(whole: bytes, part: bytes, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the maps of two heads for one random input."""
-    rng = np.random.default_rng(seed)
-    feed = {
-        item.name: 0.3 * rng.standard_normal(item.shape).astype(np.float32)
-        for item in parity.session(whole).get_inputs()
-    }
-    (expected,), (found,) = (parity.session(graph).run(["map"], feed) for graph in (whole, part))
-    return expected, found
-
-
-@pytest.mark.parametrize(
-    "bounds",
-    [
-        (0, 10, 5, 20),
-        (12, 13, 12, 13),
-        *(pytest.param(b, marks=pytest.mark.slow) for b in ((29, 30, 44, 45), (12, 13, 22, 23), (3, 11, 5, 30))),
-    ],
-)
-@pytest.mark.parametrize("int8", [False, True])
-@pytest.mark.parametrize(
-    ("name", "outputs", "inputs"), [("sharpened", 1350, 48), ("symmetric", 345, 4 * 32), ("narrow", 345, 4 * 8)]
-)
-def test_a_sharpened_head_cut_down_to_cells_is_smaller_and_right_in_its_region(
-    name: str, outputs: int, inputs: int, bounds: tuple[int, int, int, int], int8: bool
-) -> None:
-    _, head = split(trained_looking(ARCHITECTURES[name]))
-    whole = graphs.head_graph(head)
-    if int8:
-        whole = quantise.int8_head(whole)
-    wanted = pixels((Region(*bounds),), PAPER.grid.shape)
-    part = cut(whole, wanted, PAPER.grid.shape)
-    expected, found = both(whole, part, seed=3)
-    assert np.ptp(expected[0, wanted]) > 0 or len(wanted) == 1
-    assert found.shape == (1, len(wanted))
-    assert np.array_equal(found[0], expected[0, wanted])
-    rows, columns = (-(-bounds[k + 1] // 3) - bounds[k] // 3 + 4 for k in (0, 2))  # cells of the region, and two around
-    left_out = max(0, outputs - 9 * rows * columns)
-    assert len(part) < len(whole) - (1 if int8 else 4) * inputs * left_out
-
-
-def test_a_symmetric_head_that_does_not_sharpen_is_cut_behind_its_last_layer() -> None:
-    _, head = split(trained_looking(ARCHITECTURES["symmetric, not sharpened"]))
-    whole = graphs.head_graph(head)
-    wanted = pixels((Region(3, 11, 5, 30),), PAPER.grid.shape)
-    expected, found = both(whole, cut(whole, wanted, PAPER.grid.shape), seed=3)
-    assert np.ptp(expected[0, wanted]) > 0
-    assert np.array_equal(found[0], expected[0, wanted])
-
-
-@pytest.mark.parametrize("name", ["units", "symmetric units"])
-def test_a_head_that_spreads_units_is_cut_where_it_spreads_them(name: str) -> None:
-    _, head = split(trained_looking(ARCHITECTURES[name]))
-    whole = graphs.head_graph(head)
-    wanted = pixels((Region(3, 11, 5, 20),), PAPER.grid.shape)
-    expected, found = both(whole, cut(whole, wanted, PAPER.grid.shape), seed=3)
-    assert np.ptp(expected[0, wanted]) > 0
-    assert np.array_equal(found[0], expected[0, wanted])

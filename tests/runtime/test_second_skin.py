@@ -17,7 +17,7 @@ from eitskin.messaging.control import ControlServer
 from eitskin.messaging.frame import unpack_frame
 from eitskin.messaging.frame_packer import FramePacker
 from eitskin.messaging.publish import Publisher
-from eitskin.messaging.regions import WHOLE, Region, pixels, union
+from eitskin.messaging.regions import Region
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import load_bundle
 from eitskin.model.engine import engines
@@ -88,22 +88,15 @@ def test_a_description_must_be_of_the_bundle_s_sheet_or_that_sheet_calibrated(se
         use_skin(second, replace(KNOWN_BETTER, map=Map((20, 50), (2, 2))))
 
 
-def test_every_solver_fills_its_map_and_regions_of_it(second):
-    wanted = pixels((Region(2, 9, 5, 20),), SHAPE)
-    assert np.array_equal(np.unique(wanted // 45), np.arange(2, 9))
-    whole, part = Buffers(second), Buffers(second)
-    for buffers in (whole, part):
-        buffers.take(GeometryGraph(second).geometry(rolled(SECOND, 60.0), None, 1))
-        buffers.change[:] = np.random.default_rng(2).normal(0, 0.1, (1, 104))
-    for one, other in zip(engines(second, whole), engines(second, part, wanted), strict=True):
-        part.map[:] = 0.0
-        one.infer()
-        other.infer()
-        assert whole.map.shape == (1, 810)
-        assert whole.map.any()
-        if one.name != "tikhonov":
-            assert np.array_equal(part.map[0, wanted], whole.map[0, wanted])
-            assert not part.map[0, np.setdiff1d(np.arange(810), wanted)].any()
+def test_every_solver_fills_its_map(second):
+    buffers = Buffers(second)
+    buffers.take(GeometryGraph(second).geometry(rolled(SECOND, 60.0), None, 1))
+    buffers.change[:] = np.random.default_rng(2).normal(0, 0.1, (1, 104))
+    for engine in engines(second, buffers):
+        buffers.map[:] = 0.0
+        engine.infer()
+        assert buffers.map.shape == (1, 810)
+        assert buffers.map.any()
 
 
 def test_the_look_at_a_map_counts_its_pixels():
@@ -134,16 +127,13 @@ def test_the_largest_map_fits_a_message():
     )
     packer.put_map(bytes(57_600))
     texts = tuple(f"{number:0128d}" for number in range(16))
-    packer.put_texts("vd2t", texts, texts, tuple(Region(0, 1, 0, k + 1) for k in range(16)), texts)
+    packer.put_texts("vd2t", texts, texts, texts)
     assert unpack_frame(bytes(packer.message()), 0).map.shape == (120, 120)
 
 
 def test_regions_are_of_its_pixels(tmp_path):
     assert Region.from_mm(0, 0, 220, 90, SECOND.grid) == Region(0, 18, 0, 45)
     assert Region.from_mm(0, 0, 9.7, 5.1, SECOND.grid) == Region(0, 2, 0, 2)
-    assert Region.from_topic(WHOLE, SHAPE) == Region(0, 18, 0, 45)
-    assert Region.from_topic(b"eitskin/region/0/30/0/45", SHAPE) is None
-    assert union([Region(0, 18, 0, 45), Region(0, 1, 0, 1)], SHAPE) == (Region(0, 18, 0, 45),)
     with pytest.raises(ValueError, match="x is 0 to 220, y 0 to 90 mm"):
         eitskin.subscribe(f"ipc://{tmp_path}/none", region_mm=(0, 0, 220, 91), skin=SECOND)
 
@@ -231,11 +221,10 @@ def test_subscribers_name_a_region_by_its_skin(virtual_skin, running, tmp_path):
     with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, running(port, tmp_path, bundle=PATH) as runtime:
         endpoint = runtime.publisher.endpoint
         with eitskin.subscribe(endpoint, region_mm=(0, 0, 50, 30), skin=SECOND, timeout_s=60) as first:
-            frame = next(frame for frame in first if frame.regions == (first.region,) and frame.solver != "none")
+            frame = next(frame for frame in first if frame.solver != "none")
             assert frame.map.shape == SHAPE
+            assert frame.regions == (Region(0, 18, 0, 45),)
             assert frame.map[first.region.slices].any()
-            with eitskin.subscribe(endpoint, skip_unchanged=True, timeout_s=60) as everything:
-                assert next(frame for frame in everything if frame.regions == (Region(0, 18, 0, 45),))
         wrong = eitskin.subscribe(endpoint, region_mm=(0, 0, 50, 30), timeout_s=60)
         with wrong, pytest.raises(MismatchError, match=r"found \[18, 45\], expected \[30, 45\]; name .*--skin"):
             next(wrong)

@@ -7,7 +7,6 @@ import time
 import numpy as np
 
 import eitskin
-from eitskin.messaging.regions import Region
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
 from eitskin.messaging.streams.state import SkinState
 from eitskin.model.bundle import load_bundle
@@ -125,8 +124,6 @@ def test_every_published_map_is_made_again_bit_by_bit(virtual_skin, running, tin
         items += some(streams, lambda item: isinstance(item, Conditions) and item.cloud == 1)
         runtime.skin.set_cloud(None)
         items += some(streams, lambda item: isinstance(item, Conditions) and item.cloud == 2)
-        runtime.skin.set_regions([Region(3, 9, 5, 20), Region(7, 30, 30, 45)])
-        items += some(streams, lambda item: isinstance(item, Conditions) and len(item.regions) == 2)
         digest = items[-1].reference if isinstance(items[-1], Conditions) else ""
         runtime.skin.recapture(5, force=True)
         items += until(streams, lambda item: isinstance(item, SkinState) and item.reference_sha256 != digest)

@@ -75,7 +75,7 @@ class FrameMessages:
     def finish(self, record: FrameRecord) -> memoryview:
         """Return the message of the frame, with publishing stamped as now; the next frame overwrites it."""
         packer, stamps = self._packer, record.stamps
-        packer.put_texts(record.solver, record.skipped, record.events, record.regions, record.electrodes)
+        packer.put_texts(record.solver, record.skipped, record.events, record.electrodes)
         packer.put_touches(record.touches)
         stamps[PUBLISH] = time.perf_counter_ns()
         age_us = max(0, (stamps[PUBLISH] - record.scanned_ns) // 1000)

@@ -27,7 +27,7 @@ from eitskin.messaging.frame import (
     VERSION,
     host_id,
 )
-from eitskin.messaging.regions import Regions, whole
+from eitskin.messaging.regions import whole
 from eitskin.touches.touch import KEYS, LAYOUT
 
 HEAD_END: Final = 6
@@ -108,7 +108,7 @@ class FramePacker:
         struct.pack_into(">H", self._short, 1, entries - 2)
         self._short_view = memoryview(self._short)
         self._at, self._layout, self._arguments = self._whole()
-        self._tails: dict[tuple[str, tuple[str, ...], tuple[str, ...], Regions, tuple[str, ...]], bytes] = {}
+        self._tails: dict[tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]], bytes] = {}
         self._texts: object = None
         self._end = self._tail_at
         self._short_end = self._map_at
@@ -152,12 +152,10 @@ class FramePacker:
         solver: str,
         skipped: tuple[str, ...],
         events: tuple[str, ...],
-        regions: Regions | None = None,
         electrodes: tuple[str, ...] = (),
     ) -> None:
         """Replace the texts; recurring combinations are kept ready."""
-        regions = regions or self._whole_map
-        wanted = (solver, skipped, events, regions, electrodes)
+        wanted = (solver, skipped, events, electrodes)
         if wanted == self._texts:
             return  # it is there already
         self._texts = wanted
@@ -167,7 +165,7 @@ class FramePacker:
                 "solver": solver,
                 "skipped": [text[:MAX_TEXT] for text in skipped[:MAX_TEXTS]],
                 "events": [text[:MAX_TEXT] for text in events[:MAX_TEXTS]],
-                "regions": [list(region.bounds) for region in regions],
+                "regions": [list(region.bounds) for region in self._whole_map],
                 "electrodes": [text[:MAX_TEXT] for text in electrodes[:MAX_TEXTS]],
                 **self._constant,
             }

@@ -12,7 +12,6 @@ Whoever needs more than one frame of it copies what it needs.
 import math
 
 from eitskin.messaging.frame import STAGES
-from eitskin.messaging.regions import Regions, whole
 
 READ, DECODE, NORMALISE, GATE, INFER, PACK, PUBLISH = range(len(STAGES))
 """Where each stage's stamp stands."""
@@ -23,16 +22,15 @@ class FrameRecord:
 
     Args:
         computed_map: 4 bytes a pixel, of float32, that solvers write to.
-        shape: Rows and columns of the map.
     """
 
     __slots__ = (
         "_computed_map", "_nothing", "cloud", "cloud_sequence", "corrupt", "device_us", "drift", "electrodes", "events",
-        "gate_logit", "idle", "inferred", "lost", "map_sequence", "overrun", "regions", "resets", "scanned_ns",
+        "gate_logit", "idle", "inferred", "lost", "map_sequence", "overrun", "resets", "scanned_ns",
         "sequence", "skipped", "solver", "stamps", "touched", "touches", "weak_rows", "withheld",
     )  # fmt: skip
 
-    def __init__(self, computed_map: memoryview, shape: tuple[int, int]) -> None:
+    def __init__(self, computed_map: memoryview) -> None:
         self._computed_map = computed_map
         self._nothing = memoryview(bytes(computed_map.nbytes))
         self.stamps = [0] * len(STAGES)
@@ -55,8 +53,6 @@ class FrameRecord:
         """Whether an engine ran for this frame."""
         self.map_sequence = 0
         """The frame that the map was computed for."""
-        self.regions: Regions = whole(shape)
-        """What of the map is computed."""
         self.electrodes: tuple[str, ...] = ()
         """Those that are not well."""
         self.drift = math.nan, math.nan, math.nan

@@ -5,15 +5,15 @@ bounded queue; a slow one loses frames there, and neither the loop nor its neigh
 
 Topics say what a subscriber needs. Who takes the first two bytes of a frame gets every frame with its whole map; so
 does the empty topic, with all that others ask for besides. A subscriber that takes the first byte alone declares by
-topics of its own that it needs a region only (:mod:`eitskin.messaging.regions`), or that it does without a map that has
-not changed. So does a patient one, which takes three bytes: libzmq hands a message to the shortest topic first, so
-robots, whose topics are shorter, do not wait for it. ::
+topics of its own whether it does without a map that has not changed (:mod:`eitskin.messaging.regions`). So does a
+patient one, which takes three bytes: libzmq hands a message to the shortest topic first, so robots, whose topics are
+shorter, do not wait for it. ::
 
     b"\xde\x00"                    every frame with its map, always
     b""                            all that is sent
     b"\xde"                        every frame, and then one of each:
     b"\xde\x00\x18"                ... likewise, after the others; and so on to b"\xde\x00\x23"
-    b"eitskin/region/0/10/5/20"    the rows and columns that are needed; b"eitskin/region/whole" for all
+    b"eitskin/region/..."          nothing: earlier releases computed only a part of the map
     b"eitskin/unchanged"           ... or b"eitskin/always"
     b"eitskin/touches"             besides: the list of touches, in every frame
     b"\xdf"                        touches without maps, alone
@@ -40,7 +40,7 @@ from eitskin.messaging.admission.turnstile import Turnstile
 from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
 from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE, patient_topics
 from eitskin.messaging.frame_message import Asked
-from eitskin.messaging.regions import ALWAYS, TOUCHES, UNCHANGED, Region, Regions, union, whole
+from eitskin.messaging.regions import ALWAYS, TOUCHES, UNCHANGED
 from eitskin.messaging.streams.desk import StreamDesk
 from eitskin.messaging.verified.message import asked_for
 from eitskin_proto.skin.skin import PAPER
@@ -92,7 +92,7 @@ class Publisher:
         self, endpoint: str, keys: ServerKeys | None = None, shape: tuple[int, int] = PAPER.grid.shape
     ) -> None:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._keys, self._shape = keys, shape
+        self._keys = keys
         self.dropped = 0
         """Frames that the socket did not take."""
         self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
@@ -103,8 +103,6 @@ class Publisher:
         """What else is asked for."""
         self.verified = False
         """Whether anybody asks for what physics says of frames."""
-        self.regions: Regions = whole(shape)
-        """What of the map all subscribers together need."""
         self.takes_short = False
         """Whether every subscriber does without a map that has not changed."""
         self.joined = True
@@ -169,16 +167,11 @@ class Publisher:
         self._topics.changed = False
         topics = self.topics
         plain = any(topic == b"" or (topic[:1] == FIRST_BYTE and topic not in DECLARING) for topic in topics)
-        found = (Region.from_topic(topic, self._shape) for topic in topics)
-        declared = [region for region in found if region is not None]
         frames = plain or any(topic in DECLARING for topic in topics)
         alone = any(topic[:1] == TOUCH_FIRST_BYTE for topic in topics)
         self.asked = Asked(frames, alone or TOUCHES in topics, alone)
         self.verified = any(map(asked_for, topics))
         self.wanted = frames or alone or self.verified
-        # A touch that a region's border cuts would lie elsewhere, and physics explains all of a frame or nothing.
-        everywhere = plain or self.asked.touches or self.verified
-        self.regions = whole(self._shape) if everywhere else union(declared, self._shape)
         self.takes_short = UNCHANGED in topics and ALWAYS not in topics and not plain
         self.streams.judge(topics)
         self.joined = True

@@ -1,27 +1,20 @@
-"""What subscribers ask for: regions of the sheet, so that only their union is computed, and maps only when they change.
+"""Rectangles of pixels, and the topics by which subscribers say whether they need unchanged maps and touches.
 
-A subscriber declares its rectangle by a topic of its own, ``eitskin/region/0/10/5/20``: rows 0 to 9 and columns 5 to 19
-of the map. ZeroMQ tells the publisher of topics that come and go, so a subscriber that dies takes its region along. Who
-needs the whole map, whatever its size, says ``eitskin/region/whole``.
+The runtime always computes the whole map; a subscriber that needs a part of it slices it. Earlier releases computed
+only the rectangles that subscribers asked for by topics such as ``eitskin/region/0/10/5/20``: the runtime accepts such
+topics and sends whole maps, and recordings of those releases name the rectangles.
 """
 
 import math
-import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, Self
-
-import numpy as np
-import numpy.typing as npt
 
 from eitskin.errors import MismatchError
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
 
-TOPIC: Final = re.compile(rb"eitskin/region/(\d{1,3})/(\d{1,3})/(\d{1,3})/(\d{1,3})")
-
 WHOLE: Final = b"eitskin/region/whole"
-"""Topic of a subscriber that needs the whole map."""
+"""Topic by which a subscriber asks runtimes of earlier releases for the whole map."""
 
 UNCHANGED: Final = b"eitskin/unchanged"
 """Topic of a subscriber that does without a map that has not changed."""
@@ -33,7 +26,7 @@ TOUCHES: Final = b"eitskin/touches"
 """Topic of a subscriber that needs the list of touches in every frame."""
 
 MOST: Final = 16
-"""Regions of different subscribers at once; with more, the whole sheet is computed."""
+"""Regions that a message may name."""
 
 MOST_PIXELS: Final = (120, 120)
 """Rows and columns of the largest map of a skin."""
@@ -97,27 +90,6 @@ class Region:
         columns = math.floor(x0 / dx + SLACK), math.ceil(x1 / dx - SLACK)
         return cls(*rows, *columns)
 
-    @classmethod
-    def from_topic(cls, topic: bytes, shape: tuple[int, int]) -> Self | None:
-        """Return the region of a map that a topic declares; None if it declares none that is on it.
-
-        Args:
-            topic: Of a subscriber.
-            shape: Rows and columns of the map.
-        """
-        if topic == WHOLE:
-            return cls(0, shape[0], 0, shape[1])
-        match = TOPIC.fullmatch(topic)
-        try:
-            return None if match is None else cls(*map(int, match.groups())).check(shape)
-        except ValueError:
-            return None
-
-    @property
-    def topic(self) -> bytes:
-        """What a subscriber of this region subscribes to."""
-        return b"eitskin/region/%d/%d/%d/%d" % self.bounds
-
     @property
     def bounds(self) -> tuple[int, int, int, int]:
         """First and last row, first and last column."""
@@ -133,31 +105,12 @@ EVERYWHERE: Final = Region(0, MOST_PIXELS[0], 0, MOST_PIXELS[1])
 """All pixels of any map."""
 
 Regions = tuple[Region, ...]
-"""What is computed: the union of these; never empty."""
+"""What of a map is computed: the union of these; never empty."""
 
 
 def whole(shape: tuple[int, int]) -> Regions:
     """Return what is computed of a map of all rows and columns."""
     return (Region(0, shape[0], 0, shape[1]),)
-
-
-def union(regions: Iterable[Region], shape: tuple[int, int]) -> Regions:
-    """Return what must be computed for all of them: sorted, none twice; the whole map for none or too many.
-
-    Args:
-        regions: Any number.
-        shape: Rows and columns of the map.
-    """
-    found, every = sorted(set(regions)), whole(shape)
-    return every if not found or every[0] in found or len(found) > MOST else tuple(found)
-
-
-def pixels(regions: Regions, shape: tuple[int, int]) -> npt.NDArray[np.intp]:
-    """Return (n,) the flat indices of the union's pixels in a map of these rows and columns, ascending."""
-    wanted = np.zeros(shape, dtype=bool)
-    for region in regions:
-        wanted[region.slices] = True
-    return np.flatnonzero(wanted)
 
 
 def other_skin(endpoint: str, shape: tuple[int, ...], grid: Grid) -> MismatchError:

@@ -3,8 +3,8 @@
 ``latest`` keeps one frame, the newest, however slow the loop is: a robot that takes 50 ms a frame sees one that is a
 frame old, not seconds. ``all`` queues frames for a recorder and counts the gaps when it is too slow even for that.
 
-A subscriber may say that it needs a region only, or does without maps that have not changed; it still finds one in
-every ``frame.map``. The runtime does less if all its subscribers say so. Then ``latest`` reads all that waits and
+A subscriber may say that it does without maps that have not changed; it still finds one in every ``frame.map``. The
+runtime does less if all its subscribers say so. Then ``latest`` reads all that waits and
 returns the newest: libzmq's own way of keeping one message would keep only one of the topics as well.
 
 Nobody waits for ever on an address where nobody is: unless told otherwise, the first frame must come within
@@ -44,7 +44,7 @@ class Subscription(Subscriber):
         timeout_s: How long to wait for a frame; None waits 5 s for the first and then for ever; ``math.inf`` waits for
             ever from the start.
         max_age_s: Oldest frame that is good enough; None takes any.
-        region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet that is needed; the rest of a map may be 0.
+        region_mm: A rectangle (x0, y0, x1, y1) of the flat sheet, whose pixels are ``region``.
         skin: The runtime's, for ``region_mm``; None for the paper's.
         skip_unchanged: Do without maps that have not changed; ``frame.map`` is then the one from before.
         touches: Each frame has its list of touches; ``maps=False`` for these alone, a sixth of the bytes.
@@ -211,7 +211,7 @@ def subscribe(
         timeout_s: How long to wait for a frame before :class:`eitskin.NoFrame`. None waits 5 s for the first, and then
             for ever; ``math.inf`` waits for ever from the start, for a runtime that is started later.
         max_age_s: Oldest frame that is good enough; an older one raises :class:`eitskin.StaleFrame`.
-        region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet, in mm, that is needed.
+        region_mm: A rectangle (x0, y0, x1, y1) of the flat sheet: ``frame.map[frames.region.slices]`` are its pixels.
         skin: The runtime's, which a region needs unless it is the paper's (:func:`eitskin_proto.skin.toml.load`).
         skip_unchanged: Do without maps that have not changed beyond noise; ``frame.map`` is then the one from before.
         touches: Each frame has its list of touches, ``frame.touches``.

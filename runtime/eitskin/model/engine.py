@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.errors import BundleError, UncutError
+from eitskin.errors import BundleError
 from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import EXPORT_HINT, Bundle, graphs_of
 from eitskin.model.denormals import flushed
@@ -43,14 +43,12 @@ class HeadEngine:
         file: A graph of :data:`HEADS`, or another head of a network beside the bundle's own.
         name: What frames call it.
         buffers: Bound as inputs and output.
-        pixels: (n,) the only pixels that are computed, ascending; None for all. The others keep their values.
-        graph: Instead of the file's; it gives the pixels alone.
 
     Raises:
         BundleError: The graph cannot be loaded, or has another signature.
     """
 
-    __slots__ = ("_binding", "_cropped", "_map", "_pixels", "_session", "_values", "name")
+    __slots__ = ("_binding", "_session", "_values", "name")
 
     def __init__(
         self,
@@ -58,29 +56,24 @@ class HeadEngine:
         file: str,
         name: str,
         buffers: Buffers,
-        pixels: npt.NDArray[np.intp] | None = None,
-        graph: bytes | None = None,
     ) -> None:
         self.name = name
-        self._pixels = pixels
-        self._map = buffers.map[0]
-        self._cropped = buffers.map if pixels is None else np.zeros((1, len(pixels)), dtype=np.float32)
-        self._session = open_session(bundle, file, bundle.files[file] if graph is None else graph)
+        self._session = open_session(bundle, file, bundle.files[file])
         arrays = {"dv": buffers.change, "bias": _bias_of(file, buffers)}
         if bundle.uses_prediction:
             arrays["log_predicted"] = buffers.log_predicted
         shapes = {key: value.shape for key, value in arrays.items()}
-        check_signature(file, self._session, shapes, "map", self._cropped.shape)
+        check_signature(file, self._session, shapes, "map", buffers.map.shape)
         self._binding = self._session.io_binding()
         # The OrtValues borrow the arrays' memory; both must outlive the binding.
         self._values = {key: onnxruntime.OrtValue.ortvalue_from_numpy(value) for key, value in arrays.items()}
         for key, value in self._values.items():
             self._binding.bind_ortvalue_input(key, value)
-        self._values["map"] = onnxruntime.OrtValue.ortvalue_from_numpy(self._cropped)
+        self._values["map"] = onnxruntime.OrtValue.ortvalue_from_numpy(buffers.map)
         self._binding.bind_ortvalue_output("map", self._values["map"])
 
     def infer(self) -> None:
-        """Fill the map, or its pixels.
+        """Fill the map.
 
         Raises:
             BundleError: The graph cannot be computed.
@@ -89,8 +82,6 @@ class HeadEngine:
             self._session.run_with_iobinding(self._binding)
         except Exception as error:  # onnxruntime's exceptions share no base of their own
             raise BundleError(f"{self.name} cannot be computed ({first_line(error)}); {EXPORT_HINT}") from error
-        if self._pixels is not None:
-            self._map[self._pixels] = self._cropped[0]
 
 
 class ProjectionEngine:
@@ -99,20 +90,15 @@ class ProjectionEngine:
     Args:
         bundle: Where the matrix is.
         buffers: Read and written.
-        pixels: (n,) the only pixels that are computed, ascending; None for all. The largest of them becomes 1.
     """
 
-    __slots__ = ("_change", "_cropped", "_map", "_matrix", "_pixels", "_whole", "name")
+    __slots__ = ("_change", "_map", "_matrix", "_whole", "name")
 
-    def __init__(self, bundle: Bundle, buffers: Buffers, pixels: npt.NDArray[np.intp] | None = None) -> None:
+    def __init__(self, bundle: Bundle, buffers: Buffers) -> None:
         self.name = "tikhonov"
-        whole = flushed(bundle.tikhonov())
-        self._whole = whole if pixels is None else whole[pixels]
-        self._matrix = self._whole
+        self._whole = self._matrix = flushed(bundle.tikhonov())
         self._change = buffers.change[0]
         self._map = buffers.map[0]
-        self._pixels = pixels
-        self._cropped = self._map if pixels is None else np.zeros(len(pixels), dtype=np.float32)
 
     def change_matrix(self, change: Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]) -> None:
         """Use what ``change`` makes of the bundle's matrix from the next frame on: one without some rows."""
@@ -120,43 +106,16 @@ class ProjectionEngine:
 
     def infer(self) -> None:
         """Fill the map; what is negative becomes 0, since a touch only adds, and the largest value becomes 1."""
-        np.matmul(self._matrix, self._change, out=self._cropped)
-        np.maximum(self._cropped, 0.0, out=self._cropped)
-        largest = float(self._cropped.max())
+        np.matmul(self._matrix, self._change, out=self._map)
+        np.maximum(self._map, 0.0, out=self._map)
+        largest = float(self._map.max())
         if largest > SMALLEST_MAP:
-            np.divide(self._cropped, largest, out=self._cropped)
-        if self._pixels is not None:
-            self._map[self._pixels] = self._cropped
-
-
-class MaskedEngine:
-    """A whole map with all but some pixels set to 0: where a network's last layer cannot be cut down to pixels.
-
-    Args:
-        engine: Fills the whole map.
-        buffers: Whose map that is.
-        pixels: (n,) those that stay.
-    """
-
-    __slots__ = ("_kept", "_map", "engine", "name")
-
-    def __init__(self, engine: Engine, buffers: Buffers, pixels: npt.NDArray[np.intp]) -> None:
-        self.name = engine.name
-        self.engine = engine
-        self._map = buffers.map[0]
-        self._kept = np.zeros(self._map.shape, dtype=np.float32)
-        self._kept[pixels] = 1.0
-
-    def infer(self) -> None:
-        """Fill the map."""
-        self.engine.infer()
-        np.multiply(self._map, self._kept, out=self._map)
+            np.divide(self._map, largest, out=self._map)
 
 
 def engines(
     bundle: Bundle,
     buffers: Buffers,
-    pixels: npt.NDArray[np.intp] | None = None,
     *,
     best: str | None = None,
     alone: bool = False,
@@ -166,7 +125,6 @@ def engines(
     Args:
         bundle: Where they are.
         buffers: What they read and write.
-        pixels: (n,) the only pixels to compute, ascending; None for all.
         best: Leave out those before the one of this name; None leaves none out.
         alone: Leave out those behind the first; without ``best`` it is :func:`default_solver`.
 
@@ -183,16 +141,15 @@ def engines(
         del names[1:]
     wanted = [name for name in names if name in HEADS]
     if wanted and GENTLE in bundle.beside:
-        heads = _with_gentle(bundle, wanted, buffers, pixels)
+        heads = _with_gentle(bundle, wanted, buffers)
     else:
-        heads = [_head(bundle, HEADS[name], name, buffers, pixels) for name in wanted]
-    return [*heads, *(ProjectionEngine(bundle, buffers, pixels) for name in names if name not in HEADS)]
+        heads = [HeadEngine(bundle, HEADS[name], name, buffers) for name in wanted]
+    return [*heads, *(ProjectionEngine(bundle, buffers) for name in names if name not in HEADS)]
 
 
 def longest(engine: Engine) -> Callable[[], None]:
     """Return what does all that a frame may take of an engine."""
-    inner = engine.engine if isinstance(engine, MaskedEngine) else engine
-    return inner.infer_both if isinstance(inner, GentleEngine) else engine.infer
+    return engine.infer_both if isinstance(engine, GentleEngine) else engine.infer
 
 
 def solvers(bundle: Bundle) -> list[str]:
@@ -227,30 +184,12 @@ def _bias_of(file: str, buffers: Buffers) -> npt.NDArray[np.float32]:
     return next((bias for name, bias in buffers.beside.items() if file == graphs_of(name)[1]), buffers.bias)
 
 
-def _with_gentle(
-    bundle: Bundle, names: list[str], buffers: Buffers, pixels: npt.NDArray[np.intp] | None
-) -> list[Engine]:
-    """Return heads with the network for gentle touches behind them, which is one for all.
-
-    Which of both draws a region is decided by the whole map, so that is computed: a firm touch may lie elsewhere.
-    """
+def _with_gentle(bundle: Bundle, names: list[str], buffers: Buffers) -> list[Engine]:
+    """Return heads with the network for gentle touches behind them, which is one for all."""
     gentle = HeadEngine(bundle, graphs_of(GENTLE)[1], GENTLE, buffers)
-    both = [
+    return [
         GentleEngine(
             HeadEngine(bundle, HEADS[name], name, buffers), gentle, buffers.map, bundle.skin, asks=name != VD2T_SMALL
         )
         for name in names
     ]
-    return list(both) if pixels is None else [MaskedEngine(one, buffers, pixels) for one in both]
-
-
-def _head(bundle: Bundle, file: str, name: str, buffers: Buffers, pixels: npt.NDArray[np.intp] | None) -> Engine:
-    if pixels is None:
-        return HeadEngine(bundle, file, name, buffers)
-    from eitskin.model.onnx.crop import cut  # noqa: PLC0415 -- only regions need it
-
-    graph = bundle.files[file]
-    try:
-        return HeadEngine(bundle, file, name, buffers, pixels, cut(graph, pixels, bundle.skin.grid.shape))
-    except (UncutError, LookupError, ValueError, TypeError, StopIteration):  # a graph that was built in another way
-        return MaskedEngine(HeadEngine(bundle, file, name, buffers), buffers, pixels)

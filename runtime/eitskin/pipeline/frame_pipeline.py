@@ -2,7 +2,7 @@
 
 The pipeline owns the memory that a frame passes through and the decisions about it; it knows no socket and no port.
 What it finds it puts into a record (:mod:`eitskin.messaging.frame_record`). What it leaves out is stated there:
-``inference:untouched``, ``inference:no_subscriber``, ``inference:unchanged``, ``map:region``, ``map:untouched``,
+``inference:untouched``, ``inference:no_subscriber``, ``inference:unchanged``, ``map:untouched``,
 ``acquisition:idle``, ``geometry:cloud_unchanged``. Frames that are not fit to publish are withheld
 (:mod:`eitskin.pipeline.intake`).
 """
@@ -14,7 +14,6 @@ from eitskin.errors import BundleError
 from eitskin.health.imputation import MISSING
 from eitskin.health.monitor import Health
 from eitskin.messaging.frame_record import DECODE, GATE, INFER, NORMALISE, READ, FrameRecord
-from eitskin.messaging.regions import Regions, whole
 from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import Bundle
 from eitskin.model.gate import RememberingGate, begin_anew
@@ -24,7 +23,7 @@ from eitskin.pipeline.gate_audit import GateAudit, audit_pixels
 from eitskin.pipeline.held_prediction import HeldPrediction
 from eitskin.pipeline.idle import IdleGate
 from eitskin.pipeline.intake import Intake
-from eitskin.pipeline.map_source import MapSource, RegionEngines
+from eitskin.pipeline.map_source import MapSource
 from eitskin.reference.captured import Reference
 from eitskin.reference.normaliser import Normaliser
 from eitskin.reference.row_noise import with_rounding
@@ -74,8 +73,6 @@ class Pipeline:
         self.skin = bundle.skin if skin is None else skin
         """The one in use."""
         grid = bundle.skin.grid
-        self.whole = whole(grid.shape)
-        """What is computed unless somebody wants less."""
         arrays = bundle.gate_arrays()
         self.gate = RememberingGate(arrays) if arrays is not None else None
         self.audit = GateAudit(audit_pixels(arrays, grid.n_pixels), grid.n_pixels)
@@ -84,7 +81,7 @@ class Pipeline:
         self.buffers = Buffers(bundle, None if self.gate is None else self.gate.change)
         self._prediction = HeldPrediction(self.buffers, fills=health is not None)
         self._change = self.buffers.change[0]
-        self.record = FrameRecord(memoryview(self.buffers.map[0]).cast("B"), grid.shape)
+        self.record = FrameRecord(memoryview(self.buffers.map[0]).cast("B"))
         """The frame in hand; the next one overwrites it."""
         self.intake = Intake(hello, self.record, None if idle_gate is None else idle_gate.drives)
         self.front_end = FrontEndWatch(hello.sample_bytes, self.intake, idle_gate)
@@ -95,14 +92,11 @@ class Pipeline:
         )
         self.budget = self.maps.budget
         self.bundle = bundle
-        self._skipped_new: tuple[str, ...] = ()
-        self._skipped = CLOUD_UNCHANGED
         self._next_geometry: Geometry | None = None
-        self._next_engines: RegionEngines | None = None
 
     @property
     def engines(self) -> list[Engine]:
-        """What computes the present regions, from the most accurate to the fastest."""
+        """What computes maps, from the most accurate to the fastest."""
         return self.maps.engines
 
     def greet(self, hello: Hello) -> None:
@@ -133,16 +127,6 @@ class Pipeline:
     def use_geometry(self, geometry: Geometry) -> None:
         """Use a geometry from the next frame on; may be called from another thread."""
         self._next_geometry = geometry
-
-    def use_regions(self, regions: Regions) -> None:
-        """Compute only some regions from the next frame on; may be called from another thread.
-
-        What computes them is made here, in the caller's thread, in tens of milliseconds.
-
-        Raises:
-            BundleError: A network cannot be cut down to them.
-        """
-        self._next_engines = self.maps.for_regions(self.bundle, regions)
 
     def exclude(self, electrodes: tuple[int, ...]) -> None:
         """Go on without these electrodes from the next frame on; may be called from another thread.
@@ -204,7 +188,7 @@ class Pipeline:
         stamps[GATE] = time.perf_counter_ns()
         if not record.touched and wanted and self.audit.looks(health) and self._look():
             record.touched = True
-            record.skipped = self._skipped_new if fresh_cloud else self._skipped
+            record.skipped = () if fresh_cloud else CLOUD_UNCHANGED
         elif not record.touched or not wanted:
             self.maps.leave()
             record.skipped = NO_SUBSCRIBER if record.touched else LOOKED if record.inferred else UNTOUCHED
@@ -213,7 +197,7 @@ class Pipeline:
         elif not self.maps.infer():
             return self.intake.give_up("implausible")
         else:
-            record.skipped = self._skipped_new if fresh_cloud else self._skipped
+            record.skipped = () if fresh_cloud else CLOUD_UNCHANGED
         self._describe()
         stamps[INFER] = time.perf_counter_ns()
         return True
@@ -245,14 +229,6 @@ class Pipeline:
 
     def _take_over(self) -> bool:
         """Use what other threads brought since the last frame, and return whether it was a cloud."""
-        found = self._next_engines
-        if found is not None:
-            self._next_engines = None
-            self.maps.use(found)
-            self._skipped_new = () if found.regions == self.whole else ("map:region",)
-            self._skipped = (*self._skipped_new, *CLOUD_UNCHANGED)
-            if self.health is not None:
-                self.maps.change_projection(self.health.projection)
         geometry = self._next_geometry
         if geometry is None:
             return False

@@ -7,7 +7,6 @@ is remembered by solver and frame, and forgotten whenever anything changes that 
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -15,7 +14,6 @@ import numpy.typing as npt
 
 from eitskin.errors import BudgetError
 from eitskin.messaging.frame_record import FrameRecord
-from eitskin.messaging.regions import Regions, pixels, whole
 from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import ProjectionEngine, engines, longest
@@ -27,14 +25,6 @@ PROJECTION: Final = "tikhonov"
 
 WARM_UPS: Final = 10
 """Runs of each engine before the first frame; ONNX Runtime plans its memory in the first."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RegionEngines:
-    """Engines that compute some regions only; made in one thread, used in another."""
-
-    regions: Regions
-    engines: list[Engine]
 
 
 class MapSource:
@@ -56,7 +46,7 @@ class MapSource:
     """
 
     __slots__ = (
-        "_buffers", "_change", "_held", "_held_sequence", "_record", "_whole", "budget", "engine_ns", "engines", "map",
+        "_change", "_held", "_held_sequence", "_record", "budget", "engine_ns", "engines", "map",
         "stillness",
     )  # fmt: skip
 
@@ -70,12 +60,11 @@ class MapSource:
         solver: str | None,
         skip_unchanged: bool,
     ) -> None:
-        self._buffers, self._record = buffers, record
+        self._record = record
         self._change = buffers.change[0]
         self.map = buffers.map[0]
         """(pixels,) what was computed last."""
         self.engines: list[Engine] = engines(bundle, buffers, best=solver, alone=budget_ns is None)
-        self._whole = self.engines
         self.stillness = Stillness() if skip_unchanged else None
         """Judges whether only noise lies between two frames; None where no map is kept."""
         self._held = ""
@@ -124,30 +113,10 @@ class MapSource:
         """Whether the next map can say that nothing touches."""
         return self.engines[self.budget.engine].name != PROJECTION
 
-    def for_regions(self, bundle: Bundle, regions: Regions) -> RegionEngines:
-        """Return what computes only some regions; made in the caller's thread, in tens of milliseconds.
-
-        Args:
-            bundle: The one that this was made with.
-            regions: Of which the union is computed.
-        """
-        shape = bundle.skin.grid.shape
-        if regions == whole(shape):
-            return RegionEngines(regions, self._whole)
-        best, alone = self._whole[0].name, len(self._whole) == 1
-        return RegionEngines(regions, engines(bundle, self._buffers, pixels(regions, shape), best=best, alone=alone))
-
-    def use(self, found: RegionEngines) -> None:
-        """Compute other regions from this frame on."""
-        self.engines = found.engines
-        self._record.regions = found.regions
-        self._buffers.map[:] = 0.0
-        self._held = ""
-
     def change_projection(self, change: Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]) -> None:
         """Let the projections use what ``change`` makes of the bundle's matrix, and the map that is held go."""
         self._held = ""
-        for engine in (*self.engines, *self._whole):
+        for engine in self.engines:
             if isinstance(engine, ProjectionEngine):
                 engine.change_matrix(change)
 

@@ -19,11 +19,11 @@ from eitskin.health.electrodes import ElectrodeWatch
 from eitskin.health.explanation import Finding
 from eitskin.health.gate_without_rows import GateWithoutRows
 from eitskin.health.imputation import Consistency, without_rows
-from eitskin.messaging.regions import Regions, pixels, whole
+from eitskin.messaging.regions import Regions, whole
 from eitskin.messaging.streams.measured import CloudInUse, Conditions
-from eitskin.model.buffers import Buffers, Engine
+from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import ProjectionEngine, engines
+from eitskin.model.engine import SMALLEST_MAP, ProjectionEngine, engines
 from eitskin.model.gate import RememberingGate, begin_anew
 from eitskin.model.geometry import GeometryGraph
 from eitskin.reference.captured import Reference
@@ -56,9 +56,8 @@ class MapsAgain:
         self._normaliser = Normaliser(volts_per_count)
         self._view = FrameView()
         self._shape = bundle.skin.grid.shape
-        self._all: Regions = whole(self._shape)
-        self._regions = self._all
-        self._engines: dict[Regions, dict[str, Engine]] = {}
+        self._regions: Regions = whole(self._shape)
+        self._engines = {engine.name: engine for engine in engines(bundle, self._buffers)}
         self._watch: ElectrodeWatch | None = None
         self._gate_rows: GateWithoutRows | None = None
         self._drift: npt.NDArray[np.float32] | None = None
@@ -77,9 +76,14 @@ class MapsAgain:
         return nothing if self._watch is None else self._watch.missing
 
     @property
+    def is_whole(self) -> bool:
+        """Whether the whole map was computed: earlier releases could compute some rectangles only."""
+        return self._regions == whole(self._shape)
+
+    @property
     def solvers(self) -> Sequence[str]:
         """Names of the bundle's solvers, from the most accurate to the fastest."""
-        return tuple(self._of(self._all))
+        return tuple(self._engines)
 
     def use_reference(self, reference: Reference) -> None:
         """Normalise against a reference from the next frame on."""
@@ -109,9 +113,7 @@ class MapsAgain:
         """Compute under other conditions from the next frame on; reference and cloud are told by themselves."""
         self._drift = conditions.drift
         self._normaliser.use_scale(conditions.volts_per_count)
-        if conditions.regions != self._regions:
-            self._regions = conditions.regions
-            self._buffers.map[:] = 0.0
+        self._regions = conditions.regions
         findings = tuple(Finding(*finding) for finding in conditions.electrodes)
         if findings != self._findings:
             self._use_findings(findings)
@@ -124,25 +126,12 @@ class MapsAgain:
         watch.go_on_with(findings)
         if self._gate_rows is not None:
             self._gate_rows.leave_out(watch.missing)
-        for found in self._engines.values():
-            self._leave_rows_out(found)
-
-    def _leave_rows_out(self, found: dict[str, Engine]) -> None:
-        watch, consistency = self._watch, self._consistency
-        if watch is None or consistency is None:
+        consistency = self._consistency
+        if consistency is None:
             return
-        for engine in found.values():
+        for engine in self._engines.values():
             if isinstance(engine, ProjectionEngine):
                 engine.change_matrix(lambda m: without_rows(m, consistency.projection_inverse, watch.missing))
-
-    def _of(self, regions: Regions) -> dict[str, Engine]:
-        """Return the engines of some regions, by name."""
-        if regions not in self._engines:
-            some = None if regions == self._all else pixels(regions, self._shape)
-            found = {engine.name: engine for engine in engines(self._bundle, self._buffers, some)}
-            self._leave_rows_out(found)
-            self._engines[regions] = found
-        return self._engines[regions]
 
     def logit_of(self, payload: bytes) -> float | None:
         """Return what the gate makes of a whole frame; None where there is no gate, or the frame is not plausible."""
@@ -167,14 +156,15 @@ class MapsAgain:
         """
         if solver == NOTHING:
             return np.zeros(self._shape, dtype=np.float32)
-        found = self._of(self._regions)
-        if solver not in found:
-            raise ValueError(f"solver {solver!r} does not exist; this bundle has {', '.join(found)}")
+        if solver not in self._engines:
+            raise ValueError(f"solver {solver!r} does not exist; this bundle has {', '.join(self._engines)}")
         self._prepare(payload)
         if self._watch is not None and self._watch.alters:
             self._watch.imputation.fill(self._change, self._buffers.log_predicted[0])
-        found[solver].infer()
-        return np.array(self._buffers.map[0].reshape(self._shape))
+        engine = self._engines[solver]
+        engine.infer()
+        found = np.array(self._buffers.map[0].reshape(self._shape))
+        return found if self.is_whole else _masked(found, self._regions, scaled=isinstance(engine, ProjectionEngine))
 
     def _prepare(self, payload: bytes) -> bool:
         """Bring a frame to where the gate would see it; False where no sheet reads like that."""
@@ -194,3 +184,12 @@ class MapsAgain:
         if alters and self._gate_rows is not None:
             self._gate_rows.fill(change)
         return True
+
+
+def _masked(values: npt.NDArray[np.float32], regions: Regions, *, scaled: bool) -> npt.NDArray[np.float32]:
+    """Return a map with zeros outside some rectangles; a scaled one has its largest value, within them, at 1."""
+    kept = np.zeros_like(values)
+    for region in regions:
+        kept[region.slices] = values[region.slices]
+    largest = float(kept.max())
+    return kept / np.float32(largest) if scaled and largest > SMALLEST_MAP else kept

@@ -188,10 +188,9 @@ def data_set(folder: Path) -> None:
 
 
 def read_bundle(path: Path) -> None:
-    """Load a bundle, warm its engines up, and cut a region."""
+    """Load a bundle, warm its engines up, and compute a map."""
     from eitskin.health.imputation import Consistency
     from eitskin.messaging.frame_record import FrameRecord
-    from eitskin.messaging.regions import Region
     from eitskin.model.buffers import Buffers
     from eitskin.model.bundle import load_bundle
     from eitskin.model.gate import Gate
@@ -204,12 +203,10 @@ def read_bundle(path: Path) -> None:
     geometry = GeometryGraph(found).geometry(None, None, 0)
     buffers.take(geometry)
     buffers.change[:] = 0.01
-    record = FrameRecord(memoryview(buffers.map[0]).cast("B"), found.skin.grid.shape)
+    record = FrameRecord(memoryview(buffers.map[0]).cast("B"))
     maps = MapSource(found, buffers, record, None, solver=None, skip_unchanged=False)
     if maps.infer() and not np.isfinite(maps.map).all():
         raise AssertionError("a map that is not finite would be published")
-    maps.use(maps.for_regions(found, (Region(2, 3, 4, 5),)))
-    maps.infer()
     arrays = found.gate_arrays()
     if arrays is not None:
         Gate(arrays).touched()

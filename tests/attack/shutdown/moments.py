@@ -2,7 +2,7 @@
 
 Six runtimes go beside each other, each on a virtual skin of its own, from the interpreter's start on: while modules are
 loaded, the device is greeted, a reference captured, frames streamed over ipc and TCP, with CURVE keys, and verified,
-regions cut, a control request waits, the device is silent, or its port is gone. The second is the process's own
+a control request waits, the device is silent, or its port is gone. The second is the process's own
 (:mod:`tests.attack.shutdown.exit_time`); both times are among the figures.
 """
 
@@ -42,7 +42,7 @@ OLDEST_S: Final = 150.0
 LANES: Final = 6
 
 LIVES: Final = {
-    "start": 5, "capture": 3, "stream": 3, "control": 3, "regions": 4, "silent": 2, "unplugged": 1,
+    "start": 5, "capture": 3, "stream": 3, "control": 3, "silent": 2, "unplugged": 1,
     "tcp": 2, "curve": 2, "verify_idle": 2, "verify_always": 2,
 }  # fmt: skip
 """Where in its life a runtime is ended, and how often, one against the other."""
@@ -151,12 +151,6 @@ class Lane:
             socket.connect(where)
             socket.send(msgpack.packb(command))
         time.sleep(draw.uniform(0.0, 0.2))
-
-    def _regions(self, stack: ExitStack, where: str, draw: random.Random) -> None:
-        """Want other regions, so that networks are cut."""
-        row = draw.randrange(20)
-        self._subscribe(stack, where, [b"\xde", b"eitskin/region/%d/%d/0/45" % (row, row + draw.randrange(1, 10))])
-        time.sleep(draw.uniform(0.0, 0.15))
 
     def _silent(self, stack: ExitStack, where: str, draw: random.Random) -> None:
         """Let the device fall silent; after a second it is greeted anew, in vain."""

@@ -11,7 +11,7 @@ from .moments import CTRL_C, LIVES, MOMENTS, at_moments
 
 PARTS = (
     ["start", "capture", "stream", "control", "start"],
-    ["regions", "silent", "unplugged", "regions"],
+    ["silent", "unplugged"],
     ["tcp", "curve", "verify_idle", "verify_always"],
 )
 

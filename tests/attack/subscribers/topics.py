@@ -4,13 +4,11 @@ import random
 import time
 from contextlib import closing
 
-import eitskin
-
 from ..outcome import Effort, Outcome
-from ..stream import Stream, attacked
+from ..stream import Stream
 from ..zmtp import flood
 from ..zmtp.peer import Peer
-from .ground import TOUCHED, defended, memory_mib, status
+from .ground import defended, memory_mib, status
 
 MODEST = (b"eitskin/region/0/30/0/45", b"eitskin/region/10/20/10/20", b"eitskin/unchanged", b"eitskin/always", b"\xde")
 
@@ -22,7 +20,7 @@ TRIES = 3
 
 
 def unknown_unsubscriptions(effort: Effort) -> Outcome:
-    """Take back what others subscribed to: everything, the first byte of a frame, a region."""
+    """Take back what others subscribed to: everything, the first byte of a frame."""
     outcome = Outcome("subscribers.unsubscriptions")
     rng = random.Random(effort.seed)
     for what, arguments in (("ipc", ()), ("TCP", ("--publish", "tcp://127.0.0.1:*"))):
@@ -33,27 +31,7 @@ def unknown_unsubscriptions(effort: Effort) -> Outcome:
                     peer.subscribe(rng.choice(MODEST))
                     peer.unsubscribe(b"")
             _wait_for_frames(stream, effort.count(100, 1000))
-        with attacked(*arguments, **TOUCHED) as stream:
-            _take_a_region(stream, effort, outcome, what)
     return outcome
-
-
-def _take_a_region(stream: Stream, effort: Effort, outcome: Outcome, what: str) -> None:
-    part = (100.0, 60.0, 150.0, 100.0)
-    with eitskin.subscribe(stream.frames, mode="all", region_mm=part, timeout_s=60) as frames:
-        wanted = (frames.region,)
-        next(frame for frame in frames if frame.regions == wanted)
-        peer = Peer(stream.frames)
-        peer.subscribe(b"\xde", b"eitskin/region/0/1/0/1")
-        next(frame for frame in frames if len(frame.regions) == 2)
-        peer.unsubscribe(frames.region.topic, b"eitskin/always", b"\xde", b"\xde")
-        kept = [next(frames).regions for _ in range(effort.count(100, 1000))]
-        whole = all(frames.region in regions for regions in kept)
-        outcome.note(whole, f"{what}: a region was taken away: {set(kept)}")
-        peer.close()
-        left = next(frame.regions == wanted for frame in frames if len(frame.regions) == 1)
-        outcome.note(left, f"{what}: one pixel left")
-        outcome.frames_lost += frames.lost
 
 
 def topic_floods(effort: Effort) -> Outcome:

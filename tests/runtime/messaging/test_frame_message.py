@@ -17,7 +17,7 @@ def memory():
 
 @pytest.fixture
 def record(memory):
-    record = FrameRecord(memoryview(memory).cast("B"), PAPER.grid.shape)
+    record = FrameRecord(memoryview(memory).cast("B"))
     record.sequence = record.map_sequence = 7
     record.solver, record.touched, record.events = "vd2t", True, ("lost",)
     record.lost, record.corrupt, record.withheld, record.overrun = 1, 2, 3, 4

@@ -1,5 +1,6 @@
 """No number that is slow to compute reaches the arithmetic, whatever a cloud, a prediction or a bundle holds."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -104,7 +105,8 @@ def test_what_is_loaded_is_what_was_mended(tiny, monkeypatch):
     monkeypatch.setattr(
         onnxruntime, "InferenceSession", lambda model, *a, **k: loaded.append(model) or make(model, *a, **k)
     )
-    HeadEngine(tiny, "head.onnx", "vd2t", Buffers(tiny), graph=with_tiny_weights(tiny.files["head.onnx"]))
+    mended = replace(tiny, files={**tiny.files, "head.onnx": with_tiny_weights(tiny.files["head.onnx"])})
+    HeadEngine(mended, "head.onnx", "vd2t", Buffers(tiny))
     assert len(loaded) == 1
     assert DENORMAL.tobytes() not in loaded[0]
 

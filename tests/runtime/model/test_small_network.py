@@ -66,15 +66,6 @@ def test_its_maps_are_of_its_own_graphs_and_of_its_own_half_of_the_geometry(pair
     assert not np.array_equal(without_others["vd2t-int8"], found["vd2t-int8"])
 
 
-def test_a_part_of_the_map_is_computed_by_it_too(paired):
-    buffers, pixels = Buffers(paired), np.arange(40, 90)
-    buffers.take(GeometryGraph(paired).geometry(bent(), None, 1))
-    buffers.change[0] = np.random.default_rng(5).normal(0, 0.1, 104)
-    engines(paired, buffers, pixels, best=VD2T_SMALL, alone=True)[0].infer()
-    assert np.allclose(buffers.map[0, pixels], maps(paired, bent())[VD2T_SMALL][pixels], atol=1e-6)
-    assert not np.delete(buffers.map[0], pixels).any()
-
-
 @pytest.mark.parametrize(
     ("easy", "first"), [(ALL, "vd2t"), (ALL[1:], "vd2t-int8"), (ALL[2:], VD2T_SMALL), (["tikhonov"], "tikhonov")]
 )

@@ -11,7 +11,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
-import zmq
 
 from eitskin_tools.service.watchdog import LIMIT_S, STOOD_STILL
 
@@ -130,25 +129,3 @@ def test_a_process_that_was_stopped_for_longer_than_the_limit_goes_on(words):
         runtime.terminate()
         runtime.communicate(timeout=PATIENCE_S)
         assert runtime.returncode == 0
-
-
-@pytest.mark.process
-def test_sigterm_ends_it_although_a_network_is_being_cut_for_a_region(words, tmp_path):
-    environment = {**os.environ, "CUTS": str(tmp_path / "cuts")}
-    with (
-        started(HERE / "cutting_process.py", *words, "--json", env=environment) as runtime,
-        zmq.Context() as context, context.socket(zmq.SUB) as subscriber,
-    ):  # fmt: skip
-        while not runtime.stderr.readline().startswith("ready "):
-            assert runtime.poll() is None
-        subscriber.linger = 0
-        subscriber.connect(f"ipc://{tmp_path}/f")
-        for topic in (b"\xde", b"eitskin/region/3/5/0/45"):
-            subscriber.subscribe(topic)
-        while not (tmp_path / "cuts").exists():
-            assert runtime.poll() is None
-            time.sleep(0.01)
-        runtime.terminate()
-        out, said = runtime.communicate(timeout=PATIENCE_S)
-    assert runtime.returncode == 0, said
-    assert json.loads(out)["frames"] > 0  # all of it was written

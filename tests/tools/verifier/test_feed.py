@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from eitskin.messaging.frame_record import PUBLISH, FrameRecord
-from eitskin.messaging.regions import Region, whole
 from eitskin.messaging.verified.message import STARTING
 from eitskin.reference.captured import Reference
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.evaluation.verified.resting import FRAMES
 from eitskin_tools.verifier.feed import REMEMBERED, VerifierFeed
-from eitskin_tools.verifier.letters import FrameLetter, RestLetter
-from eitskin_tools.verifier.mailbox import FRAME, REST, Mailbox
+from eitskin_tools.verifier.letters import RestLetter
+from eitskin_tools.verifier.mailbox import REST, Mailbox
 
 NOISE = 3e-3
 
@@ -27,7 +26,7 @@ class Line:
         pipeline = SimpleNamespace(
             buffers=buffers, health=None, skin=PAPER, normaliser=SimpleNamespace(volts_per_count=0.0),
             bundle=SimpleNamespace(id="b", labels="area", touch_kind="raising"),
-            intake=SimpleNamespace(tell_next=lambda event: None), whole=whole(PAPER.grid.shape),
+            intake=SimpleNamespace(tell_next=lambda event: None),
         )  # fmt: skip
         reference = Reference(np.ones(104), np.full(104, NOISE), 100, "s", 0, "c", "")
         skin = SimpleNamespace(pipeline=pipeline, reference=reference, loop=SimpleNamespace(run_id="r"))
@@ -36,7 +35,7 @@ class Line:
             mailbox=mailbox, answers=None, state=STARTING, why="", is_late=False, ring=lambda: None
         )
         self.feed = VerifierFeed(skin, publisher, process, "always")
-        self.record = FrameRecord(memoryview(buffers.map[0]).cast("B"), PAPER.grid.shape)
+        self.record = FrameRecord(memoryview(buffers.map[0]).cast("B"))
 
     def frame(self, *, touched=False, idle=False):
         """A frame has gone out: one of a few drives leaves dV as it was."""
@@ -67,16 +66,6 @@ def test_frames_of_a_few_drives_are_not_what_the_sheet_reads_at_rest(line):
     for _ in range(2 * FRAMES):
         line.frame(idle=True)
     assert mailbox.take(REST) is None
-
-
-def test_a_map_of_a_region_alone_is_not_where_physics_starts(line):
-    line.record.regions = (Region(0, 9, 0, 9),)  # as others need it; the whole is computed some frames later
-    line.frame(touched=True)
-    mailbox = line.feed._process.mailbox
-    assert mailbox.take(FRAME) is None
-    line.record.regions = whole(PAPER.grid.shape)
-    line.frame(touched=True)
-    assert FrameLetter.of(mailbox.take(FRAME)[1]).seq == line.record.sequence
 
 
 def test_touches_that_come_and_go_while_nobody_answers_take_no_more_and_more_memory(line):

@@ -104,7 +104,7 @@ class Runtime:
             stamps.append(stamps[-1] + 1000 * span_us)
         touched = bool(scene.map.max() >= 0.5)
         packer.put_map(memoryview(scene.map.astype("<f4").tobytes()))
-        packer.put_texts("vd2t" if touched else "none", scene.skipped, scene.events, None, scene.electrodes)
+        packer.put_texts("vd2t" if touched else "none", scene.skipped, scene.events, scene.electrodes)
         packer.put_touches(touches)
         packer.put_numbers(
             (self.sent, self.sent, device_us, 900, 0xC3 if touched else 0xC2, 3.0, scene.cloud, 0, self.sent,

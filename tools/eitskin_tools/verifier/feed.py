@@ -116,8 +116,6 @@ class VerifierFeed:
             if not (record.touched or record.idle):  # an idle frame leaves dV as the last whole one had it
                 self._rest()
                 return
-        elif record.regions != self._pipeline.whole:  # others need no more; the whole map comes in a moment
-            self._drop()
         elif record.inferred and not self._is_known():
             self._stillness.keep(self._pipeline.buffers.change[0])
             self._drop()

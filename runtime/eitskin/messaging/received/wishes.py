@@ -59,8 +59,8 @@ class Wishes:
         first = FIRST_BYTE if maps else TOUCH_FIRST_BYTE
         frames = patient_topics(first) if patient else (first,)
         said: tuple[bytes, ...] = ()
-        if maps and (grid is not None or skip_unchanged or touches or patient):
-            said = (WHOLE if grid is None else region.topic, UNCHANGED if skip_unchanged else ALWAYS)
+        if maps and (skip_unchanged or touches or patient):
+            said = (WHOLE, UNCHANGED if skip_unchanged else ALWAYS)
             said += (TOUCHES,) if touches else ()
         elif maps:
             frames = (EVERY_FRAME,)

@@ -1,15 +1,11 @@
-"""ONNX files as they lie on disk: nested protobuf messages, read and written again without the ``onnx`` package.
+"""Reads ONNX files, which are nested protobuf messages, without the ``onnx`` package.
 
-Only what cutting a network needs: the fields of a message, nodes by their inputs and outputs, tensors by their values.
-Whoever changes a tensor writes it anew; every other byte is copied.
+Only what checking a network needs: the fields of a message, nodes by their inputs and outputs, shapes of tensors.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
-
-import numpy as np
-import numpy.typing as npt
 
 from eitskin.errors import BundleError
 
@@ -60,22 +56,6 @@ def node_of(field: Field) -> Node | None:
 def dims_of(tensor: memoryview) -> list[int]:
     """Return a tensor's shape."""
     return [value for field in fields_of(tensor) if field.number == DIMS for value in integers(field)]
-
-
-def with_values(fields: list[Field], values: npt.NDArray[np.generic]) -> bytes:
-    """Return a tensor with other values of the same type."""
-    shape = b"".join(number(DIMS, size) for size in values.shape)
-    rest = b"".join(field.raw for field in fields if field.number not in (DIMS, RAW, FLOATS, INT32S, INT64S))
-    return shape + rest + message(RAW, values.tobytes())
-
-
-def values_of(fields: list[Field], kind: np.dtype[np.generic]) -> npt.NDArray[np.generic]:
-    """Return a tensor's elements, whichever of ONNX's three ways they are stored in."""
-    stored = [value for field in fields if field.number == INT32S for value in integers(field)]
-    if stored:
-        return np.array([signed(value) for value in stored]).astype(kind)
-    data = b"".join(content(field) for field in fields if field.number in (RAW, FLOATS))
-    return np.frombuffer(data, dtype=kind)
 
 
 def fields_of(data: memoryview) -> Iterator[Field]:
@@ -162,22 +142,3 @@ def content(field: Field) -> memoryview:
 def text(field: Field, number: int) -> str:
     """Return a text inside a message, "" if it has none."""
     return next((decoded(content(item)) for item in fields_of(content(field)) if item.number == number), "")
-
-
-def number(field: int, value: int) -> bytes:
-    """Return a field that is a number."""
-    return _pack(field << 3) + _pack(value)
-
-
-def message(field: int, data: bytes | memoryview) -> bytes:
-    """Return a field that is bytes, a text or a message."""
-    return _pack(field << 3 | 2) + _pack(len(data)) + data
-
-
-def _pack(value: int) -> bytes:
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    out.append(value)
-    return bytes(out)

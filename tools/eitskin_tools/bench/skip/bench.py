@@ -5,7 +5,6 @@
     untouched        nothing touches: no inference         false alarms and misses at fresh deformations
     cloud_unchanged  no geometry graph                     the same map
     no_subscriber    the gate alone                        the same map for whoever comes
-    regions          only a union's rows                   the same map inside
     unchanged        the map of an earlier frame           likeness to the map that was not computed
     idle             the device scans a few drives         false alarms and misses, and the time to the first full frame
 

@@ -1,19 +1,15 @@
 """The skips of the frame loop, one function each: CPU saved a frame, and what subscribers lose by it."""
 
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.messaging.regions import Region
 from eitskin.model.bundle import Bundle
 from eitskin.model.geometry import GeometryGraph
 from eitskin_tools.bench.skip.cost import interleaved, saving
 from eitskin_tools.bench.skip.frames import Frames, Material, Way
-
-REGION_MM: Final = (50.0, 100.0 / 3.0, 100.0, 200.0 / 3.0)
-"""A ninth of the sheet, in its middle."""
 
 Array = npt.NDArray[np.float64]
 
@@ -32,7 +28,6 @@ def costs(bundle: Bundle, shown: Material, count: int) -> dict[str, Any]:
         found["untouched"] = untouched(bundle, frames, shown.bent_V, touched_V, count)
     found["cloud_unchanged"] = cloud_unchanged(bundle, frames, touched_V, max(count // 10, 20))
     found["no_subscriber"] = no_subscriber(bundle, frames, touched_V, count)
-    found["regions"] = regions(bundle, frames, touched_V, count)
     found["unchanged"] = unchanged(bundle, frames, touched_V, shown.two_V)
     return found
 
@@ -70,7 +65,7 @@ def cloud_unchanged(bundle: Bundle, frames: Frames, touched_V: Array, count: int
     kept.pipeline.start_with(GeometryGraph(bundle).geometry(bundle.skin.grid.flat_cloud_mm(), None, 1))
     redone = Redone(frames, bundle, touched_V)
     row = saving(interleaved({"with": kept, "without": redone}, count))
-    return {**row, "largest_map_error": _largest(kept, redone, slice(None))}
+    return {**row, "largest_map_error": _largest(kept, redone)}
 
 
 def no_subscriber(bundle: Bundle, frames: Frames, touched_V: Array, count: int) -> dict[str, Any]:
@@ -78,19 +73,7 @@ def no_subscriber(bundle: Bundle, frames: Frames, touched_V: Array, count: int) 
     alone = Way(frames, frames.pipeline(bundle), touched_V, wanted=False)
     watched = Way(frames, frames.pipeline(bundle), touched_V)
     row = saving(interleaved({"with": alone, "without": watched}, count))
-    return {**row, "largest_map_error": _largest(Way(frames, alone.pipeline, touched_V), watched, slice(None))}
-
-
-def regions(bundle: Bundle, frames: Frames, touched_V: Array, count: int) -> dict[str, Any]:
-    """Return the row of "regions": the map inside the region against that of the whole sheet."""
-    region = Region.from_mm(*REGION_MM, bundle.skin.grid)
-    part, whole = (Way(frames, frames.pipeline(bundle), touched_V) for _ in range(2))
-    part.pipeline.use_regions((region,))
-    row = saving(interleaved({"with": part, "without": whole}, count))
-    inside = np.zeros(bundle.skin.grid.shape, dtype=np.bool_)
-    inside[region.first_row : region.last_row, region.first_column : region.last_column] = True
-    row["largest_map_error"] = _largest(part, whole, inside.ravel())
-    return {**row, "region_mm": list(REGION_MM), "pixels": int(inside.sum())}
+    return {**row, "largest_map_error": _largest(Way(frames, alone.pipeline, touched_V), watched)}
 
 
 def unchanged(bundle: Bundle, frames: Frames, resting_V: Array, changed_V: Array) -> dict[str, Any]:
@@ -123,13 +106,13 @@ def unchanged(bundle: Bundle, frames: Frames, resting_V: Array, changed_V: Array
     return row
 
 
-def _largest(one: Way, other: Way, pixels: Any, count: int = 20) -> float:
+def _largest(one: Way, other: Way, count: int = 20) -> float:
     """Return the largest difference of two ways' maps over the same frames."""
     largest = 0.0
     for index in range(count):
         for way in (one, other):
             way.prepare(index)
             way()
-        difference = one.pipeline.buffers.map[0][pixels] - other.pipeline.buffers.map[0][pixels]
+        difference = one.pipeline.buffers.map[0] - other.pipeline.buffers.map[0]
         largest = max(largest, float(np.abs(difference).max()))
     return largest

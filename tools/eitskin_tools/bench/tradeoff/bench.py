@@ -12,7 +12,6 @@ image.
     tikhonov, l1 of N steps, sbl    with V_pred as reference, which a robot can have; on the grid of the labels
     tikhonov, one matrix            the runtime's fall-back: flat sheet, reference before the deformation
     vd2t, vd2t-int8                 of the shipped bundles, and of every --bundle (other widths)
-    vd2t, quarter of the sheet      what a subscriber to a region costs; its CC is of that quarter
     vd2t, geometry a frame          without the skip "cloud unchanged"
     verified                        the network's map checked by physics, the search included, its set-up not
     gate alone                      an untouched frame, or nobody subscribed; its error is the touches it misses

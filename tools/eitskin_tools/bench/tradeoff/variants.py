@@ -92,17 +92,6 @@ def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
         Variant(("tikhonov, one matrix" if one.name == "tikhonov" else one.name) + suffix, solver(one), whole_error)
         for one in whole
     ]
-    quarter = np.zeros(bundle.skin.grid.shape, dtype=bool)
-    quarter[: len(quarter) // 2, : quarter.shape[1] // 2] = True
-    part = engines(bundle, buffers, np.flatnonzero(quarter), best=whole[0].name, alone=True)[0]
-
-    def part_error(case: Case, truth: Any, image: Any) -> float:
-        inside = truth[quarter]
-        if inside.max() == inside.min():
-            return float(np.abs(image[quarter] - inside).max())  # nothing to correlate with: the largest wrong pixel
-        return 1.0 - float(correlation(image[quarter], inside))
-
-    found.append(Variant(f"{whole[0].name}, quarter of the sheet{suffix}", solver(part), part_error))
     found.append(Variant(f"{whole[0].name}, geometry a frame{suffix}", solver(whole[0], every=True), whole_error))
     arrays = bundle.gate_arrays()
     if arrays is not None:

@@ -6,6 +6,7 @@ line a frame.
 
 import argparse
 import contextlib
+import dataclasses
 import json
 import signal
 import sys
@@ -34,7 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--timeout-s", type=float, default=5.0, metavar="T", help="give up after T s without a frame")
     parser.add_argument("--max-age-ms", type=float, metavar="A", help="fail at a frame older than this")
     parser.add_argument(
-        "--region", type=float, nargs=4, metavar=("X0", "Y0", "X1", "Y1"), help="only this rectangle is needed, in mm"
+        "--region",
+        type=float,
+        nargs=4,
+        metavar=("X0", "Y0", "X1", "Y1"),
+        help="show only this rectangle of the sheet, in mm",
     )
     skins.add_skin(parser, "the sheet's size, so that places are in mm")
     parser.add_argument("--skip-unchanged", action="store_true", help="do without maps that changed by noise only")
@@ -107,7 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
                 for stage, span in frame.stages_us().items():
                     stages.setdefault(stage, []).append(span)
             else:
-                show(frame)
+                show(frame if arguments.region is None else _within(frame, subscription.region))
             if arguments.frames is not None and subscription.received >= arguments.frames:
                 break
             if arguments.seconds is not None and time.perf_counter() - first_s >= arguments.seconds:
@@ -115,6 +120,13 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(_summary(subscription, latencies, stages, time.perf_counter() - first_s)))
     return 0
+
+
+def _within(frame: Any, region: Any) -> Any:
+    """Return a frame whose map is 0 outside a region."""
+    part = 0.0 * frame.map
+    part[region.slices] = frame.map[region.slices]
+    return dataclasses.replace(frame, map=part)
 
 
 def _verified(arguments: argparse.Namespace, keys: Any) -> int:

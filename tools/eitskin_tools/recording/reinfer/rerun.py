@@ -34,6 +34,8 @@ class Computed:
     """As it came out now; None where there is no gate."""
     judged: Judged | None = None
     """What physics says of it; None of solvers that ask for none, and of frames that nothing touches."""
+    is_whole: bool = True
+    """The runtime computed the whole map then; earlier releases could compute some rectangles alone."""
 
 
 class Rerun:
@@ -99,7 +101,8 @@ class Rerun:
             return Computed(self._nothing, True, NOTHING, logit)
         if not every and frame.map_seq != frame.seq:
             return Computed(self._nothing, True, solver, logit)
-        return Computed(self._again.map_of(frame.payload, solver), True, solver, logit)
+        found = self._again.map_of(frame.payload, solver)
+        return Computed(found, True, solver, logit, is_whole=self._again.is_whole)
 
     def _change(self, step: Step) -> None:
         """Let hold what holds from this frame on."""
