@@ -8,11 +8,11 @@ import pytest
 
 from eitskin_sim.evaluation.harness import Run
 from eitskin_sim.surface.predict import flat_voltages
-from eitskin_sim.verification.verdict import Verdict
+from eitskin_sim.verification.snapped_units import UnitVerdict
 from eitskin_tools import cli
 from eitskin_tools.evaluation import measured as measuring
 from eitskin_tools.evaluation.solvers import Named
-from eitskin_tools.evaluation.verified.units import Checked
+from eitskin_tools.evaluation.verified.solver import Checked
 
 SAID = [(0.4, 2.0), (0.001, 3.0), (0.9, 4.0)]
 """p and ms of each sample."""
@@ -25,8 +25,8 @@ def command(tmp_path, monkeypatch):
 
     def solve(case):
         p, extra_ms = next(said)
-        verdict = Verdict((), 100.0, 104, p, 0.01, 5, 1e-3 * extra_ms)
-        checked.append(Checked(verdict, extra_ms, extra_ms, 0.0, np.zeros(0, dtype=np.bool_)))
+        verdict = UnitVerdict((), 100.0, 104, p, 0.01, 5, 1e-3 * extra_ms)
+        checked.append(Checked(verdict, extra_ms, extra_ms, 0.0))
         return np.zeros((30, 45))
 
     verified = Named(Run(solve, "pre"), verified=SimpleNamespace(checked=checked))

@@ -15,19 +15,15 @@ from eitskin_sim.scene.parts import Bend, Late, Phantom, Scene
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.verification.free.found import FreeTouch, FreeVerdict, map_of
 from eitskin_sim.verification.residual import Noise
-from eitskin_sim.verification.units import UnitTouch
-from eitskin_sim.verification.verdict import Verdict
-from eitskin_tools.bench.verify.conditions import Condition, anywhere_conditions, unit_conditions
+from eitskin_sim.verification.snapped_units import UnitTouch, UnitVerdict, unit_shares
 from eitskin_tools.cli import main
-from eitskin_tools.evaluation.solvers import Request, named
-from eitskin_tools.evaluation.verified.shapes import VerifiedFree
 from eitskin_tools.evaluation.verified.share import LEAST_SHARE, map_error, network_share
-from eitskin_tools.evaluation.verified.units import Checked, Verified, add_verdicts, shape_of
+from eitskin_tools.evaluation.verified.solver import Checked, Verified, add_verdicts, shape_of
 
 
-def checked(p: float, extra_ms: float, setup_ms: float = 0.0) -> Checked[Verdict[UnitTouch]]:
-    verdict = Verdict((UnitTouch(3, 50.0),), 100.0, 104, p, 0.01, 5, 1e-3 * extra_ms)
-    return Checked(verdict, extra_ms, extra_ms, setup_ms, np.zeros(126, dtype=np.bool_))
+def checked(p: float, extra_ms: float, setup_ms: float = 0.0) -> Checked:
+    verdict = UnitVerdict((UnitTouch(3, 50.0),), 100.0, 104, p, 0.01, 5, 1e-3 * extra_ms)
+    return Checked(verdict, extra_ms, extra_ms, setup_ms)
 
 
 def phantom(name: str) -> Phantom:
@@ -54,11 +50,6 @@ def test_a_report_says_of_each_phantom_how_sure_it_is_and_of_all_what_went_unsee
     assert isinstance(every, dict)
     assert (every["wrong"], every["wrong_unflagged"], every["right_flagged"]) == (2, 1, 1)
     assert (every["extra_ms_median"], every["setup_ms_median"]) == (4.0, 600.0)
-
-
-def test_touches_anywhere_are_checked_by_shapes() -> None:
-    assert isinstance(named(Request("verified"), "area").verified, VerifiedFree)
-    assert isinstance(named(Request("verified"), "units").verified, Verified)
 
 
 @pytest.mark.parametrize(
@@ -106,10 +97,10 @@ def test_sheets_that_one_scan_shows_alike_are_shapes_of_their_own() -> None:
 def test_a_shape_is_seen_at_rest_once_before_its_first_touch() -> None:
     phantoms = single(10.0, 1, 2)
     truths = iter([truth_map(one) for one in phantoms])
-    verified = VerifiedFree(Run(lambda _: next(truths), "pre"), Noise("N2"), "raising", PAPER, at_rest=50)
+    verified = Verified(Run(lambda _: next(truths), "pre"), Noise("N2"), "area", "raising", PAPER, at_rest=50)
     (results,) = evaluate_all(phantoms, [verified.run], Conditions("N2"))
     assert verified._shape is not None
-    rest = verified._shape[1].deformation.model.rest
+    rest = verified._shape[1].shapes.deformation.model.rest
     assert rest is not None
     assert verified.checked[0].setup_ms > 0.0
     assert verified.checked[1].setup_ms == 0.0, "no model is made for the frames after it"
@@ -118,30 +109,36 @@ def test_a_shape_is_seen_at_rest_once_before_its_first_touch() -> None:
         assert found.localisation_mm < 1.0
 
 
-def test_mixed_contrasts_are_of_either_sign_and_within_their_range() -> None:
-    drawn = np.array(Condition("mixed", contrast=None).contrasts(400, np.random.default_rng(1)))
-    assert drawn.min() >= 0.1
-    assert drawn.max() <= 200.0
-    assert 0.4 < np.mean(drawn < 1.0) < 0.6
-    assert not np.any((drawn > 0.6) & (drawn < 2.0))
-    names = [one.name for one in (*unit_conditions(), *anywhere_conditions())]
-    assert len(set(names)) == len(names)
-
-
 @pytest.mark.slow
 @pytest.mark.heavy
-def test_a_network_that_sees_nothing_is_mended_from_an_independent_mesh() -> None:
-    phantoms = random((1, 3), 1, 2, "A", "units")
-
-    def blind(case: Case) -> np.ndarray:
-        return np.zeros(PAPER.grid.shape)
-
-    verified = Verified(Run(blind, "pre"), Noise("N2"), PAPER, budget_s=60.0)
+def test_units_of_an_independent_mesh_are_explained_and_wrong_ones_flagged() -> None:
+    """The network shows the first set as it is, and of the second all but one unit."""
+    phantoms = random((2, 2), 1, 2, "A", "units")
+    first, second = (unit_shares(truth_map(one).reshape(PAPER.grid.shape), PAPER.grid) for one in phantoms)
+    second[np.flatnonzero(second)[0]] = 0.0
+    images = iter([PAPER.grid.map_from_units(one) for one in (first, second)])
+    verified = Verified(Run(lambda _: next(images), "pre"), Noise("N2"), "units", "raising", PAPER)
     (results,) = evaluate_all(phantoms, [verified.run], Conditions("N2"))
-    for (one, (found,)), verdict in zip(results, verified.checked, strict=True):
-        assert found.exact == 1.0, one.name
-        assert verdict.verdict.p_value > 1e-3
-        assert truth_map(one).any()
+    (_, (right,)), (_, (wrong,)) = results
+    said, of_wrong = (one.verdict for one in verified.checked)
+    assert (right.exact, said.flagged) == (1.0, False)
+    assert wrong.exact == 1.0 or (of_wrong.flagged and of_wrong.p_value < 1e-6)
+
+
+def test_more_than_six_shown_units_are_not_verified_and_the_network_s_map_stays() -> None:
+    dense = np.asarray(PAPER.grid.map_from_units((np.arange(126) < 7).astype(float)))
+    flat = solve_scene(Scene(element_size_mm=6.0)).voltages
+    sheet = Sheet(measured_cloud(Bend()).astype(np.float64), np.full(104, np.nan))
+    verified = Verified(Run(lambda _: dense, "pre"), Noise("N2"), "units", "raising", PAPER)
+    assert np.array_equal(verified.solve(Case(flat, flat, flat, sheet, "units")), dense)
+    (said,) = verified.checked
+    assert said.not_verified == "7 units are shown, and at most 6 are verified"
+    assert (said.verdict.flagged, said.verdict.p_value, said.verdict.touches) == (True, 0.0, ())
+    found: dict[str, Any] = {"phantoms": [{"name": "1"}]}
+    one = phantom("1")
+    add_verdicts(found, [(one, [score(dense, dense)])], {id(one): [said]})
+    assert found["phantoms"][0]["not_verified"] == said.not_verified
+    assert (found["verified"]["not_verified"], found["verified"]["right_flagged"]) == (1, 1)
 
 
 def sure_to(scatter_mm: float, p_value: float = 0.5) -> FreeVerdict:

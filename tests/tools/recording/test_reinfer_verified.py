@@ -1,7 +1,6 @@
 """The verified solver on recorded frames: what it is given, what is counted, and what the command says of it."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +10,12 @@ import pytest
 from eitskin import WireFrame
 from eitskin.model.bundle import load_bundle
 from eitskin.pipeline.maps_again import MapsAgain
-from eitskin_sim.verification.verdict import Verdict
+from eitskin_sim.verification.snapped_units import UnitVerdict
 from eitskin_tools import cli
 from eitskin_tools.evaluation.verified import recorded as module
-from eitskin_tools.evaluation.verified.recorded import WITHOUT_ROWS, OfPhysics
+from eitskin_tools.evaluation.verified.recorded import OfPhysics
 from eitskin_tools.evaluation.verified.resting import FRAMES
-from eitskin_tools.evaluation.verified.shapes import VerifiedFree
-from eitskin_tools.evaluation.verified.units import Checked, Verified
+from eitskin_tools.evaluation.verified.solver import Checked, Verified
 from eitskin_tools.recording.reinfer.rerun import Computed
 from eitskin_tools.recording.reinfer.results import write
 from eitskin_tools.recording.reinfer.session import reinfer
@@ -25,8 +23,6 @@ from eitskin_tools.recording.script import Script, Step
 
 from . import conftest
 from .conftest import CLOUD, TINY, VOLTS, counts, measured, recorded
-
-NOTHING = np.zeros(1350, dtype=np.bool_)
 
 
 class Physics:
@@ -44,9 +40,8 @@ class Physics:
     def solve(self, case: Any) -> Any:
         self.cases.append(case)
         p = 0.5 if len(self.cases) % 2 else 1e-9
-        self.checked.append(
-            Checked(Verdict((), 1.0, 104, p, 0.01, 1, 0.004), 4.0, 4.0, 100.0 * (len(self.cases) == 1), NOTHING)
-        )
+        verdict = UnitVerdict((), 1.0, 104, p, 0.01, 1, 0.004)
+        self.checked.append(Checked(verdict, 4.0, 4.0, 100.0 * (len(self.cases) == 1)))
         return self._network.solver(case)
 
 
@@ -111,13 +106,11 @@ def test_frames_of_a_shape_without_a_model_are_counted_and_the_model_is_tried_on
     assert (found["frames"], found["p_value_median"], len(tries)) == (0, None, 2)  # one a shape
 
 
-def test_shapes_are_not_verified_without_rows_and_units_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_that_are_missing_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recorded(tmp_path / "a.mcap", measured(60))
     script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
     some = np.arange(104) < 26
     monkeypatch.setattr("eitskin_tools.recording.reinfer.rerun.Rerun.missing", some)
-    free = reinfer(script, bundle, OfPhysics(script, bundle)).fields()["verified"]
-    assert free["not_verified"] == {WITHOUT_ROWS: sum(step.frame.touched for step in script.steps())}
     seen = []
 
     def solve(self: Verified, case: Any) -> Any:
@@ -125,8 +118,7 @@ def test_shapes_are_not_verified_without_rows_and_units_are(tmp_path: Path, monk
         raise ValueError("enough")
 
     monkeypatch.setattr(Verified, "solve", solve)
-    units = replace(bundle, manifest={**bundle.manifest, "labels": "units"})
-    reinfer(script, bundle, OfPhysics(script, units))
+    reinfer(script, bundle, OfPhysics(script, bundle))
     assert seen
     assert (seen[0] == ~some).all()
 
@@ -137,12 +129,12 @@ def test_what_the_sheet_read_untouched_is_told_before_its_first_touch(
     recorded(tmp_path / "a.mcap", measured(3 * FRAMES, skip_unchanged=True))
     told: list[Any] = []
 
-    def solve(self: VerifiedFree, case: Any) -> Any:
+    def solve(self: Verified, case: Any) -> Any:
         told.append("frame")
         raise ValueError("enough")
 
-    monkeypatch.setattr(VerifiedFree, "rest", lambda self, *words: told.append(words))
-    monkeypatch.setattr(VerifiedFree, "solve", solve)
+    monkeypatch.setattr(Verified, "rest", lambda self, *words: told.append(words))
+    monkeypatch.setattr(Verified, "solve", solve)
     script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
     reinfer(script, bundle, OfPhysics(script, bundle))
     (volts, frames), *others, behind = told

@@ -17,8 +17,6 @@ FOLDER = Path(os.environ["VERIFIER_SCRIPT"])
 
 
 class Checker:
-    improves = False
-
     def __init__(self, setup):
         if (FOLDER / "bad_model").exists():
             raise ValueError("the cloud folds in its own plane")
@@ -44,7 +42,7 @@ class Checker:
 if (FOLDER / "die").exists():
     sys.exit("died as it was told")
 checkers = types.ModuleType("eitskin_tools.verifier.checkers")
-checkers.checker_of = Checker
+checkers.Checker = Checker
 sys.modules[checkers.__name__] = checkers
 
 from eitskin_tools.verifier.process import main  # noqa: E402 -- behind the stand-in

@@ -8,25 +8,22 @@ import pytest
 
 from eitskin.messaging.verified.message import head, unpack_verified
 from eitskin_proto.sensor.row_gaussian import rows_of as rows_of_electrodes
-from eitskin_proto.skin.parts import Map
-from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import to_toml
-from eitskin_sim.reduced.exact import exact_sheet
-from eitskin_sim.reduced.model import rows_of
-from eitskin_sim.scene.nominal import flat_metric_of
+from eitskin_sim.scene.touch_table import RECTANGLE
 from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.sheet.model import model_of_cloud
-from eitskin_tools.verifier.checkers import CannotVerifyError, FreeChecker, UnitChecker, checker_of
+from eitskin_tools.verifier.checkers import CannotVerifyError, Checker
 from eitskin_tools.verifier.child import Place, VerifierProcess
 from eitskin_tools.verifier.letters import LARGEST_ANSWER, STATE, FrameLetter, RestLetter, Setup, answered, frame_letter
 from eitskin_tools.verifier.mailbox import FRAME, SETUP
 
 pytestmark = [pytest.mark.slow, pytest.mark.heavy]
 
-SMALL = Skin(name="small", map=Map((12, 18), (4, 6)))
-"""Few, large units: its reduced model takes a second."""
-
 NOISE = 3e-3
+TOUCHED = [33, 80]
+"""Units."""
+
 NOTHING = np.zeros(104, dtype=np.bool_)
 PIECE = np.array([[0, 60.0, 45.0, 12.0, 10.0, 0.0, 50.0, 0.0]])
 PATIENCE_S = 300.0
@@ -42,77 +39,81 @@ def setup_of(skin, labels, reference_V):
 
 
 @pytest.fixture(scope="module")
-def units():
-    """Return a setup of the small sheet, and dV and the map of two touched units of which the network saw one."""
-    exact = exact_sheet(flat_metric_of(SMALL), SMALL)
-    flat = rows_of(exact.untouched)
-    volts = rows_of(exact.currents(np.array([5, 14]), np.array([50.0, 50.0]))[1])
-    change = volts / flat - 1.0
+def model():
+    return model_of_cloud(PAPER.grid.flat_cloud_mm())
+
+
+@pytest.fixture(scope="module")
+def units(model):
+    """Return a setup, and dV and the map of two touched units of which the network shows one beside its place."""
+    boxes = np.array([PAPER.grid.unit_rect_mm(unit % 14, unit // 14) for unit in TOUCHED])
+    pieces = np.zeros((2, 8))
+    pieces[:, 0], pieces[:, 6] = RECTANGLE, 50.0
+    pieces[:, 1:3], pieces[:, 3:5] = (boxes[:, :2] + boxes[:, 2:]) / 2, boxes[:, 2:] - boxes[:, :2]
+    change = model.solve(pieces)[1]
     change += NOISE * (1.0 + change) * np.random.default_rng(2).standard_normal(104)
-    seen = np.zeros(24)
-    seen[5] = 1.0
-    values = np.asarray(SMALL.grid.map_from_units(seen), dtype="f4").ravel()
-    return setup_of(SMALL, "units", 1e-3 * flat), change.astype("f4"), values
+    shown = np.zeros(PAPER.grid.n_units)
+    shown[[TOUCHED[0], TOUCHED[1] + 1]] = 1.0
+    values = np.asarray(PAPER.grid.map_from_units(shown), dtype="f4").ravel()
+    return setup_of(PAPER, "units", 1e-3 * model.flat_V), change.astype("f4"), values
 
 
 def letter(change, values, missing=NOTHING, setup=1):
     return frame_letter(setup, 9, 1000, 5, 6, 4, missing, change, values)
 
 
-def test_units_that_a_network_missed_are_found_and_placed_on_the_surface(units):
+def test_units_that_a_network_shows_beside_their_place_are_found_and_placed_on_the_surface(units):
     setup, change, values = units
-    checker = checker_of(setup)
-    assert isinstance(checker, UnitChecker)
+    checker = Checker(setup)
     for missing in (NOTHING, rows_of_electrodes((3,))):
         (chi_squared, degrees, p_value, flagged), touches, why = checker.check(
             FrameLetter.of(letter(np.where(missing, 9.0, change).astype("f4"), values, missing))
         )
-        assert [one.unit for one in touches] == [5, 14]
-        assert (degrees, flagged, why) == (int((~missing).sum()), False, "")
+        assert [one.unit for one in touches] == TOUCHED
+        assert (degrees, flagged, why) == (int((~missing).sum()) - 2, False, "")
         assert p_value > 1e-3
         assert chi_squared < 2.0 * degrees
-        x0, y0, x1, y1 = SMALL.grid.unit_rect_mm(5, 0)
+        x0, y0, x1, y1 = PAPER.grid.unit_rect_mm(TOUCHED[0] % 14, TOUCHED[0] // 14)
         first = touches[0]
+        assert (first.shape, first.centre_error_mm) == ("unit", None)
         assert first.centre_mm == pytest.approx(((x0 + x1) / 2, (y0 + y1) / 2))
-        assert first.place_mm == pytest.approx((*first.centre_mm, 7.0), abs=1e-4)
-        assert first.normal == pytest.approx((0.0, 0.0, 1.0), abs=1e-5)
+        assert first.place_mm == pytest.approx((*first.centre_mm, 7.0), abs=1e-3)
+        assert first.normal == pytest.approx((0.0, 0.0, 1.0), abs=1e-4)
         assert first.strength_mm2 == pytest.approx(first.area_mm2 * np.log(first.contrast))
+    dense = np.asarray(PAPER.grid.map_from_units((np.arange(126) < 7).astype(float)), dtype="f4").ravel()
+    with pytest.raises(CannotVerifyError, match="7 units are shown, and at most 6 are verified"):
+        checker.check(FrameLetter.of(letter(change, dense)))
 
 
-def test_shapes_are_found_with_their_errors_and_not_without_rows():
-    model = model_of_cloud(PAPER.grid.flat_cloud_mm())
+def test_shapes_are_found_with_their_errors_and_without_rows_that_are_missing(model):
     change = model.solve(PIECE)[1]
     change += NOISE * (1.0 + change) * np.random.default_rng(1).standard_normal(104)
     values = map_of(PIECE).astype("f4").ravel()
-    checker = checker_of(setup_of(PAPER, "area", 1e-3 * model.flat_V))
-    assert isinstance(checker, FreeChecker)
-    (_, _, p_value, flagged), (touch,), why = checker.check(FrameLetter.of(letter(change.astype("f4"), values)))
-    assert (touch.shape, touch.unit, flagged, why) == ("rectangle", None, False, "")
-    assert touch.area_range_mm2[0] < touch.area_mm2 < touch.area_range_mm2[1]
-    assert touch.contrast_range[0] < touch.contrast < touch.contrast_range[1]
-    assert -1.0 <= touch.size_contrast_correlation <= 1.0
-    assert touch.angle_error_rad is None
+    checker = Checker(setup_of(PAPER, "area", 1e-3 * model.flat_V))
+    for missing in (NOTHING, rows_of_electrodes((3,))):
+        read = np.where(missing, 9.0, change).astype("f4")
+        (_, degrees, p_value, flagged), (touch,), why = checker.check(FrameLetter.of(letter(read, values, missing)))
+        assert (touch.shape, touch.unit, flagged, why) == ("rectangle", None, False, "")
+        assert degrees < int((~missing).sum())
+        assert touch.area_range_mm2[0] < touch.area_mm2 < touch.area_range_mm2[1]
+        assert touch.contrast_range[0] < touch.contrast < touch.contrast_range[1]
+        assert -1.0 <= touch.size_contrast_correlation <= 1.0
+        assert touch.angle_error_rad is None
+        assert touch.centre_mm == pytest.approx((60.0, 45.0), abs=1.0)
+        assert touch.place_mm[2] == pytest.approx(7.0, abs=1e-3)
+        assert 0.0 < max(touch.centre_error_mm) < 2.0
     nothing = np.zeros_like(change).astype("f4")
     (_, _, p_value, flagged), _, why = checker.check(FrameLetter.of(letter(nothing, np.zeros_like(values))))
     assert (flagged, why) == (False, "")
     assert p_value > 1e-3
-    assert touch.centre_mm == pytest.approx((60.0, 45.0), abs=1.0)
-    assert touch.place_mm[2] == pytest.approx(7.0, abs=1e-3)
-    assert 0.0 < max(touch.centre_error_mm) < 2.0
-    with pytest.raises(CannotVerifyError, match="26 of 104 rows are missing"):
-        checker.check(FrameLetter.of(letter(change.astype("f4"), values, rows_of_electrodes((3,)))))
 
 
-def test_a_sheet_seen_at_rest_is_known_and_one_that_is_not_its_scans_is_said(units):
-    model = model_of_cloud(PAPER.grid.flat_cloud_mm())
-    setup = setup_of(PAPER, "area", 1e-3 * model.flat_V)
-    checker = checker_of(setup)
-    off = 0.05 * np.sin(np.arange(104.0))
-    assert checker.rest(RestLetter(1, 50, np.full(104, 0.02))) == ""
-    assert "send its cloud" in checker.rest(RestLetter(1, 50, off + 2.0 * np.abs(off)))
-    of_units = checker_of(units[0])
-    assert of_units.rest(RestLetter(1, 50, np.zeros(104))) == ""
-    assert not of_units.improves
+def test_a_sheet_seen_at_rest_is_known_and_one_that_is_not_its_scans_is_said(model):
+    for labels in ("area", "units"):
+        checker = Checker(setup_of(PAPER, labels, 1e-3 * model.flat_V))
+        off = 0.05 * np.sin(np.arange(104.0))
+        assert checker.rest(RestLetter(1, 50, np.full(104, 0.02))) == ""
+        assert "send its cloud" in checker.rest(RestLetter(1, 50, off + 2.0 * np.abs(off)))
 
 
 @pytest.mark.process
@@ -148,4 +149,4 @@ def test_the_process_refuses_another_skin_and_answers_frames_of_the_next(units):
     assert spent_ms > 0
     verdict = unpack_verified(head(1, "run", {"checked": 1, "flagged": 0, "skipped": 0}) + told)
     assert (verdict.sequence, verdict.cloud, verdict.device_us) == (9, 4, 1000)
-    assert [touch.unit for touch in verdict.touches] == [5, 14]
+    assert [touch.unit for touch in verdict.touches] == TOUCHED

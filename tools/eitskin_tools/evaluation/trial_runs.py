@@ -25,7 +25,7 @@ def touched_trial(
     ((solvers, results),) = evaluate_named(phantoms, [request], conditions, progress)
     found = {**_head(request, conditions, next(iter(solvers.values()))), **summary(results, each, conditions.skin.grid)}
     if (checked := verdicts_of(phantoms, solvers, conditions.seeds)) is not None:
-        from eitskin_tools.evaluation.verified.units import summary_of
+        from eitskin_tools.evaluation.verified.solver import summary_of
 
         found["verified"] = summary_of([(phantom, scores, checked[id(phantom)]) for phantom, scores in results])
     return found

@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--verify-budget-ms",
         type=float,
         metavar="B",
-        help="what a frame may take (default: 20 or 60 of units, 200 else)",
+        help="what a frame may take (default 200)",
     )
     parser.add_argument(
         "--verify-nice", type=int, metavar="N", help=f"priority of the verifier's process, 0 to 19 (default {NICE})"

@@ -96,7 +96,7 @@ class Worker:
 
     def _prepare(self, number: int, letter: bytes) -> None:
         from eitskin.messaging.verified.message import FAILED, PREPARING, READY
-        from eitskin_tools.verifier.checkers import checker_of
+        from eitskin_tools.verifier.checkers import Checker
         from eitskin_tools.verifier.letters import Setup, state_answer
 
         self._setup, self._checker = number, None
@@ -106,7 +106,7 @@ class Worker:
             setup = Setup.of(letter)
             self._budget_s = setup.budget_s
             with self._work.within(MODEL_S):
-                self._checker = checker_of(setup)
+                self._checker = Checker(setup)
         except Exception as error:  # of any cloud or skin: the stream goes on, and says why
             self._answers.send(state_answer(FAILED, number, reason(error)))
             return
@@ -131,7 +131,6 @@ class Worker:
         except Exception as error:  # what the untouched sheet reads helps, and is not needed
             why = reason(error)
         self._answers.send(state_answer(READY, self._setup, why))
-        self._improve()
 
     def _verify(self, number: int, letter: bytes) -> None:
         from eitskin.messaging.verified.message import READY, rest
@@ -154,19 +153,6 @@ class Worker:
         told = rest(frame.seq, frame.device_us, frame.cloud, READY, why, stamps, verdict, touches)
         flagged = None if verdict is None else verdict[3]
         self._answers.send(verdict_answer(number, told, flagged, 1e-6 * (end - begin)))
-        self._improve()
-
-    def _improve(self) -> None:
-        from eitskin.messaging.verified.message import PREPARING, READY
-        from eitskin_tools.verifier.letters import state_answer
-
-        begin = time.perf_counter()
-        if self._checker.improves:
-            why = "the sheet is stretched otherwise than its scan"
-            self._answers.send(state_answer(PREPARING, self._setup, why))
-            with self._work.within(MODEL_S):
-                self._checker.improve()
-            self._answers.send(state_answer(READY, self._setup, setup_ms=1e3 * (time.perf_counter() - begin)))
 
 
 def reason(error: Exception) -> str:

@@ -19,7 +19,7 @@ from eitskin_tools.bench.verify.conditions import Anywhere
 from eitskin_tools.bench.verify.truth import SEED, cloud_of, device_of, volts
 from eitskin_tools.bench.verify.units import counted
 from eitskin_tools.evaluation.solvers import Request, named
-from eitskin_tools.evaluation.verified.shapes import VerifiedFree
+from eitskin_tools.evaluation.verified.solver import Verified
 
 Row = dict[str, Any]
 
@@ -30,7 +30,7 @@ def row(condition: Anywhere, deformations: int, each: int) -> Row:
     kind = phantoms[0].scene.touch_kind
     network = named(Request("vd2t"), "area", touches=kind).run
     told_of = Noise(condition.noise)
-    verified = VerifiedFree(network, told_of, kind, PAPER, follow=condition.follow, at_rest=condition.at_rest)
+    verified = Verified(network, told_of, "area", kind, PAPER, follow=condition.follow, at_rest=condition.at_rest)
     found, scores = [], []
     allowed = Allowed(told_of, usual_of(kind, PAPER))
     for number in range(deformations):

@@ -2,8 +2,8 @@
 
 Touches at deformations that no network has seen, on devices that differ from the nominal one, are solved on a mesh of
 their own; the network answers, and the verifier starts from there. A row says how many answers came out right, how many
-wrong ones were not flagged, and how many right ones were. Rows are shown on stderr as they are found; p's calibration,
-what a step costs, and JSON come at the end. Times are of the processor, one core.
+wrong ones were not flagged, and how many right ones were. Rows are shown on stderr as they are found; p's calibration
+and JSON come at the end. Times are of the processor, one core.
 """
 
 import argparse
@@ -21,9 +21,6 @@ Row = dict[str, Any]
 
 CALIBRATION = "calibration of p"
 """What ``--only`` calls the table of p."""
-
-MODELS = "making models"
-"""What it calls the table of what models take and lack."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,14 +59,13 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_tools.bench.verify.printed import tables
 
     units, anywhere = _rows(arguments, _chosen(arguments.only))
-    stated, steps = _calibration(arguments, units)
-    made = _models(arguments)
+    stated = _calibration(arguments, units)
     if arguments.json:
         every = [*units, *anywhere]
         summary = {key: sum(row[key] for row in every) for key in ("maps", "wrong", "wrong_unflagged")}
-        print(json.dumps({"rows": every + stated + steps + made, "summary": summary}))
+        print(json.dumps({"rows": every + stated, "summary": summary}))
     else:
-        print(tables(units, anywhere, stated, steps, made))
+        print(tables(units, anywhere, stated))
     return 0
 
 
@@ -80,10 +76,9 @@ def _chosen(only: list[str] | None) -> set[str]:
         UsageError: There is none.
     """
     from eitskin_tools.bench.verify.conditions import anywhere_conditions, unit_conditions
-    from eitskin_tools.bench.verify.slab import SHEETS
 
     units, anywhere = unit_conditions(), anywhere_conditions()
-    known = [*(one.name for one in units), *SHEETS, *(one.name for one in anywhere), CALIBRATION, MODELS]
+    known = [*(one.name for one in units), *(one.name for one in anywhere), CALIBRATION]
     found = {name for name in known if not only or any(text in name for text in only)}
     if not found:
         texts = " ".join(repr(text) for text in only or ())
@@ -96,7 +91,6 @@ def _rows(arguments: argparse.Namespace, chosen: set[str]) -> tuple[list[Row], l
     from eitskin_tools.bench.verify.anywhere import row
     from eitskin_tools.bench.verify.conditions import anywhere_conditions, unit_conditions
     from eitskin_tools.bench.verify.printed import anywhere_line, units_line
-    from eitskin_tools.bench.verify.slab import SHEETS
     from eitskin_tools.bench.verify.units import Units
 
     units: list[Row] = []
@@ -109,12 +103,6 @@ def _rows(arguments: argparse.Namespace, chosen: set[str]) -> tuple[list[Row], l
             start = time.process_time()
             units.append(measured.row(condition))
             _say(units_line(units[-1]), start)
-    for name in SHEETS:
-        if name in chosen:
-            measured = measured or Units(arguments.deformations, arguments.each, budget_s)
-            start = time.process_time()
-            units.append(measured.on_slab(name))
-            _say(units_line(units[-1]), start)
     for place in anywhere_conditions():
         if place.name in chosen:
             start = time.process_time()
@@ -123,12 +111,12 @@ def _rows(arguments: argparse.Namespace, chosen: set[str]) -> tuple[list[Row], l
     return units, anywhere
 
 
-def _calibration(arguments: argparse.Namespace, units: list[Row]) -> tuple[list[Row], list[Row]]:
-    """Return how p keeps its word, and what a step costs; both empty if they were not asked for."""
-    from eitskin_tools.bench.verify.matched import candidates, matched, of_rows
+def _calibration(arguments: argparse.Namespace, units: list[Row]) -> list[Row]:
+    """Return how p keeps its word; nothing if it was not asked for."""
+    from eitskin_tools.bench.verify.matched import matched, of_rows
 
     if CALIBRATION not in _chosen(arguments.only) or not arguments.sets:
-        return [], []
+        return []
     start = time.process_time()
     stated = matched(arguments.sets) + of_rows(units)
     _say(CALIBRATION, start)
@@ -136,19 +124,7 @@ def _calibration(arguments: argparse.Namespace, units: list[Row]) -> tuple[list[
         from eitskin_tools.bench.verify.plot import draw
 
         draw(arguments.plot, stated)
-    return stated, candidates()
-
-
-def _models(arguments: argparse.Namespace) -> list[Row]:
-    """Return what making models takes, and what they lack; empty if it was not asked for."""
-    from eitskin_tools.bench.verify.models import models
-
-    if MODELS not in _chosen(arguments.only):
-        return []
-    start = time.process_time()
-    found = models(arguments.deformations)
-    _say(MODELS, start)
-    return found
+    return stated
 
 
 def _say(line: str, start_s: float) -> None:

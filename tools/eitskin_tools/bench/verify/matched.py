@@ -1,23 +1,17 @@
-"""Whether p keeps its word where the model is right: the same sheet, exactly condensed, with nothing but noise."""
+"""Whether p keeps its word where the model is right: the sheet is the model's own, with nothing but noise."""
 
-import time
 from typing import Any, Final
 
 import numpy as np
 
-from eitskin_proto.sensor.normalise import relative_change
 from eitskin_sim.evaluation import trials
+from eitskin_sim.evaluation.devices.mismatch import IDEAL
 from eitskin_sim.measurement.noise import Kind, add_noise
-from eitskin_sim.reduced.exact import exact_sheet
-from eitskin_sim.reduced.making import reduced
-from eitskin_sim.reduced.model import rows_of
-from eitskin_sim.reduced.state import state_of
-from eitskin_sim.scene.bend import bend_metric
-from eitskin_sim.scene.parts import Sheet
-from eitskin_sim.verification.chi_squared import calibration
-from eitskin_sim.verification.residual import Noise
-from eitskin_sim.verification.unit_sheet import flat_of
-from eitskin_sim.verification.units import CONTRAST, UnitVerifier
+from eitskin_sim.scene.touch_table import RECTANGLE
+from eitskin_sim.verification.chi_squared import calibration, p_value
+from eitskin_sim.verification.residual import Noise, Whitener
+from eitskin_sim.verification.sheet.model import model_of_cloud
+from eitskin_tools.bench.verify.truth import cloud_of, device_of
 
 LEVELS: Final = (0.001, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9)
 """Stated."""
@@ -27,28 +21,28 @@ DRAWS: Final = 20
 
 
 def matched(sets: int) -> list[dict[str, Any]]:
-    """Return a row for each noise and level: how often p was below it, over sets of 1 to 12 units.
+    """Return a row for each noise and level: how often p was below it, over sets of 1 to 4 touches.
 
     Args:
         sets: How many, at one deformation of family A.
     """
-    sheet = exact_sheet(bend_metric(trials.deformations_of(2, "A")[1], Sheet()))
-    model, flat = reduced(sheet), flat_of()
-    verifier = UnitVerifier(model, flat)
+    bend = trials.deformations_of(2, "A")[1]
+    model = model_of_cloud(cloud_of(device_of(IDEAL, 1), bend, 1))
+    flat = model.flat_V
     rows = []
     laws: tuple[Kind, ...] = ("N1", "N2", "N3")
     for law in laws:
         rng = np.random.default_rng(7)
-        p = []
+        p: list[float] = []
         for _ in range(sets):
-            units = rng.choice(model.n_units, int(rng.integers(1, 13)), replace=False)
-            touched = np.zeros(model.n_units, dtype=np.bool_)
-            touched[units] = True
-            volts = rows_of(sheet.currents(units, np.full(len(units), CONTRAST))[1])
+            touches = np.zeros((int(rng.integers(1, 5)), 8))
+            touches[:, 0], touches[:, 3:5], touches[:, 6] = RECTANGLE, 10.0, 50.0
+            touches[:, 1:3] = rng.uniform(10.0, np.array(model.skin.outline.size_mm) - 10.0, (len(touches), 2))
+            change = model.solve(touches)[1]
             for _ in range(DRAWS):
-                change = relative_change(add_noise(volts, flat, law, 50.0, rng), flat)
-                noise = Noise(law)
-                p.append(verifier.verify(change, flat, [touched], noise, budget_s=0.0).p_value)
+                read = add_noise(flat * (1.0 + change), flat, law, 50.0, rng) / flat - 1.0
+                white = Whitener(Noise(law).sd(read, flat), np.zeros((len(flat), 0)), 1.0 + read, None, 0.0)
+                p.append(p_value(float(white.chi_squared(read - change)), len(flat)))
         rows += [
             {"what": f"p, matched model, {law}", "stated": one.stated, "found": one.found, "error": one.error}
             for one in calibration(p, LEVELS)
@@ -65,24 +59,4 @@ def of_rows(units: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 {"what": f"p, {row['what']}, scanned", "stated": one.stated, "found": one.found, "error": one.error}
                 for one in calibration(row["p_values"], LEVELS)
             ]
-    return rows
-
-
-def candidates() -> list[dict[str, Any]]:
-    """Return what a step costs: microseconds of the processor for one candidate beside sets of 1 to 12 units."""
-    model = reduced(exact_sheet(bend_metric(trials.deformations_of(2, "A")[1], Sheet())))
-    rng, rows = np.random.default_rng(8), []
-    for count in (1, 3, 6, 12):
-        spans, alone = [], []
-        for _ in range(30):
-            units = rng.choice(model.n_units, count, replace=False)
-            free = np.setdiff1d(np.arange(model.n_units), units)
-            start = time.process_time_ns()
-            state = state_of(model, units, np.full(count, CONTRAST))
-            middle = time.process_time_ns()
-            state.with_each(free, CONTRAST)
-            spans.append((time.process_time_ns() - middle) / 1e3 / len(free))
-            alone.append((middle - start) / 1e3)
-        rows.append({"what": f"a candidate beside {count} units", "cpu_us": float(np.median(spans)),
-                     "set_cpu_us": float(np.median(alone)), "model_MB": model.nbytes / 1e6})  # fmt: skip
     return rows

@@ -13,10 +13,6 @@ ANYWHERE = (
     "| right | wrong, unflagged | right, flagged | ms |",
     "|---|---|---|---|---|---|---|---|---|---|---|",
 )
-MODELS = (
-    "| models of units | cpu ms, median / p95 | error of log V, 1 unit | 6 units | 12 units |",
-    "|---|---|---|---|---|",
-)
 
 
 def units_line(row: Row) -> str:
@@ -38,7 +34,7 @@ def anywhere_line(row: Row) -> str:
     )
 
 
-def tables(units: list[Row], anywhere: list[Row], stated: list[Row], steps: list[Row], made: list[Row]) -> str:
+def tables(units: list[Row], anywhere: list[Row], stated: list[Row]) -> str:
     """Return all tables that have rows."""
     found = []
     if units:
@@ -48,20 +44,7 @@ def tables(units: list[Row], anywhere: list[Row], stated: list[Row], steps: list
     if stated:
         lines = [f"| {one['what']} | {one['stated']:g} | {one['found']:.4f} | {one['error']:.4f} |" for one in stated]
         found.append(["| p | stated | found | +- |", "|---|---|---|---|", *lines])
-    if steps:
-        lines = [
-            f"| {one['what']} | {one['cpu_us']:.0f} | {one['set_cpu_us']:.0f} | {one['model_MB']:.1f} |"
-            for one in steps
-        ]
-        found.append(["| step | us | a set alone, us | model, MB |", "|---|---|---|---|", *lines])
-    if made:
-        found.append([*MODELS, *map(_model_line, made)])
     return "\n\n".join("\n".join(lines) for lines in found)
-
-
-def _model_line(row: Row) -> str:
-    errors = " | ".join(f"{row[f'rms_{count}']:.1e}" for count in (1, 6, 12))
-    return f"| {row['what']} | {row['cpu_ms_median']:.0f} / {row['cpu_ms_p95']:.0f} | {errors} |"
 
 
 def _flags(row: Row) -> str:

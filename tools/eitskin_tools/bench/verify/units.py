@@ -4,24 +4,25 @@ from typing import Any
 
 import numpy as np
 
-from eitskin_proto.sensor.row_gaussian import RowGaussian
+from eitskin_proto.sensor.row_gaussian import RowGaussian, rows_of
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.devices.device import Device
-from eitskin_sim.evaluation.devices.mismatch import IDEAL
-from eitskin_sim.evaluation.harness import Case, Sheet
+from eitskin_sim.evaluation.harness import Case, Run, Sheet
+from eitskin_sim.evaluation.metrics import TOUCHED
 from eitskin_sim.measurement.consistency import Filler
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.parts import Bend, Touch
 from eitskin_sim.scene.shapes import Rect
+from eitskin_sim.verification.free.search import BUDGET_S
 from eitskin_sim.verification.residual import Noise
-from eitskin_tools.bench.verify import slab
+from eitskin_sim.verification.snapped_units import unit_shares
 from eitskin_tools.bench.verify.conditions import Condition
 from eitskin_tools.bench.verify.truth import SEED, Array, cloud_of, device_of, volts
 from eitskin_tools.evaluation.solvers import Request, bundle_for, named
-from eitskin_tools.evaluation.verified.units import Made, Verified
+from eitskin_tools.evaluation.verified.solver import Verified
 
 Row = dict[str, Any]
 
@@ -37,22 +38,23 @@ class Units:
 
     def __init__(self, deformations: int, each: int, budget_s: float | None) -> None:
         self._bends = trials.deformations_of(deformations, "A")
-        self._each, self._budget_s = each, budget_s
+        self._each, self._budget_s = each, BUDGET_S if budget_s is None else budget_s
         self._network = named(Request("vd2t"), "units").run
         arrays = bundle_for(Request("vd2t"), "units").consistency_arrays()
-        self._filler = None
-        if arrays is not None:
-            law = RowGaussian(np.asarray(arrays["mean"], float), np.asarray(arrays["covariance"], float))
-            self._filler = Filler(law)
-        self._of_ideal: Made = {}
+        assert arrays is not None, "the shipped bundle of units fills in rows"
+        self._filler = Filler(RowGaussian(np.asarray(arrays["mean"], float), np.asarray(arrays["covariance"], float)))
+        self._image: Array = np.zeros(PAPER.grid.shape)
 
     def row(self, condition: Condition) -> Row:
         """Return the figures of a condition, its p-values among them.
 
         Frames of one sheet come one after another: what the first of them show of its material serves the next.
         """
-        made: Made = self._of_ideal if condition.mismatch == IDEAL and not condition.at_rest else {}
-        found = []
+        found, grid = [], PAPER.grid
+        network = Run(lambda case: self._image, "pre")
+        verified = Verified(
+            network, Noise(condition.noise), "units", "raising", PAPER, self._budget_s, at_rest=condition.at_rest
+        )
         for number, bend in enumerate(self._bends):
             device = device_of(condition.mismatch, number)
             flat = volts(device.reference())
@@ -60,35 +62,26 @@ class Units:
             sheet = Sheet(cloud_of(device, bend, number), untouched)
             touches = np.random.default_rng([SEED, number, *condition.counts])
             rng = np.random.default_rng([SEED, number, 1])
-            verified = self._verified(condition, (), made)
             for _ in range(self._each):
                 units, clean = _touched(condition, device, bend, touches)
-                if condition.missing:
-                    verified = self._verified(condition, (int(rng.integers(N_ELECTRODES)),), made)
+                gone = (int(rng.integers(N_ELECTRODES)),) if condition.missing else ()
                 noisy = add_noise(clean, flat, condition.noise, 50.0, rng)
-                verified.solve(Case(noisy, flat, flat, sheet, "units"))
-                checked = verified.checked[-1]
-                right = {one.unit for one in checked.verdict.touches} == set(units)
-                alone = set(np.flatnonzero(checked.network).tolist()) == set(units)
-                found.append((alone, right, checked))
+                self._image = self._network.solver(Case(self._filled(noisy, flat, gone), flat, flat, sheet, "units"))
+                kept = np.where(rows_of(gone), 0.0, flat)
+                image = verified.solve(Case(noisy, kept, kept, sheet, "units"))
+                alone, right = (
+                    set(np.flatnonzero(unit_shares(one, grid) >= TOUCHED).tolist()) == set(units)
+                    for one in (self._image, image)
+                )
+                found.append((alone, right, verified.checked[-1]))
         return {"what": condition.name, **figures(found), **counted(found)}
 
-    def on_slab(self, name: str) -> Row:
-        """Return the figures of touched units on a solid slab."""
-        found, made = [], dict[bytes, Any]()
-        for volts_V, flat_V, cloud_mm, units, law in slab.frames(name):
-            sheet = Sheet(cloud_mm, np.full(len(flat_V), np.nan))
-            verified = self._verified(Condition(name, noise=law), (), made)
-            verified.solve(Case(volts_V, flat_V, flat_V, sheet, "units"))
-            checked = verified.checked[-1]
-            right = {one.unit for one in checked.verdict.touches} == set(units)
-            found.append((set(np.flatnonzero(checked.network).tolist()) == set(units), right, checked))
-        return {"what": name, **figures(found), **counted(found)}
-
-    def _verified(self, condition: Condition, missing: tuple[int, ...], made: Made) -> Verified:
-        noise = Noise(condition.noise)
-        at_rest = condition.at_rest
-        return Verified(self._network, noise, PAPER, self._budget_s, missing, self._filler, made, at_rest)
+    def _filled(self, voltages_V: Array, flat_V: Array, gone: tuple[int, ...]) -> Array:
+        """Return voltages with the rows of electrodes that are gone filled in, as the runtime does for its network."""
+        change = (voltages_V / flat_V - 1.0)[None]
+        if gone:
+            self._filler.fill(change, gone)
+        return np.asarray(flat_V * (1.0 + change[0]))
 
 
 def _touched(condition: Condition, device: Device, bend: Bend, rng: np.random.Generator) -> tuple[list[int], Array]:
@@ -96,12 +89,11 @@ def _touched(condition: Condition, device: Device, bend: Bend, rng: np.random.Ge
     grid = PAPER.grid
     count = int(rng.integers(condition.counts[0], condition.counts[1] + 1))
     units = np.sort(rng.choice(grid.n_units, count, replace=False)).tolist()
-    contrasts = condition.contrasts(count, np.random.default_rng([SEED, *units]))
     touches = []
-    for unit, contrast in zip(units, contrasts, strict=True):
+    for unit in units:
         row, column = divmod(unit, grid.units[1])
         rect = Rect(*grid.unit_rect_mm(column, row))
-        touches.append(Touch((rect,), contrast=contrast, border_mm=condition.border_mm))
+        touches.append(Touch((rect,), contrast=condition.contrast, border_mm=condition.border_mm))
     return units, _volts(device, bend, tuple(touches))
 
 

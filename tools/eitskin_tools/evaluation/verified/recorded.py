@@ -17,8 +17,7 @@ from eitskin.reference.captured import Reference
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.evaluation.harness import Case, Run, Sheet
 from eitskin_tools.evaluation.verified.resting import FRAMES, Resting
-from eitskin_tools.evaluation.verified.shapes import VerifiedFree
-from eitskin_tools.evaluation.verified.units import Verified, noise_shown
+from eitskin_tools.evaluation.verified.solver import Verified, noise_shown
 from eitskin_tools.recording.bundles import reference_of
 from eitskin_tools.recording.reinfer.rerun import Computed, Rerun
 from eitskin_tools.recording.reinfer.verdicts import Judged, Verdicts
@@ -27,11 +26,9 @@ from eitskin_tools.recording.script import Script, Step
 NETWORK: Final = "vd2t"
 """Whose map physics starts from."""
 
-WITHOUT_ROWS: Final = "rows are missing, and shapes are verified with all"
-
 
 class OfPhysics:
-    """A bundle's network and the verifier behind it, by units or by touches anywhere, as the bundle's labels say.
+    """A bundle's network and the verifier behind it.
 
     Args:
         script: The recording.
@@ -49,7 +46,7 @@ class OfPhysics:
         """On the frames so far."""
         self._reference: Reference | None = None
         self._sheet: Sheet | None = None
-        self._verified: Verified | VerifiedFree | None = None
+        self._verified: Verified | None = None
         self._image: npt.NDArray[np.float64] = np.zeros(bundle.skin.grid.shape)
         self._fits = False
         self._unfit = ""
@@ -109,9 +106,6 @@ class OfPhysics:
         if self._unfit:
             self._left_out(self._unfit)
             return None
-        if missing.any() and isinstance(self._verified, VerifiedFree):
-            self._left_out(WITHOUT_ROWS)
-            return None
         flat_V = np.where(missing, 0.0, reference.voltages_V)  # a row of 0 V is not looked at
         volts = flat_V * (1.0 + self._rerun.change.astype(np.float64))
         labels: Any = "units" if self._bundle.labels == "units" else "area"
@@ -126,6 +120,9 @@ class OfPhysics:
             return None
         self._fits = True
         checked = self._verified.checked.pop()
+        if checked.not_verified:
+            self._left_out(checked.not_verified)
+            return None
         judged = Judged(checked.verdict.p_value, bool(checked.verdict.flagged), checked.extra_ms, checked.setup_ms)
         self.verdicts.add(judged)
         return Computed(np.asarray(image, dtype=np.float32), True, "verified", found.gate_logit, judged)
@@ -133,12 +130,10 @@ class OfPhysics:
     def _left_out(self, why: str) -> None:
         self.verdicts.not_verified[why] += 1
 
-    def _of(self, reference: Reference) -> Verified | VerifiedFree:
+    def _of(self, reference: Reference) -> Verified:
         """Return the solver of a reference's frames."""
         bundle, step_V = self._bundle, self._script.hello.volts_per_count
         spread_V = np.hypot(reference.spread_V, step_V / math.sqrt(12.0))
         noise = noise_shown(reference.voltages_V, spread_V)
         network = Run(lambda case: self._image, "pre")
-        if bundle.labels == "units":
-            return Verified(network, noise, bundle.skin)
-        return VerifiedFree(network, noise, bundle.touch_kind, bundle.skin)
+        return Verified(network, noise, bundle.labels, bundle.touch_kind, bundle.skin)

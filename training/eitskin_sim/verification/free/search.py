@@ -28,7 +28,7 @@ from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.verification.chi_squared import LEVEL
-from eitskin_sim.verification.frame import check_frame
+from eitskin_sim.verification.frame import change_of, check_frame
 from eitskin_sim.verification.free import improve, two
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Fit, Frame, on_sheet
@@ -44,7 +44,7 @@ from eitskin_sim.verification.free.seen import closed
 from eitskin_sim.verification.free.starts import followed, starts_of, tries_of
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.free.valley import likely
-from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.residual import Noise, Rows
 from eitskin_sim.verification.sheet.deformation import Deformation
 from eitskin_sim.verification.sheet.model import model_of_cloud
 from eitskin_sim.verification.sheet.spreads import Spreads
@@ -62,7 +62,7 @@ class FreeVerifier:
     """Verifies frames of one deformation after another.
 
     Args:
-        reference_V: (104,) flat and untouched, as measured.
+        reference_V: (104,) flat and untouched, as measured; 0 in rows that every frame leaves out.
         noise: Of a frame.
         touches: Which way this skin's touches change conductance.
         skin: Whose frames.
@@ -79,7 +79,9 @@ class FreeVerifier:
         spreads: Spreads | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        self._reference, self._noise, self._usual = reference_V, noise, usual_of(touches, skin)
+        self._rows = reference_V != 0.0
+        self._reference = np.where(self._rows, reference_V, np.nan)
+        self._noise, self._usual = noise, usual_of(touches, skin)
         self._clock = clock
         self._skin, self._spreads = skin, spreads
         self._shown = 0
@@ -112,7 +114,12 @@ class FreeVerifier:
         return self.deformation.rest(voltages_V / self._reference - 1.0, self._reference, self._noise.of_mean(frames))
 
     def verify(
-        self, voltages_V: Array, shares: Array, last: Array | None = None, budget_s: float = BUDGET_S
+        self,
+        voltages_V: Array,
+        shares: Array,
+        last: Array | None = None,
+        budget_s: float = BUDGET_S,
+        rows: Rows | None = None,
     ) -> FreeVerdict:
         """Return the touches that explain a frame best.
 
@@ -122,19 +129,21 @@ class FreeVerifier:
             last: (m, 8) the last frame's, tried first.
             budget_s: Time. What a frame takes longer is one derivative of its touches and one solution with them, and,
                 where the frame shows that the sheet is stretched otherwise, one model of it.
+            rows: (104,) which rows the frame has; None is all. The others are left out, whatever they read.
 
         Raises:
             ValueError: There is no deformation yet, or no time; a number is not finite.
         """
         effort = Effort(budget_s, self._clock)
-        check_frame(voltages_V, self._reference, shares)
-        change = voltages_V / self._reference - 1.0
+        rows = self._rows if rows is None else self._rows & rows
+        check_frame(voltages_V, self._reference, shares, rows)
+        change = change_of(voltages_V, self._reference, rows)
         rectangles = starts_of(shares, self._skin.grid)
         upright = starts_of(shares, self._skin.grid, turned=False) if rectangles[:, 5].any() else None
         self._shown = max(len(rectangles), 0 if last is None else len(last))
 
         def start() -> tuple[Frame, Fit]:
-            return self._start(self._frame(change), rectangles, upright, last, effort)
+            return self._start(self._frame(change, rows), rectangles, upright, last, effort)
 
         trail: list[str] = []
         fit, unfinished = self._search(start, start(), shares, effort, trail)
@@ -209,7 +218,7 @@ class FreeVerifier:
         frame = fit.frame
         left = frame.change - frame.expected - frame.model.seen(fit.solved)
         if rough:
-            return frame.model.roughly(frame.change, left, self._reference, self._noise)
+            return frame.model.roughly(frame.change, left, self._reference, self._noise, frame.white.rows)
         return frame.white.amplitudes(left)[0]
 
     def _may_be_made(self, effort: Effort) -> bool:
@@ -223,9 +232,9 @@ class FreeVerifier:
         effort.setup_s += self.deformation.spent_s - before
         return found
 
-    def _frame(self, change: Array) -> Frame:
+    def _frame(self, change: Array, rows: Rows | None = None) -> Frame:
         model = self.deformation.model
-        white = model.whitener(change, self._reference, self._noise)
+        white = model.whitener(change, self._reference, self._noise, rows=rows)
         return Frame(model, white, change, self._usual, model.expected(model.ratio(change)), self._shown)
 
     def _start(
@@ -262,6 +271,6 @@ class FreeVerifier:
             if not model.differs(amplitudes):
                 break
             self._made(partial(self.deformation.make_anew, amplitudes), effort)
-            frame = self._frame(frame.change)
+            frame = self._frame(frame.change, frame.white.rows)
             fit = improve.fitted(frame, fit.pieces, fit.turning, effort, effort.searched)
         return frame, fit

@@ -1,0 +1,285 @@
+"""The network's map checked by physics: ``eitskin evaluate --solver verified``.
+
+Touches of the network's map, as the stream finds them, are where the search starts
+(:mod:`eitskin_sim.verification.free`). The map is drawn from the shapes that were found, with a share of the network's
+own (:mod:`eitskin_tools.evaluation.verified.share`): the two err in part independently, so both together are nearer to
+the truth than either. A map of units is snapped to units (:mod:`eitskin_sim.verification.snapped_units`). Where physics
+cannot explain the frame, or the network shows too many units, the network's own map stays, and the frame is flagged.
+
+Making the model of a shape, once or twice more where the frame shows that the sheet is stretched otherwise than its
+scan, counts as set-up: it serves all frames of the shape. So does seeing it untouched first, where that is asked for.
+"""
+
+import time
+import zlib
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.touches.moments import Finder
+from eitskin_proto.sensor.normalise import inverse_reference
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.evaluation.harness import Case, Results, Run
+from eitskin_sim.evaluation.metrics import TOUCHED, Score
+from eitskin_sim.measurement.noise import add_noise
+from eitskin_sim.scene.parts import Phantom
+from eitskin_sim.verification.free.effort import Effort
+from eitskin_sim.verification.free.found import FreeVerdict
+from eitskin_sim.verification.free.search import BUDGET_S, FreeVerifier
+from eitskin_sim.verification.free.starts import shares_of
+from eitskin_sim.verification.free.usual import usual_of
+from eitskin_sim.verification.residual import Noise, Rows
+from eitskin_sim.verification.snapped_units import UnitFrame, UnitVerdict, too_many, unit_shares, unverified
+from eitskin_tools.evaluation.verified.share import network_share
+
+Array = npt.NDArray[np.float64]
+
+SEED: Final = 7041
+"""Of the noise of untouched frames."""
+
+SPREADS: Final = (1e-5, 0.01)
+"""Of a row's voltage: what noise a reference is believed to have shown, as in :mod:`eitskin.pipeline.stillness`."""
+
+
+class MapVerifier:
+    """Verifies maps of one shape of the sheet after another, whatever their labels.
+
+    Args:
+        reference_V: (104,) flat and untouched; 0 in rows that every frame leaves out.
+        noise: Of a frame.
+        labels: Of the maps: "units" or "area".
+        touches: Which way touches change conductance.
+        skin: Whose models.
+        clock: What budgets are counted by, s.
+    """
+
+    def __init__(
+        self,
+        reference_V: Array,
+        noise: Noise,
+        labels: str,
+        touches: TouchKind,
+        skin: Skin = PAPER,
+        clock: Any = time.perf_counter,
+    ) -> None:
+        self._reference_V, self._noise, self._labels, self._skin, self._clock = reference_V, noise, labels, skin, clock
+        self._usual = usual_of(touches, skin)
+        self._finder = Finder(skin.grid)
+        self.shapes = FreeVerifier(reference_V, noise, touches, skin, clock=clock)
+        self.shown = 0
+        """Touches that the last map shows."""
+
+    def refused(self, image: Array) -> str:
+        """Return why a (rows, columns) map is not verified; nothing where it is."""
+        return too_many(self._shown(image)) if self._labels == "units" else ""
+
+    def verify(
+        self, voltages_V: Array, image: Array, last: Array | None, budget_s: float, rows: Rows | None = None
+    ) -> FreeVerdict | UnitVerdict:
+        """Return what explains a frame best: shapes, or units where the map is of units.
+
+        Args:
+            voltages_V: (104,) of the frame.
+            image: (rows, columns) the network's map.
+            last: (n, 8) the last frame's shapes, tried first.
+            budget_s: What the frame may take.
+            rows: (104,) which rows the frame has; None is all.
+        """
+        effort, grid = Effort(budget_s, self._clock), self._skin.grid
+        touches = self._finder.find(image)
+        self.shown = touches.count
+        shares = shares_of(touches.pixels, touches.touch, touches.weights, touches.count, grid)
+        before_s = self.shapes.deformation.spent_s
+        found = self.shapes.verify(voltages_V, shares, last, budget_s, rows)
+        if self._labels != "units":
+            return found
+        effort.setup_s = self.shapes.deformation.spent_s - before_s
+        model = self.shapes.deformation.model
+        frame = UnitFrame(model, voltages_V, self._reference_V, self._noise, self._usual, rows)
+        return frame.snapped(found, self._shown(image), effort)
+
+    def _shown(self, image: Array) -> npt.NDArray[np.bool_]:
+        return unit_shares(image, self._skin.grid) >= TOUCHED
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """One map's verdict, and what it took."""
+
+    verdict: FreeVerdict | UnitVerdict
+    extra_ms: float
+    """Of the verdict."""
+    cpu_ms: float
+    """The same by the processor."""
+    setup_ms: float
+    """Making the models of its shape, by the processor."""
+    not_verified: str = ""
+    """Why there is no verdict; nothing where there is one."""
+
+
+class Verified:
+    """A network and the verifier behind it.
+
+    Args:
+        network: The network's run.
+        noise: What the instrument's noise is.
+        labels: Of the network's maps: "units" or "area".
+        touches: Which way touches change conductance.
+        skin: Whose models.
+        budget_s: What a frame may take.
+        follow: Whether the touches of the last frame of a shape are the first start of the next.
+        at_rest: Untouched frames of a shape that physics sees before its first touch.
+    """
+
+    def __init__(
+        self,
+        network: Run,
+        noise: Noise,
+        labels: str,
+        touches: TouchKind,
+        skin: Skin,
+        budget_s: float = BUDGET_S,
+        follow: bool = False,
+        at_rest: int = 0,
+    ) -> None:
+        self._network, self._noise, self._labels, self._touches, self._skin = network, noise, labels, touches, skin
+        self._budget_s, self._follow, self._at_rest = budget_s, follow, at_rest
+        self._last: Array | None = None
+        self.checked: list[Checked] = []
+        """Verdicts in the order of the cases."""
+        self._shape: tuple[bytes, MapVerifier] | None = None
+        self._untouched: tuple[Array, int] | None = None
+
+    @property
+    def run(self) -> Run:
+        """Return the run that the harness takes."""
+        return replace(self._network, solver=self.solve)
+
+    def rest(self, voltages_V: Array, frames: int) -> None:
+        """Take what the shape in use reads while nothing touches it, for its next frame and those after.
+
+        Args:
+            voltages_V: (104,) the mean of some frames.
+            frames: How many.
+        """
+        self._untouched = voltages_V, frames
+
+    def solve(self, case: Case) -> Array:
+        """Return the map as physics leaves it; rows whose flat reference is 0 V are left out."""
+        image = self._network.solver(case)
+        verifier, setup_s = self._verifier(case)
+        if why := verifier.refused(image):
+            self.checked.append(Checked(unverified(), 0.0, 0.0, 1e3 * setup_s, why))
+            return image
+        made_s, start = verifier.shapes.deformation.spent_cpu_s, time.process_time()
+        rows = case.flat_reference != 0.0
+        verdict = verifier.verify(case.voltages, image, self._last, self._budget_s, rows)
+        self._last = verdict.pieces if self._follow and len(verdict.pieces) else None
+        made_s = verifier.shapes.deformation.spent_cpu_s - made_s
+        cpu_s = time.process_time() - start - made_s
+        self.checked.append(Checked(verdict, 1e3 * verdict.seconds, 1e3 * cpu_s, 1e3 * (setup_s + made_s)))
+        if verdict.flagged:
+            return image
+        grid = self._skin.grid
+        if isinstance(verdict, UnitVerdict):
+            touched = np.zeros(grid.n_units)
+            touched[[one.unit for one in verdict.touches]] = 1.0
+            return np.asarray(grid.map_from_units(touched), dtype=np.float64)
+        share = network_share(verdict, image, verifier.shown, grid)
+        return (1.0 - share) * verdict.map(grid) + share * np.clip(image, 0.0, 1.0)
+
+    def _verifier(self, case: Case) -> tuple[MapVerifier, float]:
+        """Return the verifier of a case's shape, and CPU seconds that its models took: 0 for the shape in use."""
+        key, spent_s = shape_of(case) + case.flat_reference.tobytes(), 0.0
+        if self._shape is None or self._shape[0] != key:
+            verifier = MapVerifier(
+                case.flat_reference, self._noise, self._labels, self._touches, self._skin, time.process_time
+            )
+            verifier.shapes.deform(case.sheet.cloud_mm)
+            if self._at_rest:
+                self.rest(untouched_mean(case, self._noise, self._at_rest), self._at_rest)
+            self._shape, self._last = (key, verifier), None
+        else:
+            verifier = self._shape[1]
+            spent_s = verifier.shapes.deformation.spent_cpu_s
+        if self._untouched is not None:
+            verifier.shapes.rest(*self._untouched)
+            self._untouched = None
+        return verifier, verifier.shapes.deformation.spent_cpu_s - spent_s
+
+
+def shape_of(case: Case) -> bytes:
+    """Return what tells one sheet at one shape from another: not its scan alone, which shows no uneven stretch."""
+    return case.sheet.cloud_mm.tobytes() + case.sheet.untouched.tobytes()
+
+
+def untouched_mean(case: Case, noise: Noise, frames: int) -> Array:
+    """Return (104,) V that a case's sheet reads untouched: the mean of some frames.
+
+    Raises:
+        ValueError: The noise is measured.
+    """
+    untouched = case.sheet.untouched
+    if noise.law == "measured":
+        raise ValueError("measured frames have no untouched ones beside them; leave --at-rest out")
+    rng = np.random.default_rng([SEED, zlib.crc32(untouched.tobytes())])
+    every = np.tile(untouched, (frames, 1))
+    return np.asarray(add_noise(every, case.flat_reference, noise.law, noise.snr_db, rng).mean(axis=0))
+
+
+def noise_shown(reference_V: Array, spread_V: Array) -> Noise:
+    """Return the noise of a frame, as a reference's frames showed it.
+
+    Args:
+        reference_V: (rows,) V.
+        spread_V: (rows,) V, standard deviation of a single frame.
+    """
+    inverse = inverse_reference(reference_V)
+    sd = np.clip(spread_V * np.abs(inverse), *SPREADS)
+    return Noise("measured", measured=np.where(inverse != 0.0, sd, SPREADS[1]))
+
+
+def add_verdicts(found: dict[str, Any], results: Results, checked: dict[int, list[Checked]]) -> None:
+    """Add to a report what the verifier said of each phantom, and of all of them.
+
+    Args:
+        found: The report.
+        results: Phantoms and their scores.
+        checked: A phantom's verdicts, one a score, by its ``id``.
+    """
+    for row, (phantom, _) in zip(found["phantoms"], results, strict=True):
+        own = checked[id(phantom)]
+        row["p_value"] = float(np.median([one.verdict.p_value for one in own]))
+        row["flagged"] = float(np.mean([one.verdict.flagged for one in own]))
+        row["extra_ms"] = float(np.median([one.extra_ms for one in own]))
+        row["touch_list"] = [asdict(touch) for touch in own[0].verdict.touches]  # of the first draw
+        if why := next((one.not_verified for one in own if one.not_verified), ""):
+            row["not_verified"] = why
+    found["verified"] = summary_of([(phantom, scores, checked[id(phantom)]) for phantom, scores in results])
+
+
+def summary_of(every: list[tuple[Phantom, list[Score], list[Checked]]]) -> dict[str, Any]:
+    """Return what verdicts come to, over all maps; times and chi-squared of those that were verified."""
+    exact = np.array([one.exact for _, scores, _ in every for one in scores]) == 1.0
+    all_ = [one for _, _, checked in every for one in checked]
+    flagged = np.array([one.verdict.flagged for one in all_])
+    verified = [one for one in all_ if not one.not_verified] or all_
+    extra, cpu = np.array([one.extra_ms for one in verified]), np.array([one.cpu_ms for one in verified])
+    setup = [one.setup_ms for one in all_ if one.setup_ms]
+    return {
+        "maps": len(all_),
+        "not_verified": sum(bool(one.not_verified) for one in all_),
+        "exact": float(exact.mean()),
+        "wrong": int((~exact).sum()),
+        "wrong_unflagged": int((~exact & ~flagged).sum()),
+        "right_flagged": int((exact & flagged).sum()),
+        "extra_ms_median": float(np.median(extra)),
+        "extra_ms_p95": float(np.percentile(extra, 95)),
+        "cpu_ms_median": float(np.median(cpu)),
+        "cpu_ms_p95": float(np.percentile(cpu, 95)),
+        "setup_ms_median": float(np.median(setup)),
+        "chi_squared_median": float(np.median([one.verdict.chi_squared for one in verified])),
+    }

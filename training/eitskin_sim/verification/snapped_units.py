@@ -1,0 +1,234 @@
+"""Touched units: a verdict on shapes anywhere, snapped to the units of the skin's grid and judged as such.
+
+A map of units is verified as any other, by shapes (:mod:`eitskin_sim.verification.free`). A unit counts as touched if
+the verified map covers half of it. Then each unit is a rectangle of its own contrast, and the frame is modelled with
+just these. Where that leaves more than it should, units are put in or taken out one at a time, as long as what is
+minimised falls ::
+
+    chi-squared + sum of ((log contrast - its mean) / spread)^2 + PRICE * units
+
+Only units in doubt are tried: those that the verified map covers in part, and those on which the network disagrees.
+"""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.skin.grid import Grid
+from eitskin_sim.fem.mesh import Index
+from eitskin_sim.scene.touch_table import RECTANGLE, Array
+from eitskin_sim.shapes.parameters import COUNT, LOG_CONTRAST
+from eitskin_sim.verification.chi_squared import LEVEL, p_value
+from eitskin_sim.verification.frame import change_of
+from eitskin_sim.verification.free.effort import Effort
+from eitskin_sim.verification.free.fit import CONTRASTS
+from eitskin_sim.verification.free.found import FreeVerdict
+from eitskin_sim.verification.free.usual import Usual
+from eitskin_sim.verification.residual import Noise, Rows
+from eitskin_sim.verification.sheet.model import Model
+from eitskin_sim.verification.verdict import Verdict
+
+Bits = npt.NDArray[np.bool_]
+
+MOST_UNITS: Final = 6
+"""Units that the network shows at most where units are verified: sets of 7 to 10 came out right in 4 of 9 frames."""
+
+COVERED: Final = 0.5
+"""Share of a unit that the verified map covers, or it is not touched."""
+
+DOUBT: Final = (0.1, 0.9)
+"""Shares of a unit between which it may be touched or not."""
+
+MOST_IN_DOUBT: Final = 10
+"""Units that are put in or taken out at most, those nearest to ``COVERED``."""
+
+SURE: Final = 0.5
+"""p from which a set is left as it is. As p is cautious, most right sets reach it: of 97 sets, 94."""
+
+PRICE: Final = 6.0
+"""Chi-squared that a unit must take away, or it is not touched."""
+
+MODEL_ERROR: Final = 0.01
+"""What the model is off of what units change, as a share."""
+
+UNKNOWN_LOG_CONTRAST: Final = 3.0
+"""Where a fit of units begins on a skin whose touches go either way, and no shape says more."""
+
+STEPS: Final = 6
+"""Steps of a fit of contrasts at most; ``ENOUGH`` of what is minimised ends it."""
+
+ENOUGH: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class UnitTouch:
+    """One touched unit."""
+
+    unit: int
+    contrast: float
+    """Conductivity over the sheet's."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnitVerdict(Verdict[UnitTouch]):
+    """One frame, explained by touched units."""
+
+    pieces: Array = field(default_factory=lambda: np.zeros((0, 8)))
+    """(n, 8) the shapes that were snapped: the next frame's first start."""
+
+
+def too_many(shown: Bits) -> str:
+    """Return why units are not verified, of which a network shows so many; nothing where they are.
+
+    Args:
+        shown: (units,) what it shows.
+    """
+    count = int(shown.sum())
+    return f"{count} units are shown, and at most {MOST_UNITS} are verified" if count > MOST_UNITS else ""
+
+
+def unit_shares(image: Array, grid: Grid) -> Array:
+    """Return the (units,) mean of a (rows, columns) map over the pixels of each unit."""
+    unit = grid.unit_of_pixel.ravel()
+    pixels = np.maximum(np.bincount(unit, minlength=grid.n_units), 1)
+    return np.asarray(np.bincount(unit, weights=image.ravel(), minlength=grid.n_units) / pixels)
+
+
+@dataclass(frozen=True, slots=True)
+class _Set:
+    """Units fitted to a frame."""
+
+    bits: Bits
+    logs: Array
+    """(n,) their log contrasts."""
+    misfit: float
+    """Chi-squared, and what contrasts cost that differ."""
+    degrees_of_freedom: int
+
+    @property
+    def cost(self) -> float:
+        return self.misfit + PRICE * len(self.logs)
+
+    @property
+    def p(self) -> float:
+        return p_value(self.misfit, self.degrees_of_freedom)
+
+
+class UnitFrame:
+    """One frame, modelled with sets of units.
+
+    Args:
+        model: Of the sheet, as the frame's shapes were verified.
+        voltages_V: (104,) of the frame.
+        reference_V: (104,) flat and untouched; 0 in rows that every frame leaves out.
+        noise: Of the frame.
+        usual: What touches are like.
+        rows: (104,) which rows there are; None is all.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        voltages_V: Array,
+        reference_V: Array,
+        noise: Noise,
+        usual: Usual,
+        rows: Rows | None = None,
+    ) -> None:
+        self._rows = (reference_V != 0.0) if rows is None else rows & (reference_V != 0.0)
+        self._reference = np.where(self._rows, reference_V, np.nan)
+        self._change = change_of(voltages_V, self._reference, self._rows)
+        self._model, self._noise, self._usual = model, noise, usual
+        self._expected = model.expected(model.ratio(self._change))
+        self.sets = 0
+        """That were fitted."""
+
+    def snapped(self, found: FreeVerdict, shown: Bits, effort: Effort) -> UnitVerdict:
+        """Return the touched units that shapes come to, or others about them that explain the frame better.
+
+        Args:
+            found: The shapes.
+            shown: (units,) what the network shows.
+            effort: What the frame took so far, and may take.
+        """
+        grid = self._model.skin.grid
+        covered = unit_shares(found.map(grid), grid)
+        best = self._fitted(covered >= COVERED, found.pieces)
+        if best.p < SURE and not np.array_equal(best.bits, shown):
+            best = min(best, self._fitted(shown, found.pieces), key=lambda one: one.cost)
+        in_doubt = (covered > DOUBT[0]) & (covered < DOUBT[1]) | ((covered >= COVERED) != shown)
+        doubted = np.flatnonzero(in_doubt)
+        doubted = doubted[np.argsort(np.abs(covered[doubted] - COVERED), kind="stable")][:MOST_IN_DOUBT]
+        while best.p < SURE and len(doubted) and not effort.searched():
+            other = min((self._flipped(best, unit, found.pieces) for unit in doubted), key=lambda one: one.cost)
+            if other.cost >= best.cost:
+                break
+            best = other
+        return UnitVerdict(
+            touches=tuple(
+                UnitTouch(int(unit), float(np.exp(log)))
+                for unit, log in zip(np.flatnonzero(best.bits), best.logs, strict=True)
+            ),
+            chi_squared=best.misfit,
+            degrees_of_freedom=best.degrees_of_freedom,
+            p_value=best.p,
+            level=LEVEL,
+            evaluations=found.evaluations + self.sets,
+            seconds=effort.seconds,
+            unfinished=best.p < LEVEL and effort.searched(),
+            pieces=found.pieces,
+        )
+
+    def _flipped(self, one: _Set, unit: int, pieces: Array) -> _Set:
+        bits = one.bits.copy()
+        bits[unit] ^= True
+        return self._fitted(bits, pieces)
+
+    def _fitted(self, bits: Bits, pieces: Array) -> _Set:
+        """Return units with the contrasts that explain the frame best, each begun from that of the nearest shape."""
+        self.sets += 1
+        units = np.flatnonzero(bits)
+        table = _rectangles(units, self._model.skin.grid)
+        logs = np.full(len(units), self._usual.log_contrast or UNKNOWN_LOG_CONTRAST)
+        if len(pieces) and len(units):
+            apart = np.hypot(*(table[:, None, 1:3] - pieces[None, :, 1:3]).transpose(2, 0, 1))
+            logs = np.log(pieces[apart.argmin(axis=1), 6])
+        own = np.zeros((len(units), COUNT), dtype=np.bool_)
+        own[:, LOG_CONTRAST] = True
+        alike = (np.eye(len(units)) - 1.0 / max(len(units), 1)) / self._usual.own_sd
+        best: _Set | None = None
+        for _ in range(STEPS):
+            table[:, 6] = np.exp(logs)
+            solved, change = self._model.solve(table)
+            signal = MODEL_ERROR * np.abs(change - self._model.untouched)
+            white = self._model.whitener(self._change, self._reference, self._noise, rows=self._rows, own=signal)
+            residual, unlike = white.whiten(self._change - self._expected - change), alike @ logs
+            misfit = float(residual @ residual + unlike @ unlike)
+            gain = np.inf if best is None else best.misfit - misfit
+            if gain > 0.0:
+                best = _Set(bits, logs, misfit, max(len(residual) - len(units), 1))
+            if gain < ENOUGH or not len(units):
+                break
+            by = -white.whiten(self._model.jacobian(solved, own).T).T
+            square = by.T @ by + alike.T @ alike + 1e-2 * np.eye(len(units))
+            step = -np.linalg.solve(square, by.T @ residual + alike.T @ unlike)
+            logs = np.clip(logs + np.clip(step, -1.0, 1.0), *np.log(CONTRASTS))
+        assert best is not None
+        return best
+
+
+def unverified(seconds: float = 0.0) -> UnitVerdict:
+    """Return what is said of a frame whose units are too many: nothing, and that it is flagged."""
+    return UnitVerdict((), 0.0, 1, 0.0, LEVEL, 0, seconds)
+
+
+def _rectangles(units: Index, grid: Grid) -> Array:
+    """Return (n, 8) units as touches of contrast 1."""
+    boxes = np.array([grid.unit_rect_mm(unit % grid.units[1], unit // grid.units[1]) for unit in units.tolist()])
+    table = np.zeros((len(units), 8))
+    if len(units):
+        table[:, 0], table[:, 6] = RECTANGLE, 1.0
+        table[:, 1:3], table[:, 3:5] = (boxes[:, :2] + boxes[:, 2:]) / 2.0, boxes[:, 2:] - boxes[:, :2]
+    return table
