@@ -9,9 +9,6 @@ from eitskin.messaging.frame_record import READ, FrameRecord
 from eitskin.messaging.publish import Publisher
 from eitskin.skin import Skin
 
-LOOK_NS: Final = 200_000_000
-"""How often connections are counted."""
-
 JOIN_NS: Final = 10_000_000
 """How often it is asked who subscribes: so long a newcomer waits, at most, for what nobody else wanted."""
 
@@ -39,7 +36,7 @@ def serve(
         PortLost: The port vanished.
         HandshakeError: The device fell silent and does not answer, or came back as another one.
     """
-    next_look_ns = next_join_ns = time.perf_counter_ns()
+    next_join_ns = time.perf_counter_ns()
     publisher.look()
     with closing(skin.publish(publisher, until_ns)) as records:  # what is left of the last frame is done here, and now
         for record in records:
@@ -53,6 +50,3 @@ def serve(
                 publisher.look()
                 if publisher.streams.joined:
                     skin.pipeline.maps.renew()
-            if now_ns >= next_look_ns:
-                next_look_ns = now_ns + LOOK_NS
-                publisher.look_at_connections()

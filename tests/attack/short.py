@@ -9,8 +9,7 @@ from .catalogue import ATTACKS, load
 from .outcome import Effort, Outcome
 
 SLOW: Final = frozenset({
-    "subscribers.topics", "subscribers.connections", "subscribers.descriptors", "subscribers.silent",
-    "subscribers.honest", "subscribers.churn", "subscribers.giants", "subscribers.unsubscriptions", "device.clocks",
+    "subscribers.held", "subscribers.without-keys", "subscribers.honest", "subscribers.giants", "device.clocks",
     "device.greetings", "device.answers", "device.hangs", "device.terminated", "device.rows", "device.floods",
     "device.hello", "device.heads", "device.foreign", "device.restarts", "device.numbers", "files.readers",
     "files.commands",

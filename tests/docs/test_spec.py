@@ -40,10 +40,6 @@ def test_limits_and_queues_are_those_of_the_code():
     publishing, control = "messaging/publish.py", "messaging/control*.py"
     assert f"{constant('QUEUE_FRAMES', publishing)} frames at least" in FLAT
     assert f"more than {constant('LARGEST_SUBSCRIPTION', publishing)} bytes" in FLAT
-    topics = "messaging/admission/topics.py"
-    assert f"More than {constant('MOST_TOPICS', topics)} topics of one subscriber" in FLAT
-    assert f"or {constant('MOST_MESSAGES', topics)} messages of one between two looks" in FLAT
-    assert f"more than {constant('MODEST', 'messaging/admission/traffic.py')} bytes in all" in FLAT
     assert f"{constant('MOST_SUBSCRIBERS', publishing)} subscribers are served" in FLAT
     assert f"at most {constant('LARGEST_MESSAGE', 'messaging/frame*.py')} bytes" in FLAT
     assert f"at most {constant('LARGEST_REQUEST', control)} bytes" in FLAT

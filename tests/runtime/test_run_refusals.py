@@ -95,6 +95,7 @@ def test_bad_usage_of_run_exits_2(words):
     ("words", "said"),
     [
         (["--publish", "here"], "endpoint 'here': expected ipc:///path or tcp://address:port"),
+        (["--publish", "tcp://127.0.0.1:7000"], "would let others in, on this machine too: give CURVE keys with"),
         (["--control", "ipc://relative"], "expected an absolute path"),
         (["--curve-keys", "/nowhere"], "/nowhere/server.key_secret is no CURVE key"),
     ],

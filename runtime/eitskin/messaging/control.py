@@ -32,7 +32,6 @@ command        fields                                                answer
 
 import os
 import threading
-from collections import deque
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from typing import Any, Final
@@ -40,26 +39,18 @@ from typing import Any, Final
 import zmq
 
 from eitskin.errors import ControlError
-from eitskin.messaging.admission.descriptors import Connection
-from eitskin.messaging.admission.door import Door
 from eitskin.messaging.control_commands import Answer, Commands, Controlled, answer_of, refusal
 from eitskin.messaging.control_fields import largest_request
 from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
+from eitskin.messaging.listener import Listener, sender_of
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.skin import Skin as SkinDescription
 
 MOST_CONNECTIONS: Final = 64
-"""Clients at once; see :mod:`eitskin.messaging.admission`."""
+"""Clients at once; one more ends the one that has asked for nothing for the longest time."""
 
 MOST_PARTS: Final = 16
 """Of a message: identities of proxies, the delimiter, the map."""
-
-MOST_UNFINISHED: Final = 16
-"""Largest requests' worth of bytes of a client on TCP that were read and are no whole message yet: more is one of parts
-without end."""
-
-LAST_ANSWERED: Final = 8
-"""Clients that are not ended for the sake of others: their answers may be on the way."""
 
 FAREWELL_S: Final = 0.1
 """How long ``close`` waits for the answer to a request that was ended by it."""
@@ -92,41 +83,29 @@ class ControlServer:
         self._largest = largest_request(known.grid)
         self._commands = Commands(controlled, known)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._keys = keys
         self.refused = 0
         """Requests that were answered with an error."""
         self._closing = False
         self._slow = _SlowRequest()
-        self._answered: deque[Connection] = deque(maxlen=LAST_ANSWERED)
         self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
-        try:
-            self._open(endpoint)
-        except BaseException:
-            self._end()
-            raise
-        self._thread = threading.Thread(target=self._serve, name="eitskin-control", daemon=True)
-        self._thread.start()
-
-    def _open(self, endpoint: str) -> None:
         self._socket: Any = self._context.socket(zmq.ROUTER)
         self._socket.setsockopt(zmq.MAXMSGSIZE, self._largest)
         self._socket.setsockopt(zmq.RCVHWM, 4)
         self._socket.setsockopt(zmq.SNDHWM, 4)
-        self._socket.setsockopt(zmq.HANDSHAKE_IVL, 2000)
         self._socket.setsockopt(zmq.LINGER, 100)
         try:
-            self._door = Door(
-                self._socket,
-                endpoint,
-                keys=self._keys,
-                control=True,
-                most=MOST_CONNECTIONS,
-                allowance_bytes=MOST_UNFINISHED * self._largest,
-            )
+            self._listener = Listener(self._context, self._socket, endpoint, keys=keys, most=MOST_CONNECTIONS)
         except BaseException:
-            self._socket.close(0)
+            self._end()
             raise
-        self.endpoint = self._door.endpoint
+        self.endpoint = self._listener.endpoint
+        self._thread = threading.Thread(target=self._serve, name="eitskin-control", daemon=True)
+        self._thread.start()
+
+    @property
+    def ended(self) -> int:
+        """Connections that were ended because there were too many."""
+        return self._listener.refused
 
     def _serve(self) -> None:
         """Answer until told to end, or with the context; whatever ends it, the address is given back."""
@@ -134,19 +113,16 @@ class ControlServer:
             self._answer_all()
         finally:
             self._say_farewell()
-            self._door.close()
-            self._socket.close()
+            self._listener.close()
 
     def _answer_all(self) -> None:
         """Block until there is a request, an answer or a connection."""
         while not self._closing:
             try:
-                zmq.select([self._socket, self._slow.wake, *self._door.waits_on], [], [], self._door.look_again_s)
+                listener = self._listener
+                zmq.select([self._socket, self._slow.wake, *listener.waits_on], [], [], listener.pause_s)
                 self._answer_finished()
-                keep = [one for one in (self._slow.asker, *self._answered) if one is not None]
-                self._door.look(keep)
-                self._door.count(keep)
-                self._door.end_endless()
+                listener.look()
                 if self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
                     self._take(self._socket.recv_multipart(copy=False))
             except zmq.ContextTerminated:
@@ -157,11 +133,9 @@ class ControlServer:
     def _take(self, frames: list[Any]) -> None:
         """Answer a message, or have it answered later."""
         parts = [frame.bytes for frame in frames]
-        asker = self._asker(frames[-1])
+        asker = sender_of(frames[-1])
         if asker is not None:
-            self._door.took(asker, sum(map(len, parts[1:])), len(parts))
-            if asker not in self._answered:
-                self._answered.append(asker)
+            self._listener.keep(asker, served=False)
         if b"" not in parts[1:MOST_PARTS]:
             route, body = [parts[0], b""], None
         else:
@@ -176,18 +150,13 @@ class ControlServer:
             perform, slow = self._commands.prepare(body)
             if slow:
                 self._slow.start(route, perform, asker)
+                if asker is not None:
+                    self._listener.keep(asker, served=True)
                 return
         except ControlError as error:
             self._send(route, False, refusal(str(error)))
         else:
             self._send(route, *answer_of(perform))
-
-    def _asker(self, frame: Any) -> Connection | None:
-        """Return over which connection a message came; None if it has gone."""
-        try:
-            return self._door.connection_at(frame.get(zmq.SRCFD))
-        except zmq.ZMQError:  # libzmq does not know: its client left before they had greeted each other
-            return None
 
     def _send(self, route: Route, granted: bool, answer: bytes) -> None:
         """Send an answer; it is dropped if its client has vanished or reads none."""
@@ -200,6 +169,8 @@ class ControlServer:
         if found is None:
             return False
         self._send(*found)
+        if self._slow.asker is not None:
+            self._listener.keep(self._slow.asker, served=False)
         return True
 
     def _say_farewell(self) -> None:
@@ -237,12 +208,12 @@ class _SlowRequest:
         """To wait on: something is finished, or ``ring`` was called."""
         self.waiting: Route | None = None
         """Who waits for an answer."""
-        self.asker: Connection | None = None
-        """Over which connection who asked last."""
+        self.asker: int | None = None
+        """Descriptor of the connection of who asked last."""
         self._done: SimpleQueue[tuple[bool, bytes]] = SimpleQueue()
         self._lock = threading.Lock()
 
-    def start(self, route: Route, perform: Callable[[], Answer], asker: Connection | None) -> None:
+    def start(self, route: Route, perform: Callable[[], Answer], asker: int | None) -> None:
         """Begin; ``finished`` will have the answer.
 
         Raises:

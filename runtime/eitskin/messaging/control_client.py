@@ -17,7 +17,7 @@ import zmq
 from eitskin.errors import CloudWarning, ControlError, EndpointError
 from eitskin.messaging.control_fields import LARGEST_REQUEST, unpack_fields
 from eitskin.messaging.curve_keys import ClientKeys
-from eitskin.messaging.endpoints import CONTROL, ROBOT, default_control
+from eitskin.messaging.endpoints import CONTROL, ROBOT, check_client_keys, default_control
 from eitskin.messaging.reachability import who_else
 from eitskin.reference.predicted import check_voltages
 from eitskin_proto.skin.cloud_file import Surface, load_surface
@@ -45,12 +45,13 @@ def request(
 
     Raises:
         ControlError: The runtime refused, with its reason; or did not answer in time.
-        EndpointError: ZeroMQ cannot make sense of the endpoint.
+        EndpointError: ZeroMQ cannot make sense of the endpoint, or it is TCP and there are no keys.
         ValueError: timeout_s is not positive.
     """
     if not timeout_s > 0:
         raise ValueError(f"timeout_s is {timeout_s}, expected more than 0")
     where = default_control() if endpoint is None else endpoint
+    check_client_keys(where, keys)
     context: zmq.Context[Any] = zmq.Context()
     socket = context.socket(zmq.REQ)
     try:
@@ -61,7 +62,7 @@ def request(
         socket.connect(where)
         socket.send(msgpack.packb({"command": command, **fields}))
         if not socket.poll(round(timeout_s * 1000)):
-            raise ControlError(f"no answer from {where} within {timeout_s:g} s; {_why_silent(where, keys)}")
+            raise ControlError(f"no answer from {where} within {timeout_s:g} s; {_why_silent(where)}")
         answer = unpack_fields([socket.recv()])
     except zmq.ZMQError as error:
         raise EndpointError(f"{where} cannot be used: {error.strerror}") from error
@@ -145,14 +146,12 @@ def send_cloud(
     return int(answer["cloud"])
 
 
-def _why_silent(endpoint: str, keys: ClientKeys | None) -> str:
+def _why_silent(endpoint: str) -> str:
     """What to do about a runtime that does not answer."""
     path = Path(endpoint.removeprefix("ipc://"))
     of_robot = (path.parent.parent / ROBOT).exists()
     command = "eitskin run --config ROBOT.toml" if of_robot else f"eitskin run --port PORT --control {endpoint}"
     start = who_else(endpoint, CONTROL) or f"is the runtime running? Start it with: {command}"
-    if endpoint.startswith("tcp://") and keys is None:
-        return f"control over TCP needs keys=load_client_keys(...); {start}"
     if endpoint.startswith("ipc://") and not path.exists():
         return f"there is no {path}; {start}"
     return f"is it the control endpoint that 'eitskin run' printed, not the one of frames? Else {start}"

@@ -1,13 +1,9 @@
 """Who may reach us: which addresses are allowed, and what each needs before it is bound.
 
-===================  ==========================  =====================================
-address              publishing                  control
-===================  ==========================  =====================================
-``ipc:///path``      yes                         yes
-``tcp://127.0.0.1``  yes                         with CURVE keys
-other ``tcp://``     with CURVE keys             with CURVE keys
-anything else        refused                     refused
-===================  ==========================  =====================================
+- ``ipc:///path``: its own user alone may connect.
+- ``tcp://address:port``: whoever has a CURVE key that the runtime lists, on this machine too: loopback is open to all
+  of its users.
+- Anything else is refused.
 
 A socket at an ipc path may be reached by its owner only. The path is looked at before it is bound: a living socket is
 "in use", a dead one is removed, anything else is left alone and refused.
@@ -24,7 +20,7 @@ from typing import Final
 import zmq
 
 from eitskin.errors import EndpointError
-from eitskin.messaging.curve_keys import ServerKeys
+from eitskin.messaging.curve_keys import ClientKeys, ServerKeys
 from eitskin_proto.files.plain import quoted
 
 LONGEST_PATH: Final = 100
@@ -81,12 +77,11 @@ def default_control() -> str:
     return f"ipc://{runtime_folder() / CONTROL}"
 
 
-def needs_keys(endpoint: str, *, control: bool) -> bool:
-    """Return whether an endpoint may be bound with CURVE keys only.
+def needs_keys(endpoint: str) -> bool:
+    """Return whether an endpoint may be bound with CURVE keys only, as TCP may.
 
     Args:
         endpoint: ``ipc:///path`` or ``tcp://address:port``.
-        control: It takes commands, so that no other user may reach it, not even on this machine.
 
     Raises:
         EndpointError: It is neither, or has no path or port, or cannot be written as UTF-8.
@@ -107,34 +102,32 @@ def needs_keys(endpoint: str, *, control: bool) -> bool:
     host, separator, port = rest.rpartition(":")
     if not separator or not host or not (port == "*" or (port.isdecimal() and int(port) < 65536)):
         raise EndpointError(f"endpoint {quoted(endpoint)}: expected tcp://address:port")
-    return control or not _is_loopback(host)
+    return True
 
 
-def _is_loopback(host: str) -> bool:
-    import ipaddress  # noqa: PLC0415 -- only TCP needs it
-
-    try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
-    except ValueError:
-        return False  # a name or an interface may point anywhere
-
-
-def check_allowed(endpoint: str, keys: ServerKeys | None, *, control: bool) -> None:
+def check_allowed(endpoint: str, keys: ServerKeys | None) -> None:
     """Refuse an endpoint that others would reach without keys.
-
-    Args:
-        endpoint: Where.
-        keys: CURVE keys, if there are any.
-        control: See :func:`needs_keys`.
 
     Raises:
         EndpointError: It needs keys, or is none.
     """
-    if needs_keys(endpoint, control=control) and keys is None:
-        what = "control requests" if control else "frames"
+    if needs_keys(endpoint) and keys is None:
         raise EndpointError(
-            f"{endpoint} would let others reach {what}: give CURVE keys with --curve-keys DIR "
+            f"{endpoint} would let others in, on this machine too: give CURVE keys with --curve-keys DIR "
             "('eitskin doctor --make-curve-keys DIR' makes them), or use ipc:///path"
+        )
+
+
+def check_client_keys(endpoint: str, keys: ClientKeys | None) -> None:
+    """Refuse to connect where no runtime would answer.
+
+    Raises:
+        EndpointError: It is TCP, and there are no keys.
+    """
+    if endpoint.startswith("tcp://") and keys is None:
+        raise EndpointError(
+            f"{endpoint} needs CURVE keys, on this machine too: give --server-key FILE --client-key FILE, or "
+            "keys=eitskin.load_client_keys(...); or use the runtime's ipc:///path"
         )
 
 

@@ -23,23 +23,20 @@ shorter, do not wait for it. ::
 Those with the empty topic get touch messages and streams too, and leave them alone for their version. Touch messages
 are sent first, so that who keeps one message keeps the frame; streams go behind the frame, unless there is such a one.
 
-Subscribers are not trusted. All that they can send is subscriptions, which libzmq keeps in memory for them: messages
-are limited to a few bytes, few of them wait, and who sends more than any honest subscriber would is ended, as is who
-comes when there are enough (:mod:`eitskin.messaging.admission`). Nobody else notices.
+All that subscribers send is subscriptions, and none of these takes anything from others: what was asked for stays asked
+for until libzmq says by itself that the last who had it has left. An unsubscription that a subscriber sends is not
+believed, since it may be of a topic that it never had, and others have it.
 """
 
+import time
 from typing import Any, Final
 
 import zmq
 
-from eitskin.messaging.admission.descriptors import end
-from eitskin.messaging.admission.door import Door
-from eitskin.messaging.admission.patrol import Patrol
-from eitskin.messaging.admission.topics import Topics
-from eitskin.messaging.admission.turnstile import Turnstile
 from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
 from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE, patient_topics
 from eitskin.messaging.frame_message import Asked
+from eitskin.messaging.listener import Listener, sender_of
 from eitskin.messaging.regions import ALWAYS, TOUCHES, UNCHANGED
 from eitskin.messaging.streams.desk import StreamDesk
 from eitskin.messaging.verified.message import asked_for
@@ -56,21 +53,22 @@ LARGEST_SUBSCRIPTION: Final = 512
 """Bytes; a subscription to everything has 1, but CURVE's handshake, which counts as well, has up to 260."""
 
 QUEUE_SUBSCRIPTIONS: Final = 2
-"""Subscription messages of one connection that wait within libzmq. It reads until none waits: with more, a flood keeps
-it reading within one call for a quarter of a second. With 1, CURVE's handshake does not end (libzmq 4.3.5)."""
+"""Subscription messages of one connection that wait within libzmq, which reads until none waits. With 1, CURVE's
+handshake does not end (libzmq 4.3.5)."""
 
-MOST_AT_ONCE: Final = 1024
-"""Subscription messages that are taken in one look; a crowd of 128 that comes at once has 400. A connection that is
-ended in a flood leaves some hundred, so this is what a flood leaves in one look, several times."""
+MOST_AT_ONCE: Final = 256
+"""Subscription messages that are taken in one look; a crowd of 128 that comes at once has 400, for two."""
 
-CALM: Final = 64
-"""Subscription messages of a look that lets newcomers in: those before them have been taken in. Twenty honest ones that
-come at once have as many."""
+MOST_TOPICS: Final = 512
+"""Topics that are remembered; beyond it everything counts as asked for."""
+
+MOST_SUBSCRIBERS: Final = 128
+"""At once; who comes then is ended."""
 
 _EVENTS, _POLLIN, _NOBLOCK = zmq.EVENTS, int(zmq.POLLIN), int(zmq.NOBLOCK)  # an enumeration's & takes microseconds
 
-MOST_SUBSCRIBERS: Final = 128
-"""At once; whoever comes then is ended."""
+DESERTED_S: Final = 2.0
+"""How long nobody must be connected until nothing counts as asked for any more."""
 
 DECLARING: Final = frozenset((FIRST_BYTE, *patient_topics(FIRST_BYTE)))
 """Topics of frames for subscribers that say by topics of their own what they need of them."""
@@ -81,7 +79,7 @@ class Publisher:
 
     Args:
         endpoint: ``ipc:///path`` or ``tcp://address:port``.
-        keys: CURVE keys, needed for TCP beyond loopback.
+        keys: CURVE keys, needed for TCP.
         shape: Rows and columns of the maps that are published.
 
     Raises:
@@ -92,11 +90,9 @@ class Publisher:
         self, endpoint: str, keys: ServerKeys | None = None, shape: tuple[int, int] = PAPER.grid.shape
     ) -> None:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._keys = keys
         self.dropped = 0
         """Frames that the socket did not take."""
         self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
-        self._turnstile = Turnstile(self._context) if keys is None and endpoint.startswith("tcp:") else None
         self.wanted = False
         """Whether anybody subscribes, as of the last ``look``."""
         self.asked = Asked()
@@ -109,64 +105,65 @@ class Publisher:
         """Somebody came or went since the last frame was sent: the next one must carry its map."""
         self.streams = StreamDesk(self.send_beside)
         """Where messages of what was measured are handed in."""
-        self._talkative = self._greedy = 0
-        try:
-            self._open(endpoint)
-        except BaseException:
-            self._end()
-            raise
-
-    def _open(self, endpoint: str) -> None:
+        self._topics: set[bytes] = set()
+        self._asked_s = 0.0
+        """When somebody last asked for something."""
         self._socket: Any = self._context.socket(zmq.XPUB)
         self._send = super(zmq.Socket, self._socket).send  # without the wrapper, which is for other kinds of sockets
         self._socket.setsockopt(zmq.SNDHWM, MOST_WAITING)
         self._socket.setsockopt(zmq.RCVHWM, QUEUE_SUBSCRIPTIONS)
         self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_SUBSCRIPTION)
-        self._socket.setsockopt(zmq.HANDSHAKE_IVL, 2000)
         self._socket.setsockopt(zmq.LINGER, 0)
-        self._socket.setsockopt(zmq.XPUB_VERBOSER, 1)  # every subscriber by itself, not the first and the last of many
-        if self._turnstile is not None:
-            self._turnstile.apply(self._socket)
-        self._door = Door(self._socket, endpoint, keys=self._keys, control=False, most=MOST_SUBSCRIBERS)
-        self._topics = Topics(self._door.connection_at)
-        self._patrol = Patrol(self._look_meanwhile)
-        if self._door.open_to_all:
-            self._patrol.start()
-        self.endpoint = self._door.endpoint
+        self._socket.setsockopt(zmq.XPUB_VERBOSE, 1)  # every subscriber by itself, not the first of many
+        try:
+            self._listener = Listener(self._context, self._socket, endpoint, keys=keys, most=MOST_SUBSCRIBERS)
+        except BaseException:
+            self._end()
+            raise
+        self.endpoint = self._listener.endpoint
         """Where frames are published, with the port that a ``*`` became."""
 
     def look(self) -> None:
         """Take note of who came and went since the last time; never waits."""
-        with self._patrol.lock:
-            self._patrol.seen = True
-            self._look()
-
-    def _look(self) -> None:
-        topics, left = self._topics, MOST_AT_ONCE
-        topics.begin()
-        self._greedy = self._door.end_greedy()
+        self._listener.look()
+        changed, left = False, MOST_AT_ONCE
         waits = self._socket.getsockopt(_EVENTS) & _POLLIN  # libzmq takes in more whenever it is asked
         while waits and left:
             try:
-                topics.take(self._socket.recv(_NOBLOCK, copy=False))
+                message = self._socket.recv(_NOBLOCK, copy=False)
             except zmq.Again:
                 break
             left -= 1
-        for connection in filter(self._door.sent_much, topics.talkative):
-            end(connection)
-            self._talkative += 1
-        if topics.changed:
+            changed |= self._take(message)
+        if self._topics and self._listener.empty and time.monotonic() - self._asked_s > DESERTED_S:
+            self._topics.clear()
+            changed = True
+        if changed:
             self._judge()
-        calm = left >= MOST_AT_ONCE - CALM
-        if calm and self._turnstile is not None:
-            self._turnstile.calm()
-        self._door.look(topics.of, newcomers=calm)
+
+    def _take(self, message: Any) -> bool:
+        """Take one message of the socket; return whether somebody came or went."""
+        said = message.bytes
+        kind, topic = said[:1], said[1:]
+        sender = sender_of(message)
+        if kind == b"\x01":
+            if sender is not None:
+                self._listener.keep(sender, served=True)
+            self._asked_s = time.monotonic()
+            if len(self._topics) < MOST_TOPICS:
+                self._topics.add(topic)
+            return True
+        if kind == b"\x00" and sender is None and len(self._topics) < MOST_TOPICS:
+            self._topics.discard(topic)
+            return True
+        return False
 
     def _judge(self) -> None:
         """Make of the topics what the loop must know."""
-        self._topics.changed = False
-        topics = self.topics
-        plain = any(topic == b"" or (topic[:1] == FIRST_BYTE and topic not in DECLARING) for topic in topics)
+        topics = self._topics
+        plain = len(topics) >= MOST_TOPICS or any(
+            topic == b"" or (topic[:1] == FIRST_BYTE and topic not in DECLARING) for topic in topics
+        )
         frames = plain or any(topic in DECLARING for topic in topics)
         alone = any(topic[:1] == TOUCH_FIRST_BYTE for topic in topics)
         self.asked = Asked(frames, alone or TOUCHES in topics, alone)
@@ -177,30 +174,19 @@ class Publisher:
         self.joined = True
 
     @property
-    def topics(self) -> dict[bytes, int]:
-        """What is subscribed to, and by how many, as of the last ``look``."""
-        return self._topics.all()
+    def topics(self) -> frozenset[bytes]:
+        """What is subscribed to, as of the last ``look``."""
+        return frozenset(self._topics)
 
     @property
-    def ended(self) -> int:
-        """Connections that were ended because they asked for more than anybody honest would."""
-        return self._talkative + self._greedy
+    def subscribers(self) -> int:
+        """Connections over which somebody subscribed to something."""
+        return self._listener.served
 
     @property
     def refused(self) -> int:
         """Connections that were ended because there were too many."""
-        return self._door.ended
-
-    def look_at_connections(self) -> None:
-        """End who is too many; cheap enough for a few times a second, not for each frame."""
-        with self._patrol.lock:
-            self._topics.sweep()
-            self._door.count(self._topics.of)
-
-    def _look_meanwhile(self) -> None:
-        """End who is too many, or sends without end, while nobody looks for subscriptions."""
-        self._door.end_endless()
-        self._door.count(self._topics.of)
+        return self._listener.refused
 
     @property
     def short(self) -> bool:
@@ -223,16 +209,12 @@ class Publisher:
             self.dropped += 1
 
     def _end(self) -> None:
-        self._socket.close(0)
         self._context.term()
-        for guard in (self._doorkeeper, self._turnstile):
-            if guard is not None:
-                guard.join()
+        if self._doorkeeper is not None:
+            self._doorkeeper.join()
 
     def close(self) -> None:
         """Release the address; closing twice is fine."""
-        if self._context.closed:
-            return
-        self._patrol.close()
-        self._door.close()
-        self._end()
+        if not self._context.closed:
+            self._listener.close()
+            self._end()

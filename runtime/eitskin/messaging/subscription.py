@@ -49,7 +49,7 @@ class Subscription(Subscriber):
         skip_unchanged: Do without maps that have not changed; ``frame.map`` is then the one from before.
         touches: Each frame has its list of touches; ``maps=False`` for these alone, a sixth of the bytes.
         patient: Be served after the others.
-        keys: CURVE keys for TCP beyond loopback.
+        keys: CURVE keys, which TCP needs.
 
     Raises:
         ValueError: A bound is not positive, the mode does not exist, or the region is not on the sheet.
@@ -217,7 +217,7 @@ def subscribe(
         touches: Each frame has its list of touches, ``frame.touches``.
         maps: False for touches alone, a sixth of the bytes; ``frame.map`` is then (0, 0).
         patient: Be served after the others: for what shows or stores frames, and moves nothing.
-        keys: CURVE keys for TCP beyond loopback.
+        keys: CURVE keys, which TCP needs.
 
     Raises:
         ValueError: A bound is not positive, the mode does not exist, or the region is not on the sheet.

@@ -230,7 +230,7 @@ def subscribe_all(
         max_age_s: Oldest frame that is good enough; an older one raises :class:`eitskin.StaleFrame`.
         touches: Each frame has its list of touches; ``one.touches`` has them in the robot's frame.
         maps: False for touches alone, a sixth of the bytes; ``frame.map`` is then (0, 0).
-        keys: CURVE keys for TCP beyond loopback: one for all skins, or by name.
+        keys: CURVE keys, which TCP needs: one for all skins, or by name.
 
     Raises:
         RobotError: There are no skins, or the file is wrong.

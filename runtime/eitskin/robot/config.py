@@ -273,7 +273,7 @@ def _endpoint(table: Fields, key: str, default: Path, *, keys: bool) -> str:
     """Return an endpoint that can be bound and that a subscriber can know."""
     endpoint = table.text(key, None) or f"ipc://{default}"
     try:
-        if needs_keys(endpoint, control=key == "control") and not keys:
+        if needs_keys(endpoint) and not keys:
             raise ValueError(f"{table.where} {key} is {endpoint}, which others may reach: it needs curve_keys")
     except EndpointError as error:
         raise ValueError(f"{table.where} {key}: {error}") from error

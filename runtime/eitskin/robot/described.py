@@ -107,7 +107,7 @@ def _state(one: Any) -> ProcessState:
     for key in ("publish", "control"):
         if not isinstance(one[key], str):
             raise ValueError(key)
-        needs_keys(one[key], control=key == "control")
+        needs_keys(one[key])
     if not is_whole(one["pid"]) or not is_whole(one["restarts"]):
         raise ValueError("pid or restarts")
     pose = Pose.of(rotation=one["rotation"], translation_mm=one["translation_mm"])

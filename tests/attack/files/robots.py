@@ -40,6 +40,7 @@ affinity = [0]
 name = "hand"
 port = "usb:SKIN-2"
 publish = "tcp://127.0.0.1:7001"
+curve_keys = "keys"
 control = "ipc:///nowhere/hand/control"
 [skins.pose]
 translation_mm = [120, 0, 610]

@@ -1,8 +1,8 @@
 """``eitskin run`` is told to end at random moments of its life: it ends within a second, cleanly, and leaves nothing.
 
 Six runtimes go beside each other, each on a virtual skin of its own, from the interpreter's start on: while modules are
-loaded, the device is greeted, a reference captured, frames streamed over ipc and TCP, with CURVE keys, and verified,
-a control request waits, the device is silent, or its port is gone. The second is the process's own
+loaded, the device is greeted, a reference captured, frames streamed, over TCP with CURVE keys too, and verified, a
+control request waits, the device is silent, or its port is gone. The second is the process's own
 (:mod:`tests.attack.shutdown.exit_time`); both times are among the figures.
 """
 
@@ -43,7 +43,7 @@ LANES: Final = 6
 
 LIVES: Final = {
     "start": 5, "capture": 3, "stream": 3, "control": 3, "silent": 2, "unplugged": 1,
-    "tcp": 2, "curve": 2, "verify_idle": 2, "verify_always": 2,
+    "curve": 4, "verify_idle": 2, "verify_always": 2,
 }  # fmt: skip
 """Where in its life a runtime is ended, and how often, one against the other."""
 
@@ -121,8 +121,6 @@ class Lane:
         match life:
             case "unplugged":
                 return [*ipc, "--reconnect", "60"]
-            case "tcp":
-                return ["--publish", TCP, *ipc[2:]]
             case "curve":
                 return ["--publish", TCP, "--control", TCP, "--curve-keys", str(self._keys)]
             case "verify_idle" | "verify_always":
@@ -136,7 +134,7 @@ class Lane:
         self._subscribe(stack, where, [b""])
         time.sleep(draw.uniform(0.0, 0.3))
 
-    _tcp = _verify_idle = _verify_always = _stream
+    _verify_idle = _verify_always = _stream
 
     def _curve(self, stack: ExitStack, where: str, draw: random.Random) -> None:
         keys = load_client_keys(self._keys / "server.key", self._keys / "client.key_secret")

@@ -12,7 +12,7 @@ from .moments import CTRL_C, LIVES, MOMENTS, at_moments
 PARTS = (
     ["start", "capture", "stream", "control", "start"],
     ["silent", "unplugged"],
-    ["tcp", "curve", "verify_idle", "verify_always"],
+    ["curve", "verify_idle", "verify_always"],
 )
 
 

@@ -1,42 +1,21 @@
 """What every attack on subscribers stands on: a stream with an honest subscriber, and what must be true afterwards."""
 
-import json
-import os
 import signal
-import subprocess
-import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import eitskin
-from eitskin.messaging.curve_keys import make_keys
 
 from ..outcome import Outcome
 from ..shutdown.exit_time import MOST_S, end
-from ..stream import PATIENCE_S, SKIN, Stream, attacked, ended
+from ..stream import PATIENCE_S, Stream, attacked
 
 TOUCHED = {"rate_hz": 200.0, "touches": [[1.0, 1e9, 0.3]]}
 """What the virtual skin does: every frame is touched, and so computed."""
 
 ENOUGH = 100
 """Frames after an attack, by which it shows who still gets them."""
-
-
-Place = tuple[str, tuple[str, ...], tuple[str, ...]]
-"""Where a stream is: for people, options of ``eitskin run``, and files of a subscriber's keys."""
-
-
-@contextmanager
-def everywhere() -> Iterator[tuple[Place, ...]]:
-    """Give each kind of place that a stream can be at."""
-    with tempfile.TemporaryDirectory(prefix="k") as folder:
-        make_keys(folder)
-        tcp = ("--publish", "tcp://127.0.0.1:*")
-        keys = (f"{folder}/server.key", f"{folder}/client.key_secret")
-        yield ("ipc", (), ()), ("TCP", tcp, ()), ("TCP with keys", (*tcp, "--curve-keys", folder), keys)
 
 
 def status(stream: Stream) -> dict[str, Any]:
@@ -90,21 +69,3 @@ def ends(stream: Stream, outcome: Outcome, what: str) -> None:
     for name, taken_s in (("slowest_end_own_s", took.own_s), ("slowest_end_s", took.raw_s)):
         outcome.figures[name] = round(max(outcome.figures.get(name, 0.0), taken_s), 3)
     outcome.note(took.own_s <= MOST_S and code == 0, f"{what}: ended with {code}, {took}")
-
-
-@contextmanager
-def stoppable_skin(**options: Any) -> Iterator[tuple[str, int]]:
-    """Run a virtual skin that can be stopped by signals, and give its port and process."""
-    process = subprocess.Popen([sys.executable, str(SKIN), json.dumps(options)], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    try:
-        yield process.stdout.readline().strip(), process.pid
-    finally:
-        os.kill(process.pid, signal.SIGCONT)
-        ended(process)
-
-
-def memory_mib(stream: Stream) -> float:
-    """Return what the runtime has in memory."""
-    pages = int(Path(f"/proc/{stream.runtime.pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20

@@ -17,11 +17,11 @@ def send(publisher, packer, number, age_us=100):
 def wait_until_wanted(publisher, subscribers=1):
     """Wait for subscribers to every frame."""
     end = time.perf_counter() + 60
-    while publisher.topics.get(EVERY_FRAME, 0) < subscribers and time.perf_counter() < end:
+    while (EVERY_FRAME not in publisher.topics or publisher.subscribers < subscribers) and time.perf_counter() < end:
         publisher.look()
         time.sleep(0.005)
     assert publisher.wanted
-    assert publisher.topics[EVERY_FRAME] >= subscribers
+    assert publisher.subscribers >= subscribers
 
 
 def wait_for(publisher, condition):

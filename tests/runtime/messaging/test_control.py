@@ -1,7 +1,5 @@
-import os
 import stat
 import time
-from contextlib import closing
 from pathlib import Path
 
 import msgpack
@@ -11,8 +9,6 @@ import zmq
 
 import eitskin
 from eitskin.errors import ControlError, EndpointError
-from eitskin.messaging import control
-from eitskin.messaging.admission import connections
 from eitskin.messaging.control import ControlServer
 from eitskin.messaging.control_client import request
 from eitskin.messaging.control_fields import LARGEST_REQUEST
@@ -23,16 +19,6 @@ from eitskin_proto.skin.cloud import flat_cloud
 def test_only_the_owner_may_reach_the_control_socket(server):
     mode = Path(server.endpoint.removeprefix("ipc://")).stat().st_mode
     assert stat.S_IMODE(mode) == 0o600
-
-
-def test_its_socket_is_its_owners_alone_whatever_the_umask(tmp_path, recorder):
-    before = os.umask(0)
-    try:
-        server = ControlServer(f"ipc://{tmp_path}/other", recorder)
-    finally:
-        os.umask(before)
-    with closing(server):
-        assert stat.S_IMODE((tmp_path / "other").stat().st_mode) == 0o600
 
 
 def test_commands_are_answered(server, recorder):
@@ -138,9 +124,10 @@ def test_tcp_control_needs_keys_even_on_loopback(recorder, tmp_path):
         trusted = load_client_keys(tmp_path / "k/server.key", tmp_path / "k/client.key_secret")
         stranger = load_client_keys(tmp_path / "k/server.key", tmp_path / "other/client.key_secret")
         assert request(server.endpoint, "status", keys=trusted) == {"frames": 5}
-        for keys in (stranger, None):
-            with pytest.raises(ControlError, match="no answer"):
-                request(server.endpoint, "stop", keys=keys, timeout_s=0.3)
+        with pytest.raises(ControlError, match="no answer"):
+            request(server.endpoint, "stop", keys=stranger, timeout_s=0.3)
+        with pytest.raises(EndpointError, match="needs CURVE keys, on this machine too: give --server-key"):
+            request(server.endpoint, "stop")
         assert not recorder.stopped
     finally:
         server.close()
@@ -182,30 +169,6 @@ def test_frames_that_nobody_takes_are_judged_but_not_computed(virtual_skin, runn
         assert set(statistics.solvers) == {"none"}
         with eitskin.subscribe(runtime.publisher.endpoint, timeout_s=60) as frames:
             assert next(frames).solver == "vd2t"
-
-
-def test_a_flood_of_connections_is_cut_off_and_honest_clients_are_answered(recorder, tmp_path, monkeypatch):
-    import socket
-
-    monkeypatch.setattr(control, "MOST_CONNECTIONS", 4)
-    monkeypatch.setattr(connections, "GRACE_S", 0.0)
-    server = ControlServer(f"ipc://{tmp_path}/few", recorder)
-    flood = []
-    end = time.perf_counter() + 60
-    while not server._door.ended and time.perf_counter() < end:
-        client = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
-        try:
-            client.connect(f"{tmp_path}/few")
-        except OSError:
-            client.close()  # enough wait there
-            time.sleep(0.01)
-        else:
-            flood.append(client)
-    for client in flood:
-        client.close()
-    assert server._door.ended >= 1
-    assert request(server.endpoint, "status", timeout_s=60) == {"frames": 5}
-    server.close()
 
 
 def test_closing_takes_the_file_along_and_leaves_the_address_free(tmp_path, recorder):

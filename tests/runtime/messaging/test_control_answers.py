@@ -121,13 +121,13 @@ def test_a_reference_for_which_no_thread_is_left_is_refused_and_the_next_one_is_
 
 
 def test_a_server_that_fails_gives_its_address_back_and_can_be_closed(tmp_path, recorder, monkeypatch):
-    def fail(keep):
+    def fail():
         raise LookupError
 
     failed = threading.Event()
     monkeypatch.setattr(threading, "excepthook", lambda _: failed.set())
     server = ControlServer(f"ipc://{tmp_path}/failing", recorder)
-    monkeypatch.setattr(server._door, "look", fail)
+    monkeypatch.setattr(server._listener, "look", fail)
     server._slow.ring()
     assert failed.wait(60)
     assert not (tmp_path / "failing").exists()

@@ -1,8 +1,4 @@
-import os
-import socket
-import stat
 import time
-from contextlib import suppress
 
 import msgpack
 import numpy as np
@@ -12,8 +8,6 @@ import zmq
 import eitskin
 from eitskin.errors import EndpointError, NoFrame, StaleFrame
 from eitskin.messaging import publish
-from eitskin.messaging.admission import connections, door
-from eitskin.messaging.admission.topics import Topics
 from eitskin.messaging.frame import EVERY_FRAME
 
 from .publishing import send, wait_until_wanted
@@ -134,80 +128,6 @@ def test_a_hostile_publisher_cannot_stop_a_subscriber(tmp_path, packer):
         hostile.close(0)
 
 
-def test_a_flood_of_subscriptions_ends_whoever_sends_it_and_nobody_else(publisher, packer):
-    with eitskin.subscribe(publisher.endpoint, mode="all", timeout_s=60) as honest:
-        wait_until_wanted(publisher)
-        send(publisher, packer, 1)
-        assert next(honest).number == 1
-        number = 1
-        with zmq.Context() as context, context.socket(zmq.XSUB) as flood:
-            flood.linger = 0
-            flood.connect(publisher.endpoint)
-            for index in range(5000):
-                flood.send(b"\x01" + index.to_bytes(4, "little"))
-            end = time.perf_counter() + 60
-            while not publisher.ended and time.perf_counter() < end:
-                number += 1
-                send(publisher, packer, number)
-        assert publisher.ended >= 1
-        assert [next(honest).number for _ in range(number - 1)] == list(range(2, number + 1))
-        assert honest.lost == 0
-
-
-def test_a_topic_is_taken_back_by_nobody_but_who_has_it(publisher, packer):
-    with eitskin.subscribe(publisher.endpoint, timeout_s=60), zmq.Context() as context:
-        wait_until_wanted(publisher)
-        with context.socket(zmq.XSUB) as stranger:
-            stranger.linger = 0
-            stranger.connect(publisher.endpoint)
-            stranger.send(b"\x01mine")
-            end = time.perf_counter() + 60
-            while b"mine" not in publisher.topics and time.perf_counter() < end:
-                publisher.look()
-            peer = Peer(publisher)
-            peer.send(b"\x00", b"\x00mine", b"\x01seen")
-            while b"seen" not in publisher.topics and time.perf_counter() < end:
-                publisher.look()
-        assert publisher.topics == {EVERY_FRAME: 1, b"mine": 1, b"seen": 1}
-        peer.stream.close()
-        while len(publisher.topics) > 1 and time.perf_counter() < end:
-            publisher.look()
-        assert publisher.topics == {EVERY_FRAME: 1}
-        assert publisher.wanted
-
-
-class Peer:
-    """Says what libzmq's own clients never say."""
-
-    def __init__(self, publisher):
-        self.stream = socket.socket(socket.AF_UNIX)
-        self.stream.connect(publisher.endpoint.removeprefix("ipc://"))
-        self.stream.sendall(b"\xff" + bytes(8) + b"\x7f\x03\x00NULL" + bytes(48))
-        self.stream.sendall(b"\x04\x19\x05READY\x0bSocket-Type\x00\x00\x00\x03SUB")
-        self.stream.setblocking(False)
-        received = 0
-        while received <= 64:  # until the other side is ready, libzmq takes no message
-            publisher.look()
-            with suppress(BlockingIOError):
-                received += len(self.stream.recv(64))
-
-    def send(self, *bodies):
-        self.stream.sendall(b"".join(bytes([0, len(body)]) + body for body in bodies))
-
-
-def test_whoever_lies_where_a_connection_was_is_not_taken_for_it():
-    class Late:
-        bytes = b"\x01x"
-
-        def get(self, _):
-            return 5
-
-    topics = Topics(lambda descriptor: None)  # something else has that number by now
-    topics.take(Late())
-    assert topics.all() == {}
-    assert not topics.talkative
-
-
 def test_an_oversized_subscription_never_reaches_the_publisher(publisher):
     with zmq.Context() as context, context.socket(zmq.XSUB) as client:
         client.linger = 0
@@ -221,47 +141,3 @@ def test_an_oversized_subscription_never_reaches_the_publisher(publisher):
             client.disable_monitor()
         publisher.look()
         assert not publisher.wanted
-
-
-def test_too_many_strangers_are_ended_and_a_subscriber_stays(tmp_path, packer, monkeypatch):
-    monkeypatch.setattr(publish, "MOST_SUBSCRIBERS", 4)
-    monkeypatch.setattr(connections, "GRACE_S", 0.0)
-    publisher = publish.Publisher(f"ipc://{tmp_path}/few")
-    clients = []
-    try:
-        with eitskin.subscribe(publisher.endpoint, mode="all", timeout_s=60) as honest:
-            wait_until_wanted(publisher)
-            number, end = 0, time.perf_counter() + 60
-            while not publisher.refused and time.perf_counter() < end:
-                client = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
-                with suppress(BlockingIOError):
-                    client.connect(f"{tmp_path}/few")
-                clients.append(client)
-                number += 1
-                send(publisher, packer, number)
-            assert publisher.refused
-            assert [next(honest).number for _ in range(number)] == list(range(1, number + 1))
-    finally:
-        for client in clients:
-            client.close()
-        publisher.close()
-    assert os.listdir(tmp_path) == []
-
-
-def test_a_socket_is_its_owners_alone_whatever_the_umask(tmp_path):
-    before = os.umask(0)
-    try:
-        publisher = publish.Publisher(f"ipc://{tmp_path}/frames")
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((tmp_path / "frames").stat().st_mode) == 0o600
-    publisher.close()
-
-
-def test_so_few_files_that_nobody_could_come_are_refused_in_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(door, "room", lambda: 3)
-    with pytest.raises(
-        EndpointError, match=r"3 are left for connections, expected at least 4: allow more with 'ulimit"
-    ):
-        publish.Publisher(f"ipc://{tmp_path}/frames")
-    assert os.listdir(tmp_path) == []

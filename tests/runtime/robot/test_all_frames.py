@@ -57,11 +57,11 @@ def robot(tmp_path):
 def wait_for(skins, topic=EVERY_FRAME):
     """Wait until each skin has a subscriber."""
     end = time.monotonic() + PATIENCE_S
-    while not all(one.publisher.topics.get(topic) for one in skins.values()) and time.monotonic() < end:
+    while not all(topic in one.publisher.topics for one in skins.values()) and time.monotonic() < end:
         for one in skins.values():
             one.publisher.look()
         time.sleep(0.002)
-    assert all(one.publisher.topics.get(topic) for one in skins.values())
+    assert all(topic in one.publisher.topics for one in skins.values())
 
 
 @contextmanager

@@ -55,7 +55,9 @@ def test_a_whole_file_is_read(robot, tmp_path):
     affinity = [0, 1]
     mlock = true
     """
-    found = robot(skin(more=more) + skin("right", "usb:SKIN-2", 'publish = "tcp://127.0.0.1:5555"'))
+    found = robot(
+        skin(more=more) + skin("right", "usb:SKIN-2", 'publish = "tcp://127.0.0.1:5555"\ncurve_keys = "keys"')
+    )
     left, right = found.skins
     assert left.skin.publish == f"ipc://{tmp_path}/sockets/left/frames"
     assert left.skin.control == f"ipc://{tmp_path}/sockets/left/control"
@@ -120,8 +122,8 @@ def test_skins_are_listed_by_name_endpoint_and_pose(robot, tmp_path):
             skin(more="exclude_electrodes = [16]"),
             r"electrodes\[0\] is 16, expected a whole number from 0 to 15",
         ),
-        (skin(more='publish = "tcp://0.0.0.0:5555"'), "which others may reach: it needs curve_keys"),
-        (skin(more='publish = "tcp://127.0.0.1:*"'), "expected a port that subscribers can know"),
+        (skin(more='publish = "tcp://127.0.0.1:5555"'), "which others may reach: it needs curve_keys"),
+        (skin(more='publish = "tcp://127.0.0.1:*"\ncurve_keys = "keys"'), "expected a port that subscribers can know"),
         (skin(more='publish = "left"'), "skin left publish: endpoint 'left': expected ipc:"),
         (skin(more=f'publish = "ipc:///{"x" * 100}"'), "more than 100 bytes"),
         ("".join(skin(f"s{k}", f"/dev/{k}") for k in range(65)), "skins is a list of 65, expected a list of 1 to 64"),

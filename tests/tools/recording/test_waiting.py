@@ -17,14 +17,14 @@ class Coming:
 
     def __init__(self, comes: dict[int, bytes]) -> None:
         self._comes, self.looks = comes, 0
-        self.topics: dict[bytes, int] = {}
+        self.topics: frozenset[bytes] = frozenset()
         self.wanted = False
         self.streams = SimpleNamespace(asked=False)
 
     def look(self) -> None:
         self.looks += 1
         if topic := self._comes.get(self.looks):
-            self.topics = {**self.topics, topic: 1}
+            self.topics = self.topics | {topic}
             self.streams.asked |= topic == b"stream"
             self.wanted |= topic == b"frames"
 

@@ -55,11 +55,11 @@ def test_nobody_is_subscribed_while_nobody_looks_on(endpoint):
         with eitskin.subscribe(endpoint, timeout_s=60.0) as other:
             for _ in range(20):
                 other.next_frame()
-            assert sum(runtime.topics.values()) == 1
+            assert len(runtime.topics) == 1
             with board.page():
                 while PATIENT not in runtime.topics:  # it comes behind robots
                     other.next_frame()
-            while sum(runtime.topics.values()) > 1:
+            while len(runtime.topics) > 1:
                 other.next_frame()
         assert feed.taken > 0
     feed.close()

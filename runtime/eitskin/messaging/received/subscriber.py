@@ -6,6 +6,8 @@ after its connection: nobody waits longer than ``LONGEST_WAIT_MS`` at a time.
 """
 
 import math
+import os
+import stat
 import time
 from collections.abc import Iterable
 from contextlib import suppress
@@ -15,9 +17,12 @@ from typing import Any, Final, Self
 import zmq
 
 from eitskin.errors import EndpointError, FrameError
-from eitskin.messaging.admission.descriptors import Connection, connection_at
 from eitskin.messaging.curve_keys import ClientKeys
+from eitskin.messaging.endpoints import check_client_keys
 from eitskin.messaging.reachability import explain_silence
+
+Connection = tuple[int, int]
+"""A connection as long as it lives: its descriptor and its inode. A number that is used again has another inode."""
 
 _POLLIN: Final = int(zmq.POLLIN)
 
@@ -40,15 +45,16 @@ class Subscriber:
         topics: To subscribe to, in this order.
         queue: Messages that wait on this side at most.
         newest: Keep one message only, the newest; it does not go with more than one topic.
-        keys: CURVE keys for TCP beyond loopback.
+        keys: CURVE keys, which TCP needs.
 
     Raises:
-        EndpointError: ZeroMQ cannot make sense of the endpoint.
+        EndpointError: ZeroMQ cannot make sense of the endpoint, or it is TCP and there are no keys.
     """
 
     def __init__(
         self, endpoint: str, topics: Iterable[bytes], queue: int, *, newest: bool = False, keys: ClientKeys | None
     ) -> None:
+        check_client_keys(endpoint, keys)
         self.endpoint = endpoint
         self.reconnected = 0
         """How often the connection was made anew because it was gone, or nothing had ever come over it."""
@@ -148,3 +154,12 @@ class Subscriber:
         """Give the socket back; closing twice is fine."""
         self._socket.close(0)
         self._context.term()
+
+
+def connection_at(descriptor: int) -> Connection | None:
+    """Return which socket lies at a descriptor now; None if there is none."""
+    try:
+        found = os.fstat(descriptor)
+    except OSError:
+        return None
+    return (descriptor, found.st_ino) if stat.S_ISSOCK(found.st_mode) else None

@@ -39,7 +39,7 @@ class StreamSubscription(Subscriber):
         conditions: What else decides a frame's map; None: with ``wire``.
         timeout_s: How long to wait for the next message; None waits 5 s for the first and then for ever; ``math.inf``
             waits for ever from the start.
-        keys: CURVE keys for TCP beyond loopback.
+        keys: CURVE keys, which TCP needs.
 
     Raises:
         ValueError: Nothing is asked for, or the time is not positive.
@@ -157,7 +157,7 @@ def subscribe_streams(
         conditions: What else decides a frame's map: :class:`eitskin.Conditions`; None: with ``wire``.
         timeout_s: How long to wait for the next message before :class:`eitskin.NoFrame`. None waits 5 s for the first
             and then for ever; ``math.inf`` waits for ever from the start.
-        keys: CURVE keys for TCP beyond loopback.
+        keys: CURVE keys, which TCP needs.
 
     Raises:
         ValueError: Nothing is asked for, or the time is not positive.

@@ -45,7 +45,7 @@ class VerifiedSubscription(Subscriber):
         mode: ``latest`` or ``all``.
         frames: Whether each comes with its frame.
         timeout_s: How long to wait; None waits 5 s for the first and then for ever; ``math.inf`` waits for ever.
-        keys: CURVE keys for TCP beyond loopback.
+        keys: CURVE keys, which TCP needs.
 
     Raises:
         ValueError: The time is not positive, or the mode does not exist.
@@ -169,7 +169,7 @@ def subscribe_verified(
         timeout_s: How long to wait for a message before :class:`eitskin.NoFrame`; one comes every second at least,
             while frames come. None waits 5 s for the first, and then for ever; ``math.inf`` waits for ever from the
             start.
-        keys: CURVE keys for TCP beyond loopback.
+        keys: CURVE keys, which TCP needs.
 
     Raises:
         ValueError: The time is not positive, or the mode does not exist.

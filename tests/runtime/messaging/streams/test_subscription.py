@@ -8,7 +8,6 @@ import zmq
 
 import eitskin
 from eitskin.errors import EndpointError, NoFrame
-from eitskin.messaging.frame import EVERY_FRAME
 from eitskin.messaging.streams.envelope import FIRST_BYTE, NAMES, TOPICS
 
 from ..publishing import send, wait_for
@@ -98,7 +97,7 @@ def test_frames_go_on_and_who_takes_them_gets_nothing_of_a_stream(publisher, des
         eitskin.subscribe(publisher.endpoint, "all", timeout_s=60) as frames,
         eitskin.subscribe_streams(publisher.endpoint, timeout_s=60) as streams,
     ):
-        wait_for(publisher, lambda: publisher.topics.get(EVERY_FRAME, 0) == 2 and desk.state)
+        wait_for(publisher, lambda: publisher.subscribers == 3 and desk.state)
         for number in range(1, 31):
             desk.send("wire", WIRE.body())
             desk.send("cloud", CLOUD.body())

@@ -56,9 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     touches.add_touches(parser, "those of --skin, else raise")
     parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
-    parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path or tcp://address:port (default: ipc)")
+    parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
     parser.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
-    parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, needed for TCP beyond loopback")
+    parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, which TCP needs")
     parser.add_argument(
         "--reference", type=Path, metavar="FILE", help="a reference that was captured before (default: capture one now)"
     )
@@ -293,7 +293,8 @@ def _check_endpoints(arguments: argparse.Namespace) -> "ServerKeys | None":
     from eitskin.messaging import endpoints
     from eitskin.messaging.curve_keys import load_server_keys
 
-    for option in ("publish", "control"):
-        if (endpoint := getattr(arguments, option)) is not None:
-            endpoints.needs_keys(endpoint, control=option == "control")
-    return None if arguments.curve_keys is None else load_server_keys(arguments.curve_keys)
+    keys = None if arguments.curve_keys is None else load_server_keys(arguments.curve_keys)
+    for endpoint in (arguments.publish, arguments.control):
+        if endpoint is not None:
+            endpoints.check_allowed(endpoint, keys)
+    return keys

@@ -29,9 +29,9 @@ SETTLED_S = 0.5
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("file", type=Path, metavar="FILE.mcap", help="made by 'eitskin record'")
-    parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path or tcp://address:port (default: ipc)")
+    parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
     parser.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
-    parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, needed for TCP beyond loopback")
+    parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, which TCP needs")
     parser.add_argument(
         "--bundle",
         type=files.bundle,

@@ -1,0 +1,339 @@
+"""A bound address of the runtime: who may connect, and how many.
+
+The border is who may connect at all. An ipc socket is its own user's alone, with mode 0600 from its first instant; TCP
+always wants CURVE keys (:mod:`eitskin.messaging.endpoints`). Behind that border there is no attacker, but there are
+mistakes: a program of one's own that leaks connections can use up the files of the process, and libzmq 4.3.5 aborts the
+process when its ipc listener finds no descriptor for a connection (``ipc_listener.cpp``; a tcp listener survives).
+
+So libzmq never accepts at an ipc path while somebody may come. A listener of ours lies there; once somebody waits, and
+there are files for all who may, another one takes its place, and libzmq gets the first one, which nobody reaches any
+more: it accepts those who wait, and never more than the queue holds. ::
+
+    path -> L1    A, B wait
+    path -> L2    L1 goes to libzmq, which accepts A and B        L2 is renamed onto the path: no gap for C
+    path -> L2    C waits
+
+libzmq ends a listener's connections with it, so each is kept until all of its own have left. On TCP libzmq accepts
+everybody, and the one that is too many is ended. A thread counts connections, as libzmq's monitor reports them; it does
+nothing else, because libzmq waits for a monitor that nobody reads.
+"""
+
+import errno
+import itertools
+import os
+import resource
+import select
+import socket
+import stat
+import struct
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import zmq
+
+from eitskin.errors import EndpointError
+from eitskin.messaging.curve_keys import ServerKeys
+from eitskin.messaging.endpoints import bind_problem, check_allowed, clear_path
+
+QUEUE: Final = 8
+"""Connections that may wait at an ipc path, and one more, as Linux counts; a client that finds no place tries again by
+itself."""
+
+GRACE_S: Final = 0.5
+"""How long a newcomer may say nothing before it makes room for others, and how long a listener is kept at least."""
+
+PAUSE_S: Final = 0.05
+"""How long those who wait are not looked at again when there was no room for them."""
+
+RESERVE: Final = 24
+"""Files that stay free for what the process opens itself, and for connections that another address lets in just now."""
+
+HANDSHAKE_MS: Final = 2000
+"""How long a handshake may take; libzmq ends a connection that takes longer."""
+
+IPC: Final = "ipc://"
+
+MOST_FILES: Final = 65536
+"""What counts as no limit."""
+
+_EVENT: Final = struct.Struct("=Hi")
+_EVENTS: Final = zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_MONITOR_STOPPED
+_NUMBERS: Final = itertools.count()
+"""Of ipc listeners in this process, whose names must differ."""
+
+
+@dataclass(slots=True)
+class _Connection:
+    """Of one descriptor."""
+
+    listener: str
+    """Endpoint of its listener, as libzmq names it."""
+    heard_s: float
+    """When it came, or last asked for something."""
+    served: bool = False
+    """It stays, however many others come."""
+
+
+class Listener:
+    """Binds a ZeroMQ socket, bounds its connections, and closes it; leave it with ``close``.
+
+    For the thread that uses the socket.
+
+    Args:
+        context: Of the socket.
+        socket_: Of zmq; its other options must be set already.
+        endpoint: ``ipc:///path`` or ``tcp://address:port``.
+        keys: CURVE keys, which TCP needs.
+        most: Connections at once; fewer where few files may be open.
+
+    Raises:
+        EndpointError: The endpoint is not allowed like this, or in use, or cannot be bound; or the process may open so
+            few files that nobody could connect. The socket is closed.
+    """
+
+    def __init__(self, context: Any, socket_: Any, endpoint: str, *, keys: ServerKeys | None, most: int) -> None:
+        self._socket, self._most = socket_, most
+        self.endpoint = endpoint
+        """Where it is bound, with the port that a ``*`` became."""
+        self._lock = threading.Lock()
+        self._connections: dict[int, _Connection] = {}
+        """By descriptor."""
+        self._early: set[int] = set()
+        """Descriptors over which something came before the thread counted them."""
+        self.refused = 0
+        """Connections that were ended because there were too many."""
+        self._ipc = endpoint.startswith(IPC)
+        self._waiting: socket.socket | None = None
+        """Lies at the ipc path."""
+        self._next_s = 0.0
+        """When those who wait are looked at again."""
+        self._given: dict[str, tuple[int, float]] = {}
+        """Of each listener that libzmq has got: its descriptor, and when."""
+        monitor = f"inproc://monitor-{id(self)}"
+        socket_.monitor(monitor, _EVENTS)
+        events = context.socket(zmq.PAIR)
+        events.connect(monitor)
+        self._thread = threading.Thread(target=self._count, args=(events,), name="eitskin-connections", daemon=True)
+        self._thread.start()
+        try:
+            check_allowed(endpoint, keys)
+            self._check_files(endpoint)
+            self.endpoint = self._bind(endpoint, keys)
+        except (zmq.ZMQError, OSError) as error:
+            self.close()
+            raise EndpointError(bind_problem(endpoint, error)) from error
+        except BaseException:
+            self.close()
+            raise
+
+    @staticmethod
+    def _check_files(endpoint: str) -> None:
+        left, wanted = free_files(), 2 * (QUEUE + 2)
+        if left < wanted:
+            limit = file_limit()
+            raise EndpointError(
+                f"{endpoint}: only {limit} files may be open, of which {max(left, 0)} are left for connections, "
+                f"expected at least {wanted}: allow more with 'ulimit -n {limit + 100 - left}' or LimitNOFILE"
+            )
+
+    def _bind(self, endpoint: str, keys: ServerKeys | None) -> str:
+        """Bind the socket, and return where, with the port that a ``*`` became."""
+        self._socket.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
+        if keys is not None and not self._ipc:
+            keys.apply(self._socket)
+            self._socket.bind(endpoint)
+            return self._last_endpoint()
+        path = Path(endpoint.removeprefix(IPC))
+        clear_path(path)
+        self._waiting = listening(path)
+        self._inode = path.lstat().st_ino
+        return endpoint
+
+    def _last_endpoint(self) -> str:
+        return str(self._socket.getsockopt_string(zmq.LAST_ENDPOINT)).rstrip("\0")
+
+    def _count(self, events: Any) -> None:
+        """Count connections until the socket is closed."""
+        with events, suppress(zmq.ContextTerminated):
+            while True:
+                packed, listener = events.recv_multipart()
+                event, descriptor = _EVENT.unpack(packed)
+                if event == zmq.EVENT_MONITOR_STOPPED:
+                    return
+                with self._lock:
+                    if event == zmq.EVENT_ACCEPTED:
+                        served = descriptor in self._early
+                        self._connections[descriptor] = _Connection(listener.decode(), time.monotonic(), served)
+                        few_files = descriptor > file_limit() - RESERVE  # a new one has the lowest free number
+                        if not self._ipc and (few_files or len(self._connections) > self._most):
+                            self._make_room(descriptor)
+                    else:  # libzmq says so before it closes the descriptor
+                        self._connections.pop(descriptor, None)
+                    self._early.discard(descriptor)
+
+    def _make_room(self, newcomer: int | None = None) -> None:
+        """End the connection that has been silent for the longest time, else the newcomer; under the lock."""
+        idle_s = time.monotonic() - GRACE_S
+        silent = (one for one, found in self._connections.items() if not found.served and found.heard_s < idle_s)
+        chosen = min(silent, key=lambda one: self._connections[one].heard_s, default=newcomer)
+        if chosen is not None:
+            self.refused += 1
+            with suppress(OSError), connection(chosen, self._connections.pop(chosen).listener) as ended:
+                ended.shutdown(socket.SHUT_RDWR)  # libzmq finds it ended by the other side, and cleans up
+
+    @property
+    def waits_on(self) -> list[int]:
+        """Descriptors to wait on: one that can be read means that ``look`` has something to do."""
+        return [self._waiting.fileno()] if self._waiting is not None and self.pause_s is None else []
+
+    @property
+    def pause_s(self) -> float | None:
+        """How long to wait on them at most; None for ever."""
+        return PAUSE_S if time.monotonic() < self._next_s else None
+
+    def look(self) -> None:
+        """Let in who waits at an ipc address, if there is room; takes microseconds while nobody waits."""
+        if self._waiting is None or not can_be_read(self._waiting.fileno()) or self.pause_s is not None:
+            return
+        self._release()
+        few_files = free_files() < QUEUE + 2
+        with self._lock:
+            if few_files or len(self._connections) >= self._most:
+                self._make_room()
+            full = len(self._connections) >= self._most
+        if full or few_files or any(can_be_read(number) for number, _ in self._given.values()):
+            self._next_s = time.monotonic() + PAUSE_S
+        else:
+            self._let_in(self._waiting, Path(self.endpoint.removeprefix(IPC)))
+
+    def _let_in(self, waiting: socket.socket, path: Path) -> None:
+        """Put another listener at the path, and give libzmq the one at which somebody waits."""
+        beside = path.with_name(f".{next(_NUMBERS) % 0x100000:x}")
+        try:
+            another = listening(beside)
+            beside.rename(path)
+        except OSError:  # the folder is gone, and everybody's way here with it
+            self._next_s = time.monotonic() + PAUSE_S
+            return
+        self._inode = path.lstat().st_ino
+        self._waiting = another
+        self._socket.setsockopt(zmq.USE_FD, waiting.fileno())
+        self._socket.bind(f"{IPC}{waiting.getsockname()}")
+        self._given[self._last_endpoint()] = waiting.detach(), time.monotonic()
+
+    def _release(self) -> None:
+        """Take listeners back whose connections have all left."""
+        used = {found.listener for found in list(self._connections.values())}
+        before_s = time.monotonic() - GRACE_S
+        for endpoint, (number, given_s) in list(self._given.items()):
+            if endpoint not in used and given_s < before_s and not can_be_read(number):
+                del self._given[endpoint]
+                with suppress(zmq.ZMQError):
+                    self._socket.unbind(endpoint)
+
+    def keep(self, descriptor: int, *, served: bool) -> None:
+        """Take note that a connection asked for something.
+
+        Args:
+            descriptor: See :func:`sender_of`.
+            served: It stays, however many others come; else it only counts as heard just now.
+        """
+        with self._lock:
+            if (found := self._connections.get(descriptor)) is not None:
+                found.heard_s, found.served = time.monotonic(), served
+            elif served:
+                self._early.add(descriptor)
+
+    @property
+    def served(self) -> int:
+        """Connections that stay, however many others come."""
+        with self._lock:
+            return sum(one.served for one in self._connections.values())
+
+    @property
+    def empty(self) -> bool:
+        """Whether nobody is connected."""
+        return not self._connections
+
+    def close(self) -> None:
+        """Close the socket, and take its file away if it is still ours; closing twice is fine."""
+        if self._waiting is not None:
+            path = Path(self.endpoint.removeprefix(IPC))
+            with suppress(OSError):
+                found = path.lstat()
+                if stat.S_ISSOCK(found.st_mode) and found.st_ino == self._inode:
+                    path.unlink()
+            self._waiting.close()
+            self._waiting = None
+        self._socket.close()
+        self._thread.join()
+
+
+def listening(path: Path) -> socket.socket:
+    """Return a listener that lies at a path, in nobody's reach but its owner's.
+
+    Raises:
+        OSError: It cannot be bound.
+    """
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
+    try:
+        os.fchmod(listener.fileno(), 0o600)  # before it is bound: its file has this mode from the first instant
+        listener.bind(os.fspath(path))
+        listener.listen(QUEUE)
+    except BaseException:
+        listener.close()
+        raise
+    return listener
+
+
+def can_be_read(descriptor: int) -> bool:
+    """Return whether something waits at a descriptor: at a listener, somebody to be accepted."""
+    poll = select.poll()
+    poll.register(descriptor, select.POLLIN)
+    return any(event & select.POLLIN for _, event in poll.poll(0))
+
+
+def connection(descriptor: int, listener: str) -> socket.socket:
+    """Return a connection once more, if it is still the one that came to a listener.
+
+    Raises:
+        OSError: It has left, whatever has its descriptor now.
+    """
+    number = os.dup(descriptor)
+    try:
+        found = socket.socket(fileno=number)
+    except BaseException:
+        os.close(number)
+        raise
+    name = found.getsockname()
+    if not listener.endswith(f":{name[1]}" if isinstance(name, tuple) else f"{IPC}{name}"):
+        found.close()
+        raise ConnectionResetError(errno.ECONNRESET, f"{name} is not {listener}")
+    return found
+
+
+def sender_of(message: Any) -> int | None:
+    """Return the descriptor over which a frame of zmq came; None where libzmq made it up."""
+    try:
+        return int(message.get(zmq.SRCFD))
+    except zmq.ZMQError:
+        return None
+
+
+def file_limit() -> int:
+    """Return how many files may be open."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return MOST_FILES if soft == resource.RLIM_INFINITY else min(soft, MOST_FILES)
+
+
+def free_files() -> int:
+    """Return how many files may still be opened for connections; less than nothing if the reserve is used."""
+    try:
+        used = len(os.listdir("/proc/self/fd"))
+    except OSError:  # not even one is left
+        used = file_limit()
+    return file_limit() - used - RESERVE
