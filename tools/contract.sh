@@ -19,9 +19,13 @@ git worktree add --quiet --detach "$old" "$base" || exit 1
 trap 'git worktree remove --force "$old"; kill $(jobs -p) 2>/dev/null' EXIT
 
 run() {  # run TREE ARGUMENTS...: eitskin of that tree
+    (start "$@")
+}
+
+start() {  # the same in place of this shell, so that a job's number is that of eitskin itself
     tree=$1; shift
-    PYTHONPATH=$tree/firmware_proto:$tree/runtime:$tree/training:$tree/export:$tree/tools \
-        "$python" -m eitskin_tools.entry "$@"
+    export PYTHONPATH=$tree/firmware_proto:$tree/runtime:$tree/training:$tree/export:$tree/tools
+    exec "$python" -m eitskin_tools.entry "$@"
 }
 
 check() {  # check NAME COMMAND...
@@ -49,13 +53,13 @@ PY
 
 record() {  # record NAME "OPTIONS OF virtual-skin" "OPTIONS OF run" [OPTIONS OF subscribe]: with BASE, six seconds
     at=$work/$1; mkdir "$at"
-    run "$old" virtual-skin $2 >"$at/port" 2>"$at/skin.log" & skin=$!
+    start "$old" virtual-skin $2 >"$at/port" 2>"$at/skin.log" & skin=$!
     until [ -s "$at/port" ]; do kill -0 $skin || return 1; sleep 0.2; done
-    run "$old" run --port "$(grep -o '/[^ ]*' "$at/port" | head -1)" --publish "ipc://$at/frames" \
+    start "$old" run --port "$(grep -o '/[^ ]*' "$at/port" | head -1)" --publish "ipc://$at/frames" \
         --control "ipc://$at/control" $3 >"$at/log" 2>&1 & reading=$!
     until grep -qs ^ready "$at/log"; do kill -0 $reading || { tail -1 "$at/log"; return 1; }; sleep 0.2; done
-    [ -z "${4:-}" ] || run "$old" subscribe "ipc://$at/frames" $4 >"$at/subscribed" 2>&1 & listening=$!
-    run "$old" record "ipc://$at/frames" --out "$work/$1.mcap" --maps --frames 1200 >"$at/record.log" 2>&1 & recording=$!
+    listening=; [ -z "${4:-}" ] || { start "$old" subscribe "ipc://$at/frames" $4 >"$at/subscribed" 2>&1 & listening=$!; }
+    start "$old" record "ipc://$at/frames" --out "$work/$1.mcap" --maps --frames 1200 >"$at/record.log" 2>&1 & recording=$!
     run "$old" surface sample --predict --out "$at/cloud.npz" --send "ipc://$at/control" >"$at/surface.log" 2>&1
     wait $recording; kept=$?
     kill -TERM $reading $skin $listening 2>/dev/null; wait $reading $skin 2>/dev/null
