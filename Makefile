@@ -124,9 +124,9 @@ wheel-test-newest: wheel
 	    tools/no-python.sh $$version "the newest dependencies under Python $$version" || exit 1; }; \
 	    tools/wheel-test.sh "$$python" --once --newest
 
-# Half an hour of a core in all. `bench tradeoff` needs phantoms, `bench ablation` data, `bench peer` a package index.
+# Half an hour of a core in all. `bench tradeoff` needs phantoms, `bench peer` a package index.
 bench: $(VENV)/.dev
-	@for name in footprint frame dataset physics surface skip 'stability --quick' 'electrodes --quick'; do \
+	@for name in footprint frame dataset physics skip 'stability --quick' 'electrodes --quick'; do \
 	    $(BIN)/eitskin bench $$name --json || exit 1; \
 	done
 

@@ -9,7 +9,7 @@ import pytest
 
 from eitskin_tools.cli import _parser
 
-from .markdown import ROOT, commands, pages
+from .markdown import commands, pages
 
 PLACEHOLDERS = {"K": "2", "K-L": "2-4", "MM": "10", "N": "2", "S": "5", "X": "1", "Y": "2", "Z": "3"}
 """Numbers; every other word in capitals stands for a text."""
@@ -41,7 +41,8 @@ def understood(words):
 
 
 def all_commands():
-    today = [path for path in pages() if path != ROOT / "CHANGELOG.md"]  # which names what was before as well
+    # The changelog and the decisions name what was before as well.
+    today = [path for path in pages() if path.name != "CHANGELOG.md" and path.parent.name != "decisions"]
     return sorted({command for path in today for command in commands(path) if not is_form(command)})
 
 

@@ -12,7 +12,7 @@ from eitskin.acquisition.device import Device
 
 GIVE_WAY_S: Final = 0.001
 """The least that ports wait, which count in milliseconds; several times what a subscriber takes to have its frame
-(``deliver`` of ``eitskin bench recording``)."""
+(``deliver`` of ``tools/studies/recording.py``)."""
 
 
 class Afterwards:

@@ -2,7 +2,7 @@
 
 A piece is made of the pixels that are at least ``HALF``, neighbours along rows and columns. It is two where
 the way from one peak to the other leads down by ``SADDLE`` at least from the lower one: two touches that run together
-in the map are thus two, and noise on the flat top of one makes no second one. ``eitskin bench touches`` counts both.
+in the map are thus two, and noise on the flat top of one makes no second one. ``tools/studies/touches.py`` counts both.
 
 The time is bounded: a map of more than ``MOST_RUNS`` runs is taken for no picture of touches, and a piece of more than
 ``MOST_DIVIDED`` pixels is not looked at for saddles.

@@ -18,6 +18,7 @@ from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.solvers.operators import build_operators
 from eitskin_sim.solvers.tikhonov import FACTOR, tikhonov_matrix
+from eitskin_tools.bench.harness import chosen, several
 from eitskin_tools.bench.stability import jobs
 from eitskin_tools.bench.stability.bench import FAMILIES, is_sound, table
 from eitskin_tools.bench.stability.harness.rows import Curve, Point, crossing
@@ -31,7 +32,6 @@ from eitskin_tools.bench.stability.sweeps.noise import spread_of
 from eitskin_tools.bench.stability.sweeps.precision import LOST, apart, built, filling_weights, precision_rows
 from eitskin_tools.bench.stability.sweeps.repeat import repeat_rows
 from eitskin_tools.bench.stability.sweeps.shape import block
-from eitskin_tools.choices import chosen, several
 from eitskin_tools.cli import main
 
 LEAST = Effort(samples=1, draws=1, levels=2, element_size_mm=6.0)

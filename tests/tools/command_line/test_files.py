@@ -53,7 +53,6 @@ TRAINING = {
     "adapt": ["adapt", ABSENT, "--out", "run"],
     "export": ["export", ABSENT, "--out", "x.eitskin"],
     "export --phantoms": ["export", ".", "--out", "x.eitskin", "--phantoms", ABSENT],
-    "bench ablation": ["bench", "ablation", "--data", ABSENT],
 }
 
 

@@ -4,16 +4,18 @@ import time
 from contextlib import ExitStack
 
 import pytest
+from tests.tools.studies.study import study
 
 import eitskin
 from eitskin_proto.skin.skin import PAPER
-from eitskin_tools.bench.view.pages import readers
 from eitskin_tools.view.source import Source
 from eitskin_tools.view.viewer import Viewer
 
 from .chromium import PROGRAM
 from .conftest import browser
 from .scripted import Runtime, Scene, disc
+
+readers = study("recording").readers
 
 FRAMES, MOST_HZ = 600, 30
 PICTURES = 20

@@ -18,7 +18,7 @@ from typing import Any
 
 from eitskin_tools.bench.dataset.cut_rules import rule_rows
 from eitskin_tools.bench.dataset.freeform_error import error_rows, gap_rows
-from eitskin_tools.bench.rows import row_text
+from eitskin_tools.bench.harness import row_text
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.threads import one_blas_thread
 

@@ -14,8 +14,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
-from eitskin_tools.bench.rows import row_text
-from eitskin_tools.choices import chosen, several
+from eitskin_tools.bench.harness import chosen, row_text, several
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.threads import one_blas_thread

@@ -43,10 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--solver", metavar="NAME", help="most accurate solver of the stream, as for 'eitskin run'")
     parser.add_argument("--core", type=int, metavar="CPU", help="run the runtime, all its threads, on this CPU only")
     parser.add_argument("--streams", type=int, default=0, metavar="N", help="with N subscribers to what was measured")
-    parser.add_argument(
-        "--verify", choices=("idle", "always"), help="only this: the stream with and without frames being verified"
-    )
-    parser.add_argument("--verify-affinity", metavar="CPUS", help="CPUs of the verifier, as for 'eitskin run'")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -61,8 +57,6 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--core {arguments.core} is not one of this process's CPUs: {sorted(available)}")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     rates = arguments.rate or RATES_HZ
-    if arguments.verify is not None:
-        return _verified(arguments, rates)
     streams = {
         f"{rate:g}": stream(
             rate, arguments.frames, arguments.bundle, core=arguments.core, solver=arguments.solver,
@@ -76,21 +70,6 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(found))
     else:
         _print(found)
-    return 0
-
-
-def _verified(arguments: argparse.Namespace, rates: "tuple[float, ...] | list[float]") -> int:
-    """Measure and report what verifying costs the fast frame."""
-    from eitskin_tools.bench.frame.verified import beside_verifier, text
-
-    more = [f"--solver={arguments.solver}"] if arguments.solver else []
-    more += [] if arguments.core is None else [f"--affinity={arguments.core}"]
-    more += [f"--verify-affinity={arguments.verify_affinity}"] if arguments.verify_affinity else []
-    found = [beside_verifier(rate, arguments.frames, arguments.bundle, arguments.verify, more) for rate in rates]
-    if arguments.json:
-        print(json.dumps({"streams": found, "machine": machine()}))
-    else:
-        print("\n".join(map(text, found)))
     return 0
 
 

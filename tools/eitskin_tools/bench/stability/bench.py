@@ -17,7 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from eitskin_tools.choices import chosen, several
+from eitskin_tools.bench.harness import chosen, several
 from eitskin_tools.command_line import files
 from eitskin_tools.processes.threads import one_blas_thread
 

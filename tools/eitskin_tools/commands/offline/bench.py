@@ -14,22 +14,13 @@ from eitskin_tools.command_line.parser import Parser
 BENCHMARKS: Final[dict[str, str]] = {
     "frame": "from the wire to the subscriber, stage by stage, and other ways to infer the same map",
     "footprint": "memory, import time and size of the runtime",
-    "memory": "whether the runtime's memory stays flat over minutes at 1000 frames a second",
-    "skins": "what a skin takes of a core, and how many skins lose no frame",
     "skip": "what each skipped stage saves",
-    "touches": "what the list of touches takes for a frame, and how far off it is",
-    "view": "what the live page costs, with 0, 1 and 3 pages open, and that the stream loses nothing by it",
-    "recording": "what recorder and viewer cost the stream, with and without them, and that the file is whole",
     "verify": "what the verifier of touches survives, and whether its p-values keep their word",
     "tradeoff": "accuracy against latency: networks, int8, classical solvers",
     "physics": "the sheet model against closed forms, convergence and an independent 3-D slab",
-    "surface": "measured points to a cloud, V_pred and operators, and what the classical solvers take",
     "dataset": "samples a second of the data generators, beside one solve a sample and pyEIT",
-    "ablation": "what each input of the network is worth, and how many deformations it needs",
     "stability": "what breaks a skin, at which level, and why",
-    "gate": "faint presses that a bundle's gate finds, and what an ideal observer would",
     "electrodes": "failing electrodes and drift: named from the frames, and what is left without them",
-    "twins": "what calibrating a device, and adapting a bundle to it, is worth on that device",
     "peer": "another tactile library beside ours: age of frames, damaged frames accepted",
 }
 """Benchmarks, each with what it measures."""

@@ -1,4 +1,4 @@
-"""``eitskin bench skins``: what a skin takes of a core, untouched and touched, and how many skins lose no frame.
+"""What a skin takes of a core, untouched and touched, and how many skins lose no frame.
 
 Virtual skins, ``eitskin run --config`` with 1, 2, 4, ... of them, and one subscriber that takes every frame of all by
 ``subscribe_all``. Untouched frames are judged by the gate; touched ones are all computed (``every_map``), the most that
@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-from eitskin_tools.bench.rows import row_text
+from eitskin_tools.bench.harness import busy_s, cpu_s, program, row_text
 from eitskin_tools.errors import UsageError
 
 SCENES: Final[dict[str, dict[str, Any]]] = {
@@ -94,7 +94,7 @@ def measure(counts: list[int], seconds: float, rate_hz: float, rounds: int) -> l
         for number in range(rounds):
             for count in counts:
                 for kind in SCENES:
-                    print(f"eitskin bench skins: round {number + 1}, {count} {kind}", file=sys.stderr)
+                    print(f"skins: round {number + 1}, {count} {kind}", file=sys.stderr)
                     row = _one(kind, ports[kind][:count], seconds, folder, children)
                     rows.append({"round": number + 1, **row})
     return rows
@@ -176,23 +176,6 @@ def _take(frames: Any, seconds: float) -> dict[str, Any]:
     return last
 
 
-def cpu_s(pids: list[int]) -> float:
-    """Return the CPU seconds that processes have used, of all their threads."""
-    ticks = 0
-    for pid in pids:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        ticks += int(fields[11]) + int(fields[12])
-    return ticks / os.sysconf("SC_CLK_TCK")
-
-
-def busy_s() -> float:
-    """Return the CPU seconds that all programs of this machine have used, and other machines have taken from it."""
-    name, *ticks = Path("/proc/stat").read_text().splitlines()[0].split()
-    assert name == "cpu"
-    user, nice, system, _, _, interrupts, soft, stolen = map(int, ticks[:8])
-    return (user + nice + system + interrupts + soft + stolen) / os.sysconf("SC_CLK_TCK")
-
-
 def summary(rows: list[dict[str, Any]], cores: int) -> dict[str, Any]:
     """Return medians over all rows, touched against untouched, and the most skins of which no frame was ever lost.
 
@@ -223,3 +206,7 @@ def summary(rows: list[dict[str, Any]], cores: int) -> dict[str, Any]:
         found["touched_cpu_us_a_frame"] / max(found["untouched_cpu_us_a_frame"], 1), 2
     )
     return found
+
+
+if __name__ == "__main__":
+    sys.exit(program(__doc__, add_arguments, run))

@@ -1,4 +1,4 @@
-"""``eitskin bench gate``: faint presses that a bundle's gate finds on sheets that are solved, and what could be found.
+"""Faint presses that a bundle's gate finds on sheets that are solved, and what could be found.
 
 Devices and bends are drawn from the bundle's own skin, others than its gate has seen; each is pressed anywhere by discs
 of 16 mm, under N2 of 52 dB, after a drift common to all rows. A press counts as found if one of five frames trips the
@@ -23,6 +23,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
+from eitskin_tools.bench.harness import program
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.threads import one_blas_thread
 
@@ -254,3 +255,7 @@ def lines(found: dict[str, Any]) -> list[str]:
             f"{five['found']:.1%}"
         )
     return shown
+
+
+if __name__ == "__main__":
+    sys.exit(program(__doc__, add_arguments, run))

@@ -1,4 +1,4 @@
-"""``eitskin bench surface``: unordered points to a cloud, a cloud to V_pred and operators, and what solvers then take.
+"""Unordered points to a cloud, a cloud to V_pred and operators, and what solvers then take.
 
 One core: BLAS is held to one thread. ``median_ms`` is wall time, ``cpu_ms`` the process's own, which is the one that
 counts on a machine that does other work too; ``cpu_least_ms``, the least of all, is what others' use of the caches
@@ -8,12 +8,13 @@ disturbed least. The points have no order, an arbitrary pose, 0.1 mm noise and 1
 
 import argparse
 import json
+import sys
 from collections.abc import Callable
 from statistics import median
 from time import perf_counter, process_time
 from typing import Any
 
-from eitskin_tools.bench.rows import row_text
+from eitskin_tools.bench.harness import program, row_text
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.threads import one_blas_thread
 
@@ -118,3 +119,7 @@ def _solver_rows(repeats: int) -> list[dict[str, Any]]:
         }
         rows += [_timed(f"{name}, {cells}", repeats, action) for name, action in actions.items()]
     return rows
+
+
+if __name__ == "__main__":
+    sys.exit(program(__doc__, add_arguments, run))

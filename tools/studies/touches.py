@@ -1,4 +1,4 @@
-"""``eitskin bench touches``: what the list of touches takes for a frame, and how far off it is with a shipped network.
+"""What the list of touches takes for a frame, and how far off it is with a shipped network.
 
 Time: maps of 1 to 6 discs of 10 mm with noise, another one each frame, as a runtime goes through them; paced at 5 ms,
 as a robot sees them (caches have cooled), and back to back. Accuracy: the trials of ``eitskin evaluate --single 10``,
@@ -8,11 +8,12 @@ within 5 mm of its own.
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 from typing import Any, Final
 
-from eitskin_tools.bench.rows import row_text
+from eitskin_tools.bench.harness import program, row_text
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
@@ -154,3 +155,7 @@ def _apart(true: Any, found: Any) -> bool:
         return False
     distance = np.linalg.norm(true[:, None] - found[:2].T[None], axis=-1)
     return bool(max(distance[0, 0], distance[1, 1]) <= APART_MM or max(distance[0, 1], distance[1, 0]) <= APART_MM)
+
+
+if __name__ == "__main__":
+    sys.exit(program(__doc__, add_arguments, run))

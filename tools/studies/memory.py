@@ -1,4 +1,4 @@
-"""``eitskin bench memory``: does the runtime's memory stay flat over minutes at 1000 frames a second?
+"""Does the runtime's memory stay flat over minutes at 1000 frames a second?
 
 The virtual skin, ``eitskin run`` and a subscriber that takes every frame run as processes, and the runtime's resident
 memory, threads and open files are read from /proc once a second. The first part is left out of the judgement: caches of
@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
+from eitskin_tools.bench.harness import program
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
@@ -60,7 +61,7 @@ def measure(seconds: float, rate_hz: float, bundle: Path | None) -> dict[str, An
     """
     from eitskin_tools.processes.children import Child, process_group
 
-    print(f"eitskin bench memory: {seconds:g} s at {rate_hz:g} frames/s", file=sys.stderr)
+    print(f"memory: {seconds:g} s at {rate_hz:g} frames/s", file=sys.stderr)
     with tempfile.TemporaryDirectory(prefix="eitskin-memory-") as name, process_group() as children:
         folder = Path(name)
         publish = f"ipc://{folder}/frames"
@@ -127,3 +128,7 @@ def summary(samples: list[dict[str, float]]) -> dict[str, Any]:
         "files": sorted({int(sample["files"]) for sample in kept}),
         "samples": len(samples),
     }
+
+
+if __name__ == "__main__":
+    sys.exit(program(__doc__, add_arguments, run))

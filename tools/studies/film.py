@@ -1,13 +1,18 @@
 """What looking at a recording costs: how soon it is there, how long a jump takes, what memory it needs."""
 
+import argparse
+import json
 import random
 import resource
+import sys
 import time
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from eitskin_tools.bench.harness import program
+from eitskin_tools.command_line import files
 from eitskin_tools.recording.layout import FRAME, WIRE
 from eitskin_tools.recording.reader import Recording
 from eitskin_tools.view.film.overview import Overview
@@ -15,6 +20,20 @@ from eitskin_tools.view.film.parts import Film
 
 JUMPS: Final = 100
 """To different seconds, in any order."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("file", type=Path, metavar="FILE.mcap", help="the recording")
+    parser.add_argument("--bundle", type=files.bundle, help="what computes its maps")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure, print, and return 0."""
+    found = measured(arguments.file, arguments.bundle)
+    print(json.dumps(found) if arguments.json else printed(found))
+    return 0
 
 
 def measured(path: Path, bundle: Path | None = None) -> dict[str, Any]:
@@ -67,3 +86,7 @@ def printed(found: dict[str, Any]) -> str:
         f"all marks after {found['overview_cpu_s']:g} s of CPU, {found['overview_kB']:g} kB\n"
         f"peak memory {found['peak_MB']:g} MB, with the marks {found['peak_with_overview_MB']:g} MB"
     )
+
+
+if __name__ == "__main__":
+    sys.exit(program(__doc__, add_arguments, run))

@@ -1,17 +1,25 @@
-"""``eitskin bench frame --verify``: whether the fast frame notices that frames are verified behind it.
+"""Whether the fast frame notices that frames are verified behind it.
 
 One stream, one runtime. A subscriber asks for verdicts and leaves, in turns of a seventh of the script's 20 s, so that
 every part of the script is seen with and without. Frames near a change of turn are left out.
 """
 
+import argparse
 import json
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+
+import eitskin
+from eitskin_tools.bench.harness import machine, program
+from eitskin_tools.command_line import files
+from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.signals import Stopped, stop_when_told
 
 PHASE_S: Final = 20.0 / 7.0
 """Of a turn: the script has an odd number of them, so turns change places from one of its loops to the next."""
@@ -21,6 +29,38 @@ EDGE_NS: Final = 300_000_000
 
 START_S: Final = 300.0
 """How long any process may take to be ready."""
+
+
+PATIENCE_S: Final = 300.0
+"""How long the first model may take."""
+
+TURNS: Final = "turns"
+"""First word of the process that asks for verdicts and leaves again."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--frames", type=int, default=20_000, metavar="N", help="frames at each rate (default 20000)")
+    parser.add_argument("--rate", type=float, action="append", metavar="HZ", help="default 200; repeatable")
+    parser.add_argument("--bundle", type=files.bundle, metavar="FILE", help="bundle to run (default: the shipped one)")
+    parser.add_argument("--mode", choices=("idle", "always"), default="always", help="of the verifier (default always)")
+    parser.add_argument("--solver", metavar="NAME", help="most accurate solver of the stream, as for 'eitskin run'")
+    parser.add_argument("--core", type=int, metavar="CPU", help="run the runtime, all its threads, on this CPU only")
+    parser.add_argument("--verify-affinity", metavar="CPUS", help="CPUs of the verifier, as for 'eitskin run'")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure and report."""
+    if arguments.frames < 100:
+        raise UsageError("--frames must be at least 100: percentiles need values")
+    more = [f"--solver={arguments.solver}"] if arguments.solver else []
+    more += [] if arguments.core is None else [f"--affinity={arguments.core}"]
+    more += [f"--verify-affinity={arguments.verify_affinity}"] if arguments.verify_affinity else []
+    rates = arguments.rate or [200.0]
+    found = [beside_verifier(rate, arguments.frames, arguments.bundle, arguments.mode, more) for rate in rates]
+    print(json.dumps({"streams": found, "machine": machine()}) if arguments.json else "\n".join(map(text, found)))
+    return 0
 
 
 def beside_verifier(
@@ -40,7 +80,7 @@ def beside_verifier(
     from eitskin_tools.processes.children import GRACE_S, Child, process_group
 
     seconds = frames / rate_hz
-    print(f"eitskin bench frame: {frames} frames at {rate_hz:g} frames/s, verified in turns", file=sys.stderr)
+    print(f"{frames} frames at {rate_hz:g} frames/s, verified in turns", file=sys.stderr)
     with tempfile.TemporaryDirectory(prefix="eitskin-bench-") as name, process_group() as children:
         folder = Path(name)
         publish = f"ipc://{folder}/frames"
@@ -53,8 +93,9 @@ def beside_verifier(
         runtime = Child("run", "eitskin_tools.cli", words, folder)
         children.append(runtime)
         runtime.line(runtime.err, "ready ", START_S, children)
-        words = [publish, str(folder / "verdicts.npz"), f"--phase={phase_s}"]
-        verdicts = Child("verdicts", "eitskin_tools.bench.frame.verdicts", words, folder)
+        words = [TURNS, publish, str(folder / "verdicts.npz"), str(phase_s)]
+        here = Path(__file__)
+        verdicts = Child("verdicts", here.stem, words, folder, {"PYTHONPATH": str(here.parent)})
         children.append(verdicts)
         verdicts.line(verdicts.out, "ready", START_S, children)
         words = [publish, str(folder / "record.npz"), f"--seconds={seconds}", f"--capacity={frames + 1000}"]
@@ -141,3 +182,58 @@ def text(found: dict[str, Any]) -> str:
         f"{verdicts['behind_frame_ms']}; {verdicts['skipped']} frames skipped, {verdicts['flagged']} flagged"
     )
     return "\n".join(lines)
+
+
+def take_turns(endpoint: str, phase_s: float, path: Path) -> None:
+    """Ask for verdicts in every other phase until told to stop, and write down when, and what came.
+
+    Args:
+        endpoint: Where the runtime publishes.
+        phase_s: Of a phase.
+        path: File to write: ``phases`` (n, 2) begin and end in ns; ``spent_ms``, ``behind_ms`` and ``flagged`` of
+            verdicts; ``counts`` as of the last message.
+    """
+    phases, spent_ms, behind_ms, flagged = list[tuple[int, int]](), list[float](), list[float](), list[bool]()
+    counts = [0, 0, 0]
+    with eitskin.subscribe_verified(endpoint, "all", frames=False, timeout_s=PATIENCE_S) as verdicts:
+        while (state := verdicts.next_verified().state) != "ready":
+            if state == "failed":
+                raise eitskin.SkinError("the verifier cannot make a model of this sheet")
+    print("ready", flush=True)
+    try:
+        while True:
+            time.sleep(phase_s)
+            begin_ns = time.perf_counter_ns()
+            with eitskin.subscribe_verified(endpoint, "all", frames=False) as verdicts:
+                end_ns = begin_ns + round(phase_s * 1e9)
+                while (left_s := (end_ns - time.perf_counter_ns()) * 1e-9) > 0:
+                    try:
+                        found = verdicts.next_verified(left_s)
+                    except eitskin.NoFrame:
+                        break
+                    counts = list(found.counts.values())
+                    if found.verified:
+                        spent_ms.append(found.spent_s * 1e3)
+                        behind_ms.append((found.received_ns - found.host_ns["publish"]) * 1e-6)
+                        flagged.append(bool(found.flagged))
+            phases.append((begin_ns, time.perf_counter_ns()))
+    except Stopped:
+        np.savez(
+            path, phases=np.array(phases, dtype=np.int64).reshape(-1, 2), spent_ms=spent_ms, behind_ms=behind_ms,
+            flagged=np.array(flagged, dtype=np.bool_), counts=counts,
+        )  # fmt: skip
+
+
+def _turns(endpoint: str, path: str, phase_s: str) -> int:
+    """Run the process that asks for verdicts."""
+    stop_when_told()
+    try:
+        take_turns(endpoint, float(phase_s), Path(path))
+    except (eitskin.SkinError, Stopped) as error:
+        print(f"{error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_turns(*sys.argv[2:]) if sys.argv[1:2] == [TURNS] else program(__doc__, add_arguments, run))

@@ -1,4 +1,4 @@
-"""``eitskin bench ablation``: what each part of the network is worth, and how many deformations it needs.
+"""What each part of the network is worth, and how many deformations it needs.
 
 Short trainings of equal length that differ in one thing (:mod:`eitskin_training.ablations`). The figures rank inputs;
 they are not those of the shipped bundles, which train for longer.
@@ -10,6 +10,7 @@ import sys
 from dataclasses import replace
 from typing import Any
 
+from eitskin_tools.bench.harness import program
 from eitskin_tools.errors import UsageError
 
 DEFORMATIONS = (10, 30, 120)
@@ -76,3 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps({"data": data.digest, "recipe": base.name, "epochs": base.epochs, "rows": rows}))
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(program(__doc__, add_arguments, run))

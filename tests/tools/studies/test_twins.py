@@ -1,4 +1,4 @@
-"""``eitskin bench twins``: what is recorded of a drawn device, and what calibration makes of it."""
+"""The study of twins: what is recorded of a drawn device, and what calibration makes of it."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,11 @@ from eitskin_sim.calibration.report import calibrate
 from eitskin_sim.evaluation.devices.device import draw_device
 from eitskin_sim.evaluation.devices.mismatch import LAB
 from eitskin_sim.evaluation.devices.runs import voltages_of
-from eitskin_tools.bench.twins.session import FRAMES, STAMP_MM, recorded
+
+from .study import study
+
+twins = study("twins")
+FRAMES, STAMP_MM, recorded = twins.FRAMES, twins.STAMP_MM, twins.recorded
 
 SNR_DB = 50.0
 

@@ -1,1 +1,0 @@
-"""``eitskin bench ablation``: the benchmark in ``bench``, its helpers beside it."""

@@ -1,1 +1,0 @@
-"""``eitskin bench memory``: the benchmark in ``bench``, its helpers beside it."""

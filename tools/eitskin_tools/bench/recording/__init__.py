@@ -1,1 +1,0 @@
-"""``eitskin bench recording``: the benchmark in ``bench``, its stream in ``stream``."""

@@ -1,1 +1,0 @@
-"""How many skins a machine carries."""

@@ -1,1 +1,0 @@
-"""``eitskin bench surface``: the benchmark in ``bench``, its helpers beside it."""

@@ -1,1 +1,0 @@
-"""What the list of touches costs, and how right it is."""

@@ -1,1 +1,0 @@
-"""What a bundle gains on a device that was calibrated."""

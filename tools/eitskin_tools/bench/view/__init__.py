@@ -1,1 +1,0 @@
-"""``eitskin bench view``."""
