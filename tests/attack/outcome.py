@@ -4,8 +4,6 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from .pace import LEAST, kept
-
 
 @dataclass(frozen=True)
 class Effort:
@@ -38,12 +36,6 @@ class Outcome:
         self.withstood += held
         if not held and len(self.broken) < 20:
             self.broken.append(what)
-
-    def note_pace(self, found: float | None, what: str) -> None:
-        """Count as a try whether a stream kept its pace meanwhile, and keep the slowest among the figures."""
-        self.note(kept(found), f"{what}: published at {found} of the pace of measuring, expected at least {LEAST}")
-        if found is not None:
-            self.figures["slowest_pace"] = min(self.figures.get("slowest_pace", found), found)
 
     @property
     def held(self) -> bool:

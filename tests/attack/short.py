@@ -9,10 +9,8 @@ from .catalogue import ATTACKS, load
 from .outcome import Effort, Outcome
 
 SLOW: Final = frozenset({
-    "subscribers.held", "subscribers.without-keys", "subscribers.honest", "subscribers.giants", "device.clocks",
-    "device.greetings", "device.answers", "device.hangs", "device.terminated", "device.rows", "device.floods",
-    "device.hello", "device.heads", "device.foreign", "device.restarts", "device.numbers", "files.readers",
-    "files.commands",
+    "subscribers.held", "subscribers.without-keys", "subscribers.honest", "subscribers.giants", "front-end.hanging",
+    "files.readers", "run.terminated",
 })  # fmt: skip
 """Whose short form takes five seconds and more: ``make slow`` has them, not ``make test``."""
 

@@ -3,25 +3,20 @@
 import json
 import os
 import resource
-import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
-from .pace import Passed, pace
-
 ROOT: Final = Path(__file__).parents[2]
 SKIN: Final = ROOT / "tests" / "runtime" / "skin_process.py"
 TINY: Final = ROOT / "tests" / "golden" / "tiny.eitskin"
-EITSKIN: Final = ("-m", "eitskin_tools.cli")
 PATIENCE_S: Final = 600.0
 """How long anything may take that is not itself what is measured: who waits so long waits in vain."""
 
@@ -30,27 +25,18 @@ PATIENCE_S: Final = 600.0
 class Stream:
     """What runs."""
 
-    port: str
     runtime: subprocess.Popen[str]
     frames: str
     """Where it publishes."""
     control: str
-    folder: Path
     stderr: Path
     """What the runtime says."""
-    wire: Path | None = None
-    """Where the virtual skin notes when each frame went onto the line, if it is ours."""
     honest: list["Honest"] = field(default_factory=list)
 
     def join(self, *keys: str) -> "Honest":
         """Start an honest subscriber and return once it has a frame."""
-        self.honest.append(Honest(self, *keys))
+        self.honest.append(Honest(self.frames, *keys))
         return self.honest[-1]
-
-    def paced(self, found: dict[str, Any]) -> dict[str, Any]:
-        """Return what a subscriber counted with the stream's pace in place of what that follows from."""
-        passed, waited_ns = found.pop("passed"), found.pop("waited_ns")
-        return found | {"pace": None if self.wire is None else paced(self.wire, passed, waited_ns)}
 
     def said(self) -> str:
         """Return the runtime's standard error."""
@@ -60,10 +46,9 @@ class Stream:
 class Honest:
     """An honest subscriber in a process of its own; end it with ``leave``."""
 
-    def __init__(self, stream: Stream, *keys: str) -> None:
-        endpoint, self._stream = stream.frames, stream
+    def __init__(self, endpoint: str, *keys: str) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.attack.honest", endpoint, str(stream.runtime.pid), *keys],
+            [sys.executable, "-m", "tests.attack.honest", endpoint, *keys],
             stdout=subprocess.PIPE,
             text=True,
             cwd=ROOT,
@@ -75,11 +60,11 @@ class Honest:
         self._found: dict[str, Any] | None = None
 
     def leave(self) -> dict[str, Any]:
-        """End it and return what it counted: frames, lost, longest_silence_s, pace (:mod:`tests.attack.pace`)."""
+        """End it and return what it counted: frames, lost, longest_silence_s."""
         if self._found is None:
             self._process.terminate()
             out, _ = self._process.communicate(timeout=PATIENCE_S)
-            self._found = self._stream.paced(json.loads(out.splitlines()[-1]))
+            self._found = json.loads(out.splitlines()[-1])
         return self._found
 
     def kill(self) -> None:
@@ -88,42 +73,26 @@ class Honest:
         self._process.communicate()
 
 
-def paced(wire: Path, passed: Sequence[Sequence[int]], waited_ns: int) -> float | None:
-    """Return the pace of a stream of the virtual skin.
-
-    Args:
-        wire: Where it noted when each frame went onto the line.
-        passed: Of every frame its number, sequence number, device clock in us, and when it was published in ns.
-        waited_ns: How long the runtime was without a core.
-    """
-    sent_ns = np.load(wire, mmap_mode="r")
-    frames = [
-        Passed(number, sequence, 1000 * device_us, int(sent_ns[sequence % len(sent_ns)]), published_ns)
-        for number, sequence, device_us, published_ns in passed
-    ]
-    found = pace(frames, waited_ns)
-    return None if found is None else round(found, 3)
+def start_skin(**options: Any) -> tuple[subprocess.Popen[str], str]:
+    """Start the tests' virtual skin, whose line loses nothing; return its process and its port."""
+    process = subprocess.Popen([sys.executable, str(SKIN), json.dumps(options)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    return process, process.stdout.readline().strip()
 
 
 @contextmanager
 def virtual_skin(**options: Any) -> Iterator[str]:
-    """Run the tests' virtual skin with these options and give its port; its line loses nothing."""
-    process = subprocess.Popen([sys.executable, str(SKIN), json.dumps(options)], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
+    """Run the tests' virtual skin and give its port."""
+    process, port = start_skin(**options)
     try:
-        yield process.stdout.readline().strip()
+        yield port
     finally:
         ended(process)
 
 
 @contextmanager
 def attacked(
-    *arguments: str,
-    files: int | None = None,
-    endpoints: Sequence[str] = (),
-    port: str | None = None,
-    program: Sequence[str] = EITSKIN,
-    **options: Any,
+    *arguments: str, files: int | None = None, endpoints: Sequence[str] = (), port: str | None = None, **options: Any
 ) -> Iterator[Stream]:
     """Run a skin and ``eitskin run`` on it, and give the stream once it is ready.
 
@@ -132,51 +101,33 @@ def attacked(
         files: Hard limit of open files of the runtime.
         endpoints: ``--publish`` and what else names endpoints; without it, ipc in a folder of its own.
         port: A device's port; None starts the tests' virtual skin.
-        program: What Python runs as ``eitskin``.
         options: Of the virtual skin.
     """
-    with tempfile.TemporaryDirectory(prefix="a") as name:
-        folder = Path(name)
-        stderr = folder / "stderr"
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="a")))
+        if port is None:
+            port = stack.enter_context(virtual_skin(**options))
+        out = stack.enter_context((folder / "stderr").open("w"))
         limited = None if files is None else partial(resource.setrlimit, resource.RLIMIT_NOFILE, (files, files))
         where = list(endpoints) or ["--publish", f"ipc://{folder}/f", "--control", f"ipc://{folder}/c"]
         common = ("--bundle", str(TINY), "--reference-frames", "20")
-        wire = folder / "wire.npy" if port is None else None
-        told = options if wire is None else options | {"wire": str(wire)}
-        with _port(port, told) as used, stderr.open("w") as out:
-            runtime = subprocess.Popen(
-                [sys.executable, *program, "run", *common, "--port", used, *where, *arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-                cwd=ROOT,
-                preexec_fn=limited,  # noqa: PLW1509 -- one system call, and no thread runs
-            )
-            stream = None
-            try:
-                publish, control = _ready(runtime, out)
-                stream = Stream(used, runtime, publish, control, folder, stderr, wire)
-                yield stream
-            finally:
-                for honest in stream.honest if stream else ():
-                    honest.kill()
-                ended(runtime)
-
-
-@contextmanager
-def _port(port: str | None, options: dict[str, Any]) -> Iterator[str]:
-    if port is not None:
-        yield port
-        return
-    with virtual_skin(**options) as found:
-        yield found
+        runtime = subprocess.Popen(
+            [sys.executable, "-m", "eitskin_tools.cli", "run", *common, "--port", port, *where, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+            preexec_fn=limited,  # noqa: PLW1509 -- one system call, and no thread runs
+        )
+        stack.callback(ended, runtime)
+        stream = Stream(runtime, *_ready(runtime, out), folder / "stderr")
+        stack.callback(lambda: [one.kill() for one in stream.honest])
+        yield stream
 
 
 def _ready(runtime: subprocess.Popen[str], out: Any) -> tuple[str, str]:
     """Copy what it says until it is ready; from then on its standard error goes on to be copied by a thread."""
-    import threading
-
     assert runtime.stderr is not None
     for line in runtime.stderr:
         out.write(line)
@@ -204,10 +155,10 @@ def ended(process: "subprocess.Popen[str]") -> None:
         try:
             process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGKILL)
+            process.kill()
             process.wait()
     for pipe in (process.stdout, process.stderr):
-        if pipe is not None:
+        if pipe is not None and not pipe.closed:
             with suppress(OSError):
                 os.set_blocking(pipe.fileno(), False)
             pipe.close()

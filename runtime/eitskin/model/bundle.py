@@ -33,7 +33,7 @@ from eitskin.model.manifest import BESIDE, LABELS, manifest_of
 from eitskin_proto.files.archive import BadArchiveError, Member, members
 from eitskin_proto.files.arrays import parse_npy, parse_npz
 from eitskin_proto.files.digest import id_of, sha256_of
-from eitskin_proto.files.plain import plain, quoted
+from eitskin_proto.files.plain import plain, quoted, stated
 from eitskin_proto.files.reading import FileError, opened
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin as SkinDescription
@@ -88,7 +88,7 @@ class Files(Mapping[str, bytes]):
         found = sha256_of(data)
         if found != expected:
             raise BundleError(
-                f"{self._path}: {name} is damaged: sha256 found {found[:16]}, expected {expected[:16]}; "
+                f"{self._path}: {name} is damaged: sha256 found {found[:16]}, expected {stated(expected)[:16]}; "
                 f"copy the bundle again, or {EXPORT_HINT}"
             )
         return data

@@ -14,7 +14,7 @@ from typing import Final
 
 from tests.attack.outcome import Effort, Outcome
 
-from .kinds import KINDS, LIGHT
+from .kinds import KINDS
 
 ROOT: Final = Path(__file__).parents[3]
 
@@ -90,22 +90,20 @@ class Worker:
         return found
 
 
-def damaged(kinds: tuple[str, ...], name: str, effort: Effort, short: int) -> Outcome:
-    """Try damaged files of each kind, so many in the short form; several kinds at a time where there are cores."""
-    outcome = Outcome(name)
+def files(effort: Effort) -> Outcome:
+    """Try damaged files of each kind; several kinds at a time where there are cores."""
+    outcome = Outcome("files.readers")
     ways: Counter[str] = Counter()
     seconds: dict[str, float] = {}
-    slowest = 0.0
     with tempfile.TemporaryDirectory(prefix="a") as folder, ThreadPoolExecutor(_at_once()) as pool:
-        tries = [pool.submit(_tried, kind, Path(folder), effort, short) for kind in kinds]
-        for kind, done in zip(kinds, tries, strict=True):
+        tries = {kind: pool.submit(_tried, kind, Path(folder), effort) for kind in KINDS}
+        for kind, done in tries.items():
             seconds[kind], found_of = done.result()
             for seed, found in found_of.items():
                 held = found["how"] in ("read", "refused")
                 ways[f"{kind}: {found['how'] if held else str(found['how']).partition(':')[0]}"] += 1
-                slowest = max(slowest, float(str(found["seconds"])))
                 outcome.note(held, f"{kind}, seed {seed}, {found['what']}: {found['how']}")
-    outcome.figures = {"seconds_by_kind": seconds, "by_kind": dict(sorted(ways.items())), "slowest_cpu_s": slowest}
+    outcome.figures = {"seconds_by_kind": seconds, "by_kind": dict(sorted(ways.items()))}
     return outcome
 
 
@@ -114,25 +112,14 @@ def _at_once() -> int:
     return max(1, min(MOST_AT_ONCE, len(os.sched_getaffinity(0))))
 
 
-def _tried(kind: str, folder: Path, effort: Effort, short: int) -> tuple[float, dict[int, dict[str, object]]]:
+def _tried(kind: str, folder: Path, effort: Effort) -> tuple[float, dict[int, dict[str, object]]]:
     """Return how long a kind took, and what came of each seed."""
     place = folder / kind
     place.mkdir()
     worker = Worker(kind, place)
     began, first = time.monotonic(), effort.seed * 1_000_000
     try:
-        seeds = range(first, first + effort.count(short, KINDS[kind].long))
-        found = {seed: worker.attempt(seed) for seed in seeds}
+        found = {seed: worker.attempt(seed) for seed in range(first, first + effort.count(12, KINDS[kind].long))}
     finally:
         worker.end()
     return round(time.monotonic() - began, 1), found
-
-
-def files(effort: Effort) -> Outcome:
-    """Damage bundles, references, configurations, scenes, scans, clouds, recordings and data sets."""
-    return damaged(LIGHT, "files.readers", effort, 12)
-
-
-def runs(effort: Effort) -> Outcome:
-    """Damage the folders of training runs."""
-    return damaged(("run",), "files.runs", effort, 20)

@@ -6,14 +6,26 @@ import random
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from . import evaluated, folders, graphs, mutations, recorded, replayed, robots, samples
+import numpy as np
+
+from eitskin_proto.files.digest import sha256_of
+
+from . import graphs, mutations, recorded, samples
+from .samples import ROOT, TINY, commanded
 
 Make = Callable[[Path, random.Random | None], tuple[Path, str]]
 """Puts a sample into a folder, damaged unless there is no generator; returns its path and what was done."""
+
+Draw = Callable[[random.Random | None], tuple[bytes, str]]
+"""Returns a sample's bytes, likewise."""
+
+SCANS: Final = ("ply", "ply-text", "pcd", "pcd-text", "xyz", "npy")
+MOST_ELEMENTS: Final = 10_000
+"""Of a mesh that is solved; the default scene has 8,500."""
 
 
 @dataclass(frozen=True)
@@ -21,25 +33,27 @@ class Kind:
     """One kind of file."""
 
     make: Make
-    read: samples.Read
-    errors: tuple[type[BaseException], ...] = (OSError,)
-    """What its reader says that it raises besides the package's own errors."""
-    prepare: Callable[[Path], None] = lambda _: None
-    """Called once with a folder that stays."""
-    long: int = 4000
+    read: Callable[[Path], object]
+    """Reads a sample as a command would, as far as what the file says has an effect."""
+    long: int = 2000
     """Tries of the long form; fewer where each takes longer."""
 
 
-def _file(name: str, data: Callable[[random.Random | None], tuple[bytes, str]]) -> Make:
+def _file(name: str, draw: Draw) -> Make:
     def make(folder: Path, rng: random.Random | None) -> tuple[Path, str]:
         path = folder / name
         if rng is not None and rng.random() < 0.04:
             return path, f"not a file: {mutations.special(path, rng)}"
-        content, what = data(rng)
+        content, what = draw(rng)
         path.write_bytes(content)
         return path, what
 
     return make
+
+
+def _scan(folder: Path, rng: random.Random | None) -> tuple[Path, str]:
+    form = "ply" if rng is None else rng.choice(SCANS)
+    return _file(f"s.{form.removesuffix('-text')}", partial(_bytes, lambda: samples.scan(form)))(folder, rng)
 
 
 def _bytes(whole: Callable[[], bytes], rng: random.Random | None) -> tuple[bytes, str]:
@@ -47,27 +61,21 @@ def _bytes(whole: Callable[[], bytes], rng: random.Random | None) -> tuple[bytes
 
 
 def _json(whole: Callable[[], Any], rng: random.Random | None) -> tuple[bytes, str]:
-    if rng is None:
-        return json.dumps(whole()).encode(), "whole"
-    if rng.random() < 0.15:
-        return mutations.bent(json.dumps(whole()).encode(), rng), "bytes"
+    if rng is None or rng.random() < 0.15:
+        return _bytes(lambda: json.dumps(whole()).encode(), rng)
     return mutations.text_of(mutations.changed(whole(), rng)).encode(), "values"
 
 
 def _reference(rng: random.Random | None) -> tuple[bytes, str]:
-    if rng is None:
-        return samples.sealed(samples.reference()), "whole"
-    if rng.random() < 0.2:
-        return mutations.bent(samples.sealed(samples.reference()), rng), "bytes"
+    if rng is None or rng.random() < 0.2:
+        return _bytes(lambda: samples.sealed(samples.reference()), rng)
     return samples.sealed(mutations.changed(samples.reference(), rng)), "values, sealed again"
 
 
-def _npy(whole: Callable[[], Any], rng: random.Random | None) -> tuple[bytes, str]:
-    if rng is None:
-        return samples.npy(whole()), "whole"
-    if rng.random() < 0.5:
-        return mutations.array(rng), "another array"
-    return mutations.bent(samples.npy(whole()), rng), "bytes"
+def _npy(rng: random.Random | None) -> tuple[bytes, str]:
+    if rng is None or rng.random() < 0.5:
+        return _bytes(lambda: samples.npy(np.tile(samples.VOLTS, (500, 1))), rng)
+    return mutations.array(rng), "another array"
 
 
 def _npz(whole: Callable[[], dict[str, Any]], rng: random.Random | None) -> tuple[bytes, str]:
@@ -75,27 +83,26 @@ def _npz(whole: Callable[[], dict[str, Any]], rng: random.Random | None) -> tupl
     if rng is None:
         return samples.npz(**arrays), "whole"
     parts = {f"{name}.npy": samples.npy(value) for name, value in arrays.items()}
-    how = rng.random()
-    if how < 0.6:
-        name = rng.choice(list(arrays))
-        parts[f"{name}.npy"] = mutations.array(rng) if how < 0.3 else mutations.valued(arrays[name], rng)
-        return mutations.zipped(parts), "another array" if how < 0.3 else "other values"
-    return mutations.archive(parts, rng), "archive"
+    if rng.random() < 0.4:
+        return mutations.archive(parts, rng), "archive"
+    name, strange = rng.choice(list(arrays)), rng.random() < 0.5
+    parts[f"{name}.npy"] = mutations.array(rng) if strange else mutations.valued(arrays[name], rng)
+    return mutations.zipped(parts), f"{name}: {'another array' if strange else 'other values'}"
 
-
-_CONFIGURATION: Final = (
-    samples.ROOT / "firmware_proto" / "eitskin_proto" / "configurations" / "idle.toml"
-).read_bytes()
 
 FACTORS: Final = (-1.0, 0.0, 1e-9, 1e-3, 0.1, 0.5, 0.9, 1.1, 2.0, 10.0, 1e3, 1e9, 1e300)
 """What a number of a TOML file is multiplied by."""
 
+VALUES: Final = (
+    "1e400", "-1", "nan", "inf", "true", "[]", "{}", '"\\u001b[2J"', "1" * 5000, "[" * 60_000, "1979-05-27", "[[[]]]",
+    '"' + "x" * 99 + '"', "0", "0x7fffffffffffffffffff", "[" + "1," * 20_000 + "]", "{a={a={a={}}}}",
+)  # fmt: skip
+"""What stands in place of a value of a TOML file."""
+
 
 def _toml(whole: bytes, rng: random.Random | None) -> tuple[bytes, str]:
-    if rng is None:
-        return whole, "whole"
-    if rng.random() < 0.3:
-        return mutations.bent(whole, rng), "bytes"
+    if rng is None or rng.random() < 0.3:
+        return _bytes(lambda: whole, rng)
     lines = whole.decode().splitlines()
     for _ in range(rng.choice((1, 1, 2))):
         at = rng.randrange(len(lines))
@@ -104,98 +111,149 @@ def _toml(whole: bytes, rng: random.Random | None) -> tuple[bytes, str]:
         if numbers and rng.random() < 0.3:
             one = rng.choice(numbers)
             lines[at] = f"{key}={value.replace(one, str(float(one) * rng.choice(FACTORS)), 1)}"
-            continue
-        values = (
-            "1e400", "-1", "nan", "inf", "true", "[]", "{}", '"\\u001b[2J"', "1" * 5000, "[" * 60_000, "9" * 400,
-            "1979-05-27", "[[[]]]", '"' + "x" * 99 + '"', "0", "0x7fffffffffffffffffff", "." .join("a" * 9),
-            "[" + "1," * 20_000 + "]", '"""' + "\\n" * 999 + '"""', "{a={a={a={}}}}",
-        )  # fmt: skip
-        lines[at] = (
-            f"{key}= {rng.choice(values)}" if "=" in lines[at] else rng.choice(("[x]", "[drive.x]", "", "[[a]]"))
-        )
-        if rng.random() < 0.1:
+        elif rng.random() < 0.1:
             lines.insert(at, rng.choice((".".join("a" * 4000) + " = 1", lines[at], "\x1b = 1", "[" * 5000)))
+        else:
+            lines[at] = f"{key}= {rng.choice(VALUES)}" if "=" in lines[at] else rng.choice(("[x]", "", "[[a]]"))
     return "\n".join(lines).encode(), "values"
 
 
-@cache
-def _tiny() -> tuple[dict[str, bytes], Any]:
-    parts = samples.members(samples.TINY)
-    manifest = json.loads(parts.pop("manifest.json"))
-    return parts, manifest
-
-
 def _bundle(rng: random.Random | None) -> tuple[bytes, str]:
-    whole, listed = _tiny()
-    parts, manifest = dict(whole), copy.deepcopy(listed)
-    if rng is None:
-        return samples.bundle(parts, manifest), "whole"
-    how = rng.randrange(10)
-    if how < 3:
-        text = mutations.text_of(mutations.changed(manifest, rng))
+    parts = samples.members(TINY.read_bytes())
+    manifest = json.loads(parts.pop("manifest.json"))
+    how = -1 if rng is None else rng.randrange(8)
+    if rng is None or how == 7:
+        return _bytes(TINY.read_bytes, rng)
+    if how < 2:
+        text = mutations.text_of(mutations.changed(copy.deepcopy(manifest), rng))
         return mutations.zipped({"manifest.json": text.encode(), **parts}), "manifest"
-    if how < 6:
+    if how == 6:
+        return mutations.archive({"manifest.json": json.dumps(manifest).encode(), **parts}, rng), "archive"
+    if how < 5:
         name = rng.choice([name for name in parts if name.endswith(".onnx")])
         parts[name], what = graphs.hostile(parts[name], rng)
-        return samples.bundle(parts, manifest), f"{name}: {what}"
-    if how < 8:
-        name = rng.choice(list(parts))
+    else:
+        name, what = rng.choice(list(parts)), "is another"
         parts[name] = mutations.array(rng) if name.endswith(".npy") else mutations.bent(parts[name], rng)
-        if name.endswith(".npz"):
-            parts[name] = mutations.archive(samples.members_of(whole[name]), rng)
-        return samples.bundle(parts, manifest), f"{name} is another"
-    data = {"manifest.json": json.dumps(manifest).encode(), **parts}
-    return (
-        (mutations.archive(data, rng), "archive")
-        if how == 8
-        else (mutations.bent(mutations.zipped(data), rng), "bytes")
-    )
+    manifest["files"][name]["sha256"] = sha256_of(parts[name])
+    return mutations.zipped({"manifest.json": json.dumps(manifest).encode(), **parts}), f"{name}: {what}"
 
 
-def _phantoms() -> Any:
-    return [{"name": "1", "scene": samples.scene(), "truth": "area"}, {"scene": {}, "truth": "units"}]
+def _data_set(folder: Path, rng: random.Random | None) -> tuple[Path, str]:
+    """Put a data set into a folder: one of its files is damaged, and named by its right checksum."""
+    out, files = folder / "data", samples.data_set()
+    out.mkdir()
+    index, what = json.loads(files["index.json"]), "whole"
+    special = None
+    if rng is not None:
+        name = what = rng.choice(list(files))
+        special = name if rng.random() < 0.1 else None
+        if name == "index.json":
+            files[name], _ = _json(lambda: index, rng)
+        else:
+            parts = samples.members(files[name])
+            files[name] = mutations.archive(parts, rng)
+            if rng.random() < 0.5:
+                files[name] = mutations.zipped({**parts, rng.choice(list(parts)): mutations.array(rng)})
+            for entry in (index["touches"], *index["deformations"]):
+                if entry["file"] == name:
+                    entry["sha256"] = sha256_of(files[name])
+            files["index.json"] = json.dumps(index).encode()
+    for name, data in files.items():
+        if name == special and rng is not None:
+            what = f"{name} is no file: {mutations.special(out / name, rng)}"
+        else:
+            (out / name).write_bytes(data)
+    return out, what
 
 
-def _pcd(form: str) -> bytes:
-    rows = samples.points()
-    head = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z _\nSIZE 4 4 4 1\nTYPE F F F U\nCOUNT 1 1 1 4\n"
-    head += f"WIDTH {len(rows)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(rows)}\nDATA {form}\n"
-    if form == "ascii":
-        return (head + "\n".join(" ".join(f"{v:g}" for v in row) + " 0 0 0 0" for row in rows)).encode()
-    return head.encode() + b"".join(row.tobytes() + bytes(4) for row in rows)
+def _read_bundle(path: Path) -> None:
+    """Infer a map: an untouched and a touched sheet's."""
+    from tests.attack.line.line import FLAT, HELLO, Line
+
+    import eitskin
+    from eitskin.errors import PortLost
+
+    def send(line: Line, number: int) -> bytes:
+        touched = 1.0 + 0.3 * (number > 12) * np.cos(np.arange(104))
+        return line.frame(counts=np.rint(FLAT * touched * (1 + 1e-4 * line.rng.standard_normal(104))).astype(np.int32))
+
+    with eitskin.Skin(Line(send, HELLO, clocked=False, scans_left=16), bundle=path) as skin:
+        skin.capture_reference(10)
+        skin.set_cloud(skin.bundle.skin.grid.flat_cloud_mm())
+        try:
+            for frame in skin.frames():
+                if not np.isfinite(frame.map).all():
+                    raise AssertionError("a map that is not finite was published")
+        except PortLost:
+            pass  # all is sent
 
 
-def _xyz() -> bytes:
-    return "\n".join(" ".join(f"{v:g}" for v in row) for row in samples.points()).encode()
+def _read_scene(path: Path) -> None:
+    """Load a scene and solve it, where that takes seconds and not the minute that a fine mesh may take."""
+    from eitskin_sim.fem.meshing import scene_mesh
+    from eitskin_sim.fem.solve import solve_scene
+    from eitskin_sim.scene.scene import load_scene
 
+    scene = load_scene(path)
+    if scene_mesh(scene).n_elements > MOST_ELEMENTS:
+        return
+    if not np.isfinite(solve_scene(scene).voltages).all():  # the contact law of data sets: seconds faster
+        raise AssertionError("voltages that are not finite would be written")
+
+
+def _read_scan(path: Path) -> None:
+    from eitskin_sim.surface.ordered_cloud import organise
+    from eitskin_sim.surface.point_files import read_points
+
+    organise(read_points(path))
+
+
+def _read_cloud(path: Path) -> None:
+    from eitskin_proto.skin.cloud import align_cloud
+    from eitskin_proto.skin.cloud_file import load_surface
+
+    align_cloud(load_surface(path).cloud_mm)
+
+
+def _read_data_set(path: Path) -> None:
+    from eitskin_sim.dataset.reader import load
+
+    found = load(path)
+    found.label_table_u8()
+    found.rows()
+
+
+def _command(*words: str) -> Callable[[Path], None]:
+    """Return what gives a file to a command as its last word, or where a word is ``FILE``."""
+
+    def read(path: Path) -> None:
+        told = [str(path) if word == "FILE" else word for word in words]
+        commanded(path.parent, *told, *([] if "FILE" in words else [str(path)]))
+
+    return read
+
+
+_PROTO: Final = ROOT / "firmware_proto" / "eitskin_proto"
 
 KINDS: Final[dict[str, Kind]] = {
-    "bundle": Kind(_file("b.eitskin", _bundle), samples.read_bundle, long=1500),
-    "reference": Kind(_file("r.json", _reference), samples.read_reference),
+    "bundle": Kind(_file("b.eitskin", _bundle), _read_bundle, 1500),
+    "reference": Kind(_file("r.json", _reference), _command("reference", "--show")),
     "configuration": Kind(
-        _file("c.toml", partial(_toml, _CONFIGURATION)), samples.read_configuration, (OSError, ValueError)
+        _file("c.toml", partial(_toml, (_PROTO / "configurations" / "idle.toml").read_bytes())),
+        _command("flash", "write", "FILE", "--dry-run"),
     ),
-    "scene": Kind(_file("s.json", partial(_json, samples.scene)), samples.read_scene, long=400),
-    "phantoms": Kind(_file("p.json", partial(_json, _phantoms)), samples.read_phantoms, long=1500),
-    "scan-ply": Kind(_file("s.ply", partial(_bytes, samples.ply_binary)), samples.read_scan, long=600),
-    "scan-ply-text": Kind(_file("s.ply", partial(_bytes, samples.ply_text)), samples.read_scan, long=600),
-    "scan-pcd": Kind(_file("s.pcd", partial(_bytes, partial(_pcd, "binary"))), samples.read_scan, long=600),
-    "scan-pcd-text": Kind(_file("s.pcd", partial(_bytes, partial(_pcd, "ascii"))), samples.read_scan, long=600),
-    "scan-xyz": Kind(_file("s.xyz", partial(_bytes, _xyz)), samples.read_scan, long=600),
-    "scan-npy": Kind(_file("s.npy", partial(_npy, samples.points)), samples.read_scan, long=600),
-    "cloud": Kind(_file("c.npz", partial(_npz, samples.cloud)), samples.read_cloud),
-    "recording": Kind(_file("r.npy", partial(_npy, samples.recording)), samples.read_recording),
-    "data-set": Kind(folders.data_set, samples.read_data_set, prepare=folders.make_data_set, long=800),
-    "measured": Kind(_file("m.npz", partial(_npz, evaluated.measured)), evaluated.read_measured, long=800),
-    "mismatches": Kind(_file("d.json", partial(_json, evaluated.mismatches)), evaluated.read_mismatches, long=1500),
-    "tank": Kind(_file("t.npz", partial(_npz, evaluated.tank)), evaluated.read_tank, (OSError, ValueError), long=800),
-    "skin": Kind(_file("s.toml", partial(_toml, evaluated.SKIN)), evaluated.read_skin, (OSError, ValueError)),
-    "mcap": Kind(recorded.make, replayed.read, prepare=recorded.prepare, long=2500),
-    "robot": Kind(_file("robot.toml", partial(_toml, robots.TOML)), robots.read_toml),
-    "robot-state": Kind(_file("robot.json", partial(_json, robots.state)), robots.read_state, long=1500),
-    "run": Kind(folders.run, samples.read_run, prepare=folders.make_run, long=400),
+    "skin": Kind(
+        _file("s.toml", partial(_toml, (_PROTO / "skins" / "hydrogel.toml").read_bytes())), _command("skin", "check")
+    ),
+    "robot": Kind(_file("robot.toml", partial(_toml, samples.ROBOT)), _command("run", "--check", "--config")),
+    "scene": Kind(_file("s.json", partial(_json, samples.scene)), _read_scene, 400),
+    "scan": Kind(_scan, _read_scan, 1500),
+    "cloud": Kind(_file("c.npz", partial(_npz, samples.cloud)), _read_cloud),
+    "voltages": Kind(_file("r.npy", _npy), _command("doctor", "--electrodes", "--recorded")),
+    "recording": Kind(recorded.make, recorded.read, 2500),
+    "measured": Kind(_file("m.npz", partial(_npz, samples.measured)), _command("evaluate", "--measured"), 800),
+    "tank": Kind(_file("t.npz", partial(_npz, samples.tank)), _command("evaluate", "--tank"), 800),
+    "data-set": Kind(_data_set, _read_data_set, 800),
 }
 """By name."""
-
-LIGHT: Final = tuple(name for name in KINDS if name != "run")
-"""Those that need no torch."""

@@ -47,7 +47,7 @@ def _changed_once(root: Any, rng: random.Random) -> Any:
     if how == 0:
         del holder[key]
     elif how == 1:
-        holder[key] = _nested(rng.choice((20, 200, 100_000)))
+        holder[key] = f"@nested{rng.choice((20, 200, 100_000))}@"
     elif how == 2 and isinstance(holder, dict):
         holder[rng.choice(("unknown", "\x1b[31m", "sha256", ""))] = copy.deepcopy(rng.choice(HOSTILE))
     elif how == 3 and isinstance(holder, list) and holder:
@@ -57,10 +57,6 @@ def _changed_once(root: Any, rng: random.Random) -> Any:
     else:
         holder[key] = copy.deepcopy(rng.choice(HOSTILE))
     return root
-
-
-def _nested(depth: int) -> str:
-    return f"@nested{depth}@"
 
 
 def text_of(value: Any) -> str:
@@ -75,36 +71,31 @@ def text_of(value: Any) -> str:
 
 def bent(data: bytes, rng: random.Random) -> bytes:
     """Return bytes that were cut, flipped, filled, doubled or put in front."""
-    how, found = rng.randrange(9), bytearray(data)
-    if how == 0:
-        return data[: rng.randrange(len(data) + 1)]
-    if how == 1:
-        for _ in range(rng.choice((1, 1, 4, 50))):
-            if found:
+    at, found = rng.randrange(len(data) + 1), bytearray(data)
+    match rng.randrange(9):
+        case 0:
+            return data[:at]
+        case 1:
+            for _ in range(rng.choice((1, 1, 4, 50)) if data else 0):
                 found[rng.randrange(len(found))] ^= 1 << rng.randrange(8)
-        return bytes(found)
-    if how == 2:
-        at = rng.randrange(len(data) + 1)
-        return data[:at] + rng.randbytes(rng.choice((1, 8, 500))) + data[at:]
-    if how == 3:
-        at = rng.randrange(len(data) + 1)
-        return data[:at] + bytes(min(200, len(data) - at)) + data[at + 200 :]
-    if how == 4:
-        return data + data
-    if how == 5:
-        return rng.choice(
-            (b"", b"\0" * 1000, b"PK\3\4" + data, b"\x93NUMPY" + data, b"\xff\xfe" + data, b"\n" * 99_999)
-        )
-    if how == 6:
-        return rng.randbytes(rng.choice((1, 100, 10_000)))
-    if how == 7:  # in a header or a text: a number, and a much larger one
-        digits = [at for at, byte in enumerate(data[:4000]) if 48 <= byte <= 57]
-        if digits:
-            at = rng.choice(digits)
-            return data[:at] + rng.choice((b"9" * 15, b"-1", b"1e300", b"nan", b"9" * 5000, b"(((")) + data[at + 1 :]
-    opening = [at for at, byte in enumerate(data[:4000]) if byte in b"[({,\"'"]
-    at = rng.choice(opening) if opening else 0
-    return data[:at] + data[at : at + 1] * rng.choice((2, 60, 100_000)) + data[at + 1 :]
+            return bytes(found)
+        case 2:
+            return data[:at] + rng.randbytes(rng.choice((1, 8, 500))) + data[at:]
+        case 3:
+            return data[:at] + bytes(min(200, len(data) - at)) + data[at + 200 :]
+        case 4:
+            return data + data
+        case 5:
+            return rng.choice((b"", bytes(1000), b"PK\3\4" + data, b"\x93NUMPY" + data, b"\n" * 99_999))
+        case 6:
+            return rng.randbytes(rng.choice((1, 100, 10_000)))
+        case 7:  # in a header or a text: a number, and a much larger one
+            sought, strange = b"0123456789", rng.choice((b"9" * 15, b"-1", b"1e300", b"nan", b"9" * 5000, b"((("))
+        case _:
+            sought, strange = b"[({,\"'", b""
+    places = [at for at, byte in enumerate(data[:4000]) if byte in sought] or [0]
+    at = rng.choice(places)
+    return data[:at] + (strange or data[at : at + 1] * rng.choice((2, 60, 100_000))) + data[at + 1 :]
 
 
 def array(rng: random.Random) -> bytes:
@@ -119,22 +110,15 @@ def array(rng: random.Random) -> bytes:
     data = samples.npy(values)
     if rng.random() < 0.5:
         return data
-    header = rng.choice(
-        (
-            "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000000, 104), }",
-            "{'descr': '<f8', 'fortran_order': False, 'shape': (104,",
-            "{'descr': '<f8', 'fortran_order': False, 'shape': (-1,), }",
-            "{'descr': [('a', '<f8'), ('b', 'O')], 'fortran_order': False, 'shape': (3,), }",
-            "{'descr': '<f8', 'fortran_order': 2, 'shape': [3], }",
-            "{'descr': '|V0', 'fortran_order': False, 'shape': (99999999999,), }",
-            "{'descr': '<U999999', 'fortran_order': False, 'shape': (0,), }",
-            "(" * 800,
-            "{" * 100 + "}" * 100,
-            "__import__('os').system('true')",
-            "{'descr': '<f8', 'fortran_order': False, 'shape': (True,), }",
-            "\x00" * 60,
-        )
-    )
+    header = rng.choice((
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000000, 104), }",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (104,",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (-1,), }",
+        "{'descr': [('a', '<f8'), ('b', 'O')], 'fortran_order': False, 'shape': (3,), }",
+        "{'descr': '|V0', 'fortran_order': False, 'shape': (99999999999,), }",
+        "{'descr': '<U999999', 'fortran_order': False, 'shape': (0,), }",
+        "(" * 800, "{" * 100 + "}" * 100, "__import__('os').system('true')", "\x00" * 60,
+    ))  # fmt: skip
     raw = header.encode("latin-1")
     return b"\x93NUMPY\x01\x00" + len(raw).to_bytes(2, "little") + raw + bytes(800)
 
@@ -200,38 +184,32 @@ def archive(parts: dict[str, bytes], rng: random.Random) -> bytes:
 
 
 SPECIAL: Final = (
-    "missing", "folder", "fifo", "socket", "link to zero", "link to nothing", "link to itself", "unreadable", "endless",
-    "device",
+    "missing", "folder", "fifo", "socket", "unreadable", "endless", "/dev/zero", "/dev/tty", "nothing", "itself"
 )  # fmt: skip
+"""What stands in a file's place; the last four are links."""
 
 
 def special(path: Path, rng: random.Random) -> str:
     """Put something else than a file where one is expected, and return what."""
     kind = rng.choice(SPECIAL)
-    if kind == "folder":
-        path.mkdir()
-    elif kind == "fifo":
-        os.mkfifo(path)
-    elif kind == "socket":
-        with socket.socket(socket.AF_UNIX) as bound:
-            where = os.getcwd()
-            os.chdir(path.parent)  # a socket's path has at most 107 bytes
+    match kind:
+        case "folder":
+            path.mkdir()
+        case "fifo":
+            os.mkfifo(path)
+        case "socket":
+            where = os.open(path.parent, os.O_RDONLY)
             try:
-                bound.bind(path.name)
+                with socket.socket(socket.AF_UNIX) as bound:
+                    bound.bind(f"/proc/self/fd/{where}/{path.name}")  # a socket's path has at most 107 bytes
             finally:
-                os.chdir(where)
-    elif kind == "link to zero":
-        path.symlink_to("/dev/zero")
-    elif kind == "device":
-        path.symlink_to("/dev/tty")
-    elif kind == "link to nothing":
-        path.symlink_to("nothing")
-    elif kind == "link to itself":
-        path.symlink_to(path.name)
-    elif kind == "unreadable":
-        path.write_bytes(b"x")
-        path.chmod(0)
-    elif kind == "endless":
-        with path.open("wb") as file:
-            file.truncate(1 << 40)  # nothing of it is on the disk
+                os.close(where)
+        case "unreadable":
+            path.write_bytes(b"x")
+            path.chmod(0)
+        case "endless":
+            with path.open("wb") as file:
+                file.truncate(1 << 40)  # nothing of it is on the disk
+        case "/dev/zero" | "/dev/tty" | "nothing" | "itself":
+            path.symlink_to(path.name if kind == "itself" else kind)
     return kind

@@ -1,23 +1,93 @@
-"""Files of every kind that eitskin reads, as they should be, to be damaged; and what reads each."""
+"""Files of the formats that eitskin reads, as they should be, to be damaged."""
 
 import io
 import json
 import zipfile
-from collections.abc import Callable
-from functools import cache
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from eitskin_proto.errors import SkinError
+
 ROOT: Final = Path(__file__).parents[3]
 TINY: Final = ROOT / "tests" / "golden" / "tiny.eitskin"
+VOLTS: Final = np.linspace(0.1, 1.0, 104)
 
-MOST_ELEMENTS: Final = 10_000
-"""Of a mesh that is solved; the default scene has 8,500."""
+ROBOT: Final = b"""format = "eitskin-robot"
+version = 1
+folder = "/nowhere/eitskin"
+[[skins]]
+name = "left-arm"
+port = "/dev/serial/by-id/usb-left"
+baud = 2000000
+skin = "paper"
+touches = "lower"
+reference_frames = 100
+solver = "tikhonov"
+budget_ms = 4.0
+every_map = true
+idle_after_s = 2.5
+exclude_electrodes = [3, 11]
+compensate_drift = false
+reconnect_s = 60.0
+restart = "never"
+[skins.pose]
+translation_mm = [0, 120.5, 340]
+quaternion_wxyz = [0.7071, 0.7071, 0, 0]
+[skins.realtime]
+sched_fifo = 10
+affinity = [0]
+mlock = true
+[skins.verify]
+mode = "idle"
+budget_ms = 20.0
+nice = 5
+[[skins]]
+name = "hand"
+port = "usb:SKIN-2"
+publish = "ipc:///nowhere/hand/frames"
+control = "ipc:///nowhere/hand/control"
+[skins.pose]
+translation_mm = [120, 0, 610]
+rotation = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+"""
+"""Every key of a robot's list of skins that needs no other file."""
 
-Read = Callable[[Path], object]
-"""Reads a sample as a command would, as far as what the file says has an effect."""
+
+class Refused(SkinError):
+    """A command ended with status 1 and a line that says why."""
+
+
+def commanded(folder: Path, *words: str) -> None:
+    """Run a command of ``eitskin`` within this process.
+
+    Args:
+        folder: For what it prints.
+        words: Of the command.
+
+    Raises:
+        Refused: It ended with status 1, and a line.
+        AssertionError: It printed something else than lines for people, or ran out of memory.
+    """
+    from eitskin_tools.cli import main
+
+    with (folder / "err").open("w+") as err, (folder / "out").open("w+") as out:
+        with redirect_stderr(err), redirect_stdout(out):
+            status = main(words)
+        for file in (err, out):
+            file.seek(0)
+        lines, results = err.read().splitlines(), out.read().splitlines()
+    for line in (*lines, *results):
+        if not line.isprintable():
+            raise AssertionError(f"a line that a terminal could obey: {line[:200]!r}")
+    if status == 0 or (status == 1 and results):
+        return
+    last = lines[-1] if lines else ""
+    if status != 1 or not last.startswith(f"eitskin {words[0]}: ") or "enough memory" in last:
+        raise AssertionError(f"{words[0]} ended with {status} and said {last[:200]!r}")
+    raise Refused(last)
 
 
 def scene() -> dict[str, Any]:
@@ -47,12 +117,11 @@ def reference() -> dict[str, Any]:
     from eitskin_proto.sensor.ids import PROTOCOL_ID
     from eitskin_proto.skin.skin import PAPER
 
-    volts = np.linspace(0.1, 1.0, 104)
     return {
         "format": FORMAT, "version": VERSION, "protocol_id": PROTOCOL_ID, "grid_id": PAPER.grid_id,
         "serial_number": "VIRTUAL-0001", "configuration_digest": "0011aaff", "configuration_name": "paper",
         "captured_utc": "2026-01-01T00:00:00Z", "frames": 100,
-        "voltages_V": volts.tolist(), "spread_V": (1e-3 * volts).tolist(),
+        "voltages_V": VOLTS.tolist(), "spread_V": (1e-3 * VOLTS).tolist(),
     }  # fmt: skip
 
 
@@ -60,10 +129,10 @@ def sealed(fields: Any) -> bytes:
     """Return a reference's file; one that was tampered with by somebody who can make checksums."""
     from eitskin_proto.files.digest import sha256_of_values
 
-    content = dict(fields) if isinstance(fields, dict) else fields
-    if isinstance(content, dict):
-        content["sha256"] = sha256_of_values({k: v for k, v in content.items() if k != "sha256"})
-    return json.dumps(content).encode()
+    if not isinstance(fields, dict):
+        return json.dumps(fields).encode()
+    content = {key: value for key, value in fields.items() if key != "sha256"}
+    return json.dumps(content | {"sha256": sha256_of_values(content)}).encode()
 
 
 def npy(array: Any) -> bytes:
@@ -80,33 +149,32 @@ def npz(**arrays: Any) -> bytes:
     return out.getvalue()
 
 
-@cache
-def points() -> Any:
-    """Return (6868, 3) mm of the shipped scan."""
-    from eitskin_tools.scans import prepare
-
-    data = prepare.SAMPLE.read_bytes()
-    at = data.index(b"end_header\n") + len("end_header\n")
-    return np.frombuffer(data, dtype="<f4", offset=at).reshape(-1, 3)
+def members(data: bytes) -> dict[str, bytes]:
+    """Return what the bytes of a ZIP file hold."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
 
 
-def recording() -> Any:
-    """Return (500, 104) V of frames."""
-    return np.tile(np.linspace(0.1, 1.0, 104), (500, 1))
+def scan(form: str) -> bytes:
+    """Return the points of the shipped scan as ``ply``, ``ply-text``, ``pcd``, ``pcd-text``, ``xyz`` or ``npy``."""
+    from eitskin_tools.scans.prepare import SAMPLE, ply
 
-
-def ply_text() -> bytes:
-    """Return an ASCII .ply file."""
-    rows = points()
-    head = f"ply\nformat ascii 1.0\nelement vertex {len(rows)}\n" + "".join(f"property float {a}\n" for a in "xyz")
-    return (head + "end_header\n" + "\n".join(" ".join(f"{v:g}" for v in row) for row in rows) + "\n").encode()
-
-
-def ply_binary() -> bytes:
-    """Return a binary .ply file."""
-    from eitskin_tools.scans.prepare import ply
-
-    return ply(points().astype(np.float32))
+    data = SAMPLE.read_bytes()
+    points = np.frombuffer(data, dtype="<f4", offset=data.index(b"end_header\n") + len("end_header\n")).reshape(-1, 3)
+    text = "\n".join(" ".join(f"{v:g}" for v in row) for row in points).encode()
+    pcd = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+    pcd += f"WIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\nDATA "
+    match form:
+        case "ply":
+            return ply(points.astype(np.float32))
+        case "ply-text":
+            axes = "".join(f"property float {axis}\n" for axis in "xyz")
+            return f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n{axes}end_header\n".encode() + text
+        case "pcd":
+            return f"{pcd}binary\n".encode() + points.tobytes()
+        case "pcd-text":
+            return f"{pcd}ascii\n".encode() + text
+    return text if form == "xyz" else npy(points)
 
 
 def cloud() -> dict[str, Any]:
@@ -115,183 +183,62 @@ def cloud() -> dict[str, Any]:
     from eitskin_proto.skin.cloud_file import MAGIC, VERSION
     from eitskin_proto.skin.skin import PAPER
 
-    rows = np.linspace(0.1, 1.0, 104)
     return {
         "magic": np.array(MAGIC), "version": np.array(VERSION), "grid_id": np.array(PAPER.grid_id),
-        "cloud": flat_cloud(), "predicted": rows, "predicted_flat": rows,
+        "cloud": flat_cloud(), "predicted": VOLTS, "predicted_flat": VOLTS,
     }  # fmt: skip
 
 
-def members(path: Path) -> dict[str, bytes]:
-    """Return what a ZIP file holds."""
-    with zipfile.ZipFile(path) as archive:
-        return {name: archive.read(name) for name in archive.namelist()}
+def measured() -> dict[str, Any]:
+    """Return the arrays of a measured file; its numbers are made up, its shapes are not."""
+    from eitskin_proto.sensor.ids import PROTOCOL_ID
+    from eitskin_proto.skin.cloud import flat_cloud
+    from eitskin_proto.skin.skin import PAPER
+
+    truth = np.zeros((3, 30, 45))
+    truth[0, 10:15, 20:25] = 1.0
+    return {
+        "reference_V": VOLTS, "reference_cloud_mm": flat_cloud(),
+        "voltages_V": np.stack([0.9 * VOLTS, VOLTS, 1.1 * VOLTS]),
+        "cloud_mm": flat_cloud()[None], "cloud_index": np.array([0, -1, 0]), "truth": truth,
+        "kind": np.array(["single", "untouched", "again"]), "touch_kind": np.array("raising"),
+        "protocol_id": np.array(PROTOCOL_ID), "grid_id": np.array(PAPER.grid_id), "skin_digest": np.array(PAPER.digest),
+    }  # fmt: skip
 
 
-def members_of(data: bytes) -> dict[str, bytes]:
-    """Return what the bytes of a ZIP file hold."""
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        return {name: archive.read(name) for name in archive.namelist()}
+def tank() -> dict[str, Any]:
+    """Return two frames of a tank, with and without an object in their names."""
+    rng = np.random.default_rng(0)
+    water = 1e-3 * (1.0 + 0.1 * rng.standard_normal((208, 2)))
+    return {
+        "electrode01_metal_electrode05_plastic_100ua": np.hstack([water, 1.01 * water]),
+        "nothing": np.hstack([water, water]),
+    }
 
 
-def bundle(parts: dict[str, bytes], manifest: Any) -> bytes:
-    """Return a bundle's bytes, with the digests of its members."""
-    from eitskin_proto.files.digest import sha256_of
-
-    if isinstance(manifest, dict) and isinstance(manifest.get("files"), dict):
-        for name, data in parts.items():
-            if isinstance(manifest["files"].get(name), dict):
-                manifest["files"][name]["sha256"] = sha256_of(data)
-    out = io.BytesIO()
-    with zipfile.ZipFile(out, "w") as archive:
-        for name, data in {"manifest.json": json.dumps(manifest).encode(), **parts}.items():
-            archive.writestr(name, data)
-    return out.getvalue()
-
-
-def data_set(folder: Path) -> None:
-    """Write a data set of two bends on the unit grid and nothing computed: its numbers are made up."""
+def data_set() -> dict[str, bytes]:
+    """Return the files of a data set of two bends on the unit grid: its numbers are made up."""
     from eitskin_proto.files.digest import sha256_of
     from eitskin_proto.sensor.ids import PROTOCOL_ID
     from eitskin_proto.skin.cloud import flat_cloud
     from eitskin_proto.skin.skin import PAPER
     from eitskin_sim.dataset.index import FORMAT, VERSION
 
-    folder.mkdir(exist_ok=True)
-    rows = np.linspace(0.1, 1.0, 104)
-    units = np.zeros((6, 126), dtype=np.bool_)
-    units[np.arange(6), np.arange(6)] = True
-    files = {
-        "touches.npz": npz(
-            units=np.packbits(units, axis=1, bitorder="little"), validation=np.arange(6) > 4, reference=rows
-        )
-    }
+    units = np.packbits(np.eye(6, 126, dtype=np.bool_), axis=1, bitorder="little")
+    files = {"touches.npz": npz(units=units, validation=np.arange(6) > 4, reference=VOLTS)}
     for number in range(2):
         files[f"deformation-{number:04d}.npz"] = npz(
-            touch_set=np.arange(6, dtype=np.int32), voltages=np.tile(rows, (6, 1)).astype(np.float32), untouched=rows,
-            cloud=flat_cloud().astype(np.float32),
+            touch_set=np.arange(6, dtype=np.int32), voltages=np.tile(VOLTS, (6, 1)).astype(np.float32),
+            untouched=VOLTS, cloud=flat_cloud().astype(np.float32),
         )  # fmt: skip
-    for name, data in files.items():
-        (folder / name).write_bytes(data)
     bend = {
         "angle_deg": 0.0, "axis_deg": 0.0, "skew": 0.0, "twist_deg": 0.0, "stretch_along": 1.0, "stretch_across": 1.0,
         "nonuniformity": 0.0, "bumps_mm": [],
     }  # fmt: skip
     listed = [{"file": name, "sha256": sha256_of(data)} for name, data in files.items()]
     index = {
-        "format": FORMAT, "version": VERSION, "protocol_id": PROTOCOL_ID, "grid_id": PAPER.grid_id,
-        "set": "paper", "seed": 0,
-        "digest": "0" * 16, "touches": listed[0],
+        "format": FORMAT, "version": VERSION, "protocol_id": PROTOCOL_ID, "grid_id": PAPER.grid_id, "set": "paper",
+        "seed": 0, "digest": "0" * 16, "touches": listed[0],
         "deformations": [{**entry, "samples": 6, "split": "train", "bend": bend} for entry in listed[1:]],
     }  # fmt: skip
-    (folder / "index.json").write_text(json.dumps(index))
-
-
-def read_bundle(path: Path) -> None:
-    """Load a bundle, warm its engines up, and compute a map."""
-    from eitskin.health.imputation import Consistency
-    from eitskin.messaging.frame_record import FrameRecord
-    from eitskin.model.buffers import Buffers
-    from eitskin.model.bundle import load_bundle
-    from eitskin.model.gate import Gate
-    from eitskin.model.geometry import GeometryGraph
-    from eitskin.pipeline.map_source import MapSource
-
-    found = load_bundle(path)
-    repr(found)
-    buffers = Buffers(found)
-    geometry = GeometryGraph(found).geometry(None, None, 0)
-    buffers.take(geometry)
-    buffers.change[:] = 0.01
-    record = FrameRecord(memoryview(buffers.map[0]).cast("B"))
-    maps = MapSource(found, buffers, record, None, solver=None, skip_unchanged=False)
-    if maps.infer() and not np.isfinite(maps.map).all():
-        raise AssertionError("a map that is not finite would be published")
-    arrays = found.gate_arrays()
-    if arrays is not None:
-        Gate(arrays).touched()
-    arrays = found.consistency_arrays()
-    if arrays is not None:
-        Consistency.of(arrays)
-
-
-def read_reference(path: Path) -> None:
-    """Load a reference and report it."""
-    from eitskin.reference import captured
-
-    found = captured.load(path)
-    for line in found.report():
-        if not line.isprintable():
-            raise AssertionError(f"a line that a terminal could obey: {line!r}")
-    found.answer()
-
-
-def read_configuration(path: Path) -> None:
-    """Load a configuration and check it."""
-    from eitskin_proto.wire import config_toml
-
-    found = config_toml.load(path)
-    found.to_blob()
-    found.check()
-
-
-def read_scene(path: Path) -> None:
-    """Load a scene and solve it, where that takes seconds and not the minute that a fine mesh may take."""
-    from eitskin_sim.fem.meshing import scene_mesh
-    from eitskin_sim.fem.solve import solve_scene
-    from eitskin_sim.scene.scene import load_scene
-
-    scene = load_scene(path)
-    if scene_mesh(scene).n_elements > MOST_ELEMENTS:
-        return
-    found = solve_scene(scene).voltages  # the contact law of data sets: seconds faster than that of the command
-    if not np.isfinite(found).all():
-        raise AssertionError("voltages that are not finite would be written")
-
-
-def read_phantoms(path: Path) -> None:
-    """Load phantoms."""
-    from eitskin_sim.scene.scene import load_phantoms
-
-    load_phantoms(path)
-
-
-def read_scan(path: Path) -> None:
-    """Read points and order them."""
-    from eitskin_sim.surface.ordered_cloud import organise
-    from eitskin_sim.surface.point_files import read_points
-
-    organise(read_points(path))
-
-
-def read_cloud(path: Path) -> None:
-    """Load a cloud's file as the control client does."""
-    from eitskin_proto.skin.cloud import align_cloud
-    from eitskin_proto.skin.cloud_file import load_surface
-
-    align_cloud(load_surface(path).cloud_mm)
-
-
-def read_recording(path: Path) -> None:
-    """Load recorded frames."""
-    from eitskin.diagnostics.electrode_checkup import load_recording
-
-    load_recording(path)
-
-
-def read_data_set(path: Path) -> None:
-    """Load a data set and make its labels."""
-    from eitskin_sim.dataset.reader import load
-
-    found = load(path)
-    found.label_table_u8()
-    found.rows()
-
-
-def read_run(path: Path) -> None:
-    """Load a run's best epoch and its history."""
-    from eitskin_training.curves import history_of
-    from eitskin_training.run_files import trained
-
-    trained(path)
-    history_of(path)
+    return {"index.json": json.dumps(index).encode(), **files}

@@ -36,7 +36,6 @@ def main() -> None:
     """Try what is asked for until stdin ends."""
     folder, kind = Path(sys.argv[1]), KINDS[sys.argv[2]]
     warnings.simplefilter("ignore")
-    kind.prepare(folder)
     attempt(kind, folder, None)  # imports and whole files: what follows is damage alone
     status = Path("/proc/self/statm").read_text().split()
     limit = int(status[0]) * resource.getpagesize() + MEMORY
@@ -57,20 +56,19 @@ def attempt(kind: Kind, folder: Path, seed: int | None) -> dict[str, Any]:
     place = folder / "try"
     place.mkdir()
     try:
-        rng = random.Random(seed)
-        path, what = kind.make(place, None if seed is None else rng)
+        path, what = kind.make(place, None if seed is None else random.Random(seed))
         began = time.process_time()
         try:
             kind.read(path)
             how = "read"
-        except (SkinError, *kind.errors) as error:
+        except (SkinError, OSError) as error:
             how = _judged(error)
         except BaseException as error:
             if seed is None:
                 raise
             how = f"{type(error).__name__}: {str(error)[:200]}"
         if seed is None and how != "read":
-            raise RuntimeError(f"the sample itself was refused: {what}")
+            raise RuntimeError(f"the sample itself was {how}")
         spent = time.process_time() - began
         if spent > SLOW_S:
             how = f"took {spent:.0f} s of CPU"
@@ -84,10 +82,10 @@ def attempt(kind: Kind, folder: Path, seed: int | None) -> dict[str, Any]:
 
 def _judged(error: BaseException) -> str:
     """Return "refused" for an error with one line for people."""
-    if isinstance(error, OSError) and not isinstance(error.filename, str):
-        return f"{type(error).__name__} that names no file: {error}"
+    if isinstance(error, OSError):
+        return "refused" if isinstance(error.filename, str) else f"{type(error).__name__} that names no file: {error}"
     text = str(error)
-    if not isinstance(error, OSError) and ("\n" in text or len(text) > LONGEST_LINE or not text.strip()):
+    if not text.strip() or "\n" in text or len(text) > LONGEST_LINE:
         return f"{type(error).__name__} with no line of its own: {text[:100]!r}"
     return "refused"
 

@@ -1,13 +1,9 @@
-"""The short form of the attacks by numbers."""
+"""The short form of the attack by numbers."""
 
 import pytest
 
-from ..outcome import Effort
-from .denormals import denormals
+from ..short import short_form
 
 pytestmark = pytest.mark.heavy
 
-
-def test_no_denormal_reaches_a_solver() -> None:
-    outcome = denormals(Effort())
-    assert outcome.held, outcome.broken
+outcome, test_no_number_is_slow_to_compute = short_form("numbers")

@@ -1,13 +1,12 @@
 """A crowd of honest subscribers in one process, each with a connection of its own; says what each of them missed.
 
-    python -m tests.attack.subscribers.crowd ENDPOINT NUMBER PROCESS
+    python -m tests.attack.subscribers.crowd ENDPOINT NUMBER
 
 Prints ``subscribed`` once every one has a frame; at SIGTERM one JSON object: members, fewest and most frames of a
 member since then, lost (gaps in the frames' numbers, of all), ended (connections that the other side ended), the span
-in seconds over which frames were counted, the longest silence of any, and what the pace of the stream follows from
-(``tests.attack.honest``), since then, as the first member sees it. One process reads for all, so on a busy machine it
-is late itself; before it says how far the last is behind, it reads on until all have what the first had when it was
-told to stop.
+in seconds over which frames were counted, and the longest silence of any. One process reads for all, so on a busy
+machine it is late itself; before it says how far the last is behind, it reads on until all have what the first had when
+it was told to stop.
 """
 
 import json
@@ -18,9 +17,6 @@ import sys
 import time
 from typing import Any, Final
 
-import msgpack
-
-from ..pace import Waits
 from ..zmtp.peer import Peer
 
 NUMBER = b"\xa1n\xcf"
@@ -33,10 +29,7 @@ CATCHES_UP_S: Final = 30.0
 class Member:
     """One subscriber."""
 
-    def __init__(self, endpoint: str, waits: Waits | None = None) -> None:
-        self._waits = waits
-        self.passed: list[tuple[int, int, int, int]] = []
-        """Where there are waits to look at: number, sequence number, device clock in us and publishing in ns."""
+    def __init__(self, endpoint: str) -> None:
         self.peer = Peer(endpoint, patience_s=60)
         self.peer.subscribe(b"")
         self.frames = self.before = self.lost = self.last = 0
@@ -52,10 +45,6 @@ class Member:
             if self.frames:
                 self.lost += number - self.last - 1
                 self.silent_s = max(self.silent_s, now_s - self.heard_s)
-            if self._waits is not None:
-                self._waits.look(int(now_s * 1e9))
-                held = msgpack.unpackb(message)
-                self.passed.append((number, held["seq"], held["device_us"], held["host_ns"]["publish"]))
             self.frames += 1
             self.last, self.heard_s = number, now_s
 
@@ -72,13 +61,11 @@ def main() -> None:
     signal.signal(signal.SIGTERM, stop)
     began_s = time.monotonic()
     members: list[Member] = []
-    waits = Waits(int(sys.argv[3]))
     joined_s = 0.0
-    first = waited_ns = 0
     with selectors.DefaultSelector() as waiting:
         while not stopping:
             if len(members) < number:  # those who are there go on reading meanwhile, as processes of their own would
-                members.append(Member(endpoint, None if members else waits))
+                members.append(Member(endpoint))
                 waiting.register(members[-1].peer, selectors.EVENT_READ, members[-1])
                 joined_s = time.monotonic() - began_s
             for key, _ in waiting.select(0.0 if len(members) < number else 0.1):
@@ -91,9 +78,8 @@ def main() -> None:
                 told, began_s = True, time.monotonic()
                 for member in members:
                     member.before = member.frames
-                first, waited_ns = len(members[0].passed), waits.total_ns
                 print("subscribed", flush=True)
-        span_s, passed, waited_ns = time.monotonic() - began_s, members[0].passed[first:], waits.total_ns - waited_ns
+        span_s = time.monotonic() - began_s
         counts = [member.frames - member.before for member in members]
         had, until_s = max(member.last for member in members), time.monotonic() + CATCHES_UP_S
         while min(member.last for member in members) < had and waiting.get_map() and time.monotonic() < until_s:
@@ -118,8 +104,6 @@ def main() -> None:
                 "joined_s": round(joined_s, 2),
                 "span_s": round(span_s, 2),
                 "longest_silence_s": round(max(member.silent_s for member in members), 3),
-                "passed": passed,
-                "waited_ns": waited_ns,
             }
         ),
         flush=True,

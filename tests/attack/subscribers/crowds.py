@@ -24,7 +24,7 @@ def crowd(stream: Stream, number: int) -> Iterator[dict[str, Any]]:
     """Run a crowd beside the body; afterwards the dictionary says what it got."""
     found: dict[str, Any] = {}
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.attack.subscribers.crowd", stream.frames, str(number), str(stream.runtime.pid)],
+        [sys.executable, "-m", "tests.attack.subscribers.crowd", stream.frames, str(number)],
         stdout=subprocess.PIPE,
         text=True,
         cwd=ROOT,
@@ -36,7 +36,7 @@ def crowd(stream: Stream, number: int) -> Iterator[dict[str, Any]]:
         yield found
         process.terminate()
         out, _ = process.communicate(timeout=PATIENCE_S)
-        found.update(stream.paced(json.loads(out.splitlines()[-1])))
+        found.update(json.loads(out.splitlines()[-1]))
     finally:
         process.kill()
         process.communicate()
@@ -72,7 +72,6 @@ def _honest(effort: Effort, outcome: Outcome, what: str, number: int) -> None:
         outcome.figures.setdefault(name, {})[what] = value
     whole = found["lost"] == 0 and found["ended"] == 0 and found["behind"] < 100
     outcome.note(whole, f"{what}: {found}")
-    outcome.note_pace(found["pace"], what)
 
 
 class Late:

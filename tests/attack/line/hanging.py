@@ -3,7 +3,9 @@
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from unittest.mock import patch
 
 import numpy as np
 
@@ -15,7 +17,7 @@ from eitskin_proto.wire.framing import encode
 
 from ..outcome import Effort, Outcome
 from ..stream import TINY
-from .lying_line import FLAT, HELLO, Line
+from .line import FLAT, HELLO, Line
 
 HONEST_SCANS = 40
 """First a reference, and some frames."""
@@ -141,51 +143,47 @@ def watch(case: Case, patience_s: float = 0.0, longest_s: float = 20.0, revived_
 def hanging(effort: Effort) -> Outcome:
     """Let every device turn bad, all at once: a thread each."""
     outcome = Outcome("front-end.hanging")
-    silence_s, handshake_s = devices.SILENCE_S, devices.HANDSHAKE_S
     scale = 1.0 if effort.long else 0.5
-    devices.SILENCE_S, devices.HANDSHAKE_S = silence_s * scale, handshake_s * scale
-    found: dict[str, Seen | SkinError] = {}
-    longest_s = 15.0 * scale
+    patient_s, longest_s = 10.0 * scale, 15.0 * scale
+    tries: dict[str, tuple[float, ...]] = {name: (0.0, longest_s) for name in CASES}
+    tries |= {f"{name} | reconnect": (patient_s, 3 * longest_s) for name in ("hangs", "answers and sends nothing")}
+    tries |= {
+        f"{name} | revives": (patient_s, 3 * longest_s, 0.8 * patient_s) for name in ("hangs", "FRONT_END_FAILED")
+    }
 
-    def run(name: str, *arguments: float) -> None:
-        case = CASES[name.partition(" | ")[0]]
+    def attempt(name: str) -> Seen:
         try:
-            found[name] = watch(case, *arguments)
+            return watch(CASES[name.partition(" | ")[0]], *tries[name])
         except SkinError as error:
-            found[name] = error
+            return Seen(f"before it hung: {error}")
 
-    patient = 10.0 * scale
-    tries = {name: (0.0, longest_s) for name in CASES}
-    tries |= {f"{name} | reconnect": (patient, 3 * longest_s) for name in ("hangs", "answers and sends nothing")}
-    tries |= {f"{name} | revives": (patient, 3 * longest_s, 0.8 * patient) for name in ("hangs", "FRONT_END_FAILED")}
-    try:
-        threads = [threading.Thread(target=run, args=(name, *arguments)) for name, arguments in tries.items()]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-    finally:
-        devices.SILENCE_S, devices.HANDSHAKE_S = silence_s, handshake_s
+    with (
+        patch.object(devices, "SILENCE_S", devices.SILENCE_S * scale),
+        patch.object(devices, "HANDSHAKE_S", devices.HANDSHAKE_S * scale),
+        ThreadPoolExecutor(len(tries)) as pool,
+    ):
+        found = dict(zip(tries, pool.map(attempt, tries), strict=True))
     for name, seen in found.items():
-        if isinstance(seen, SkinError):
-            outcome.note(False, f"{name}: {seen}")
-            continue
-        how, case = name.partition(" | ")[2], CASES[name.partition(" | ")[0]]
-        wrong = []
-        if seen.published > (name == "frozen") and how != "revives":  # the first of equal frames is none yet
-            wrong.append(f"{seen.published} published")
-        if how == "revives" and (seen.error or seen.published < 5):
-            wrong.append(f"did not come back: {seen.error}")
-        if how == "reconnect" and not patient <= seen.lasted_s <= patient + 8.0 * scale + 5.0:
-            wrong.append(f"held {seen.lasted_s:.1f} s of {patient:g}")
-        if how != "revives" and case.ends not in seen.error:
-            wrong.append(f"ended with {seen.error or 'nothing'}")
-        if bool(case.ends) != bool(seen.error) and not how:
-            wrong.append(f"error {seen.error or 'none'}")
-        if not set(seen.troubles) <= {*case.trouble, "silent"} or not seen.troubles:
-            wrong.append(f"status said {seen.troubles}")
-        if seen.greeted > 3.0 * seen.lasted_s / scale + 8:
-            wrong.append(f"greeted {seen.greeted} times in {seen.lasted_s:.1f} s")
+        wrong = _wrong(name, seen, patient_s, scale)
         outcome.note(not wrong, f"{name}: {'; '.join(wrong)}")
         outcome.figures[name] = f"{seen.lasted_s:.1f} s, greeted {seen.greeted}, {', '.join(seen.troubles)}"
     return outcome
+
+
+def _wrong(name: str, seen: Seen, patient_s: float, scale: float) -> list[str]:
+    """Return what did not hold of a stream whose device turned bad."""
+    case, how = CASES[name.partition(" | ")[0]], name.partition(" | ")[2]
+    found = []
+    if how == "revives" and (seen.error or seen.published < 5):
+        found.append(f"did not come back: {seen.error}")
+    if how != "revives" and seen.published > (name == "frozen"):  # the first of equal frames is none yet
+        found.append(f"{seen.published} published")
+    if how != "revives" and not (case.ends in seen.error and bool(case.ends) == bool(seen.error)):
+        found.append(f"ended with {seen.error or 'nothing'}")
+    if how == "reconnect" and not patient_s <= seen.lasted_s <= patient_s + 8.0 * scale + 5.0:
+        found.append(f"held {seen.lasted_s:.1f} s of {patient_s:g}")
+    if not seen.troubles or not set(seen.troubles) <= {*case.trouble, "silent"}:
+        found.append(f"status said {seen.troubles}")
+    if seen.greeted > 3.0 * seen.lasted_s / scale + 8:
+        found.append(f"greeted {seen.greeted} times in {seen.lasted_s:.1f} s")
+    return found
