@@ -13,6 +13,7 @@ stricter (:mod:`eitskin.health.drift`).
 import numpy as np
 
 from eitskin.health.imputation import Array, Consistency
+from eitskin_proto.sensor.row_gaussian import precision_of
 from eitskin_proto.sensor.table import N_ROWS
 
 
@@ -28,8 +29,7 @@ class Untouched:
 
     def __init__(self, mean: Array, covariance: Array, sigma: float, limit: float) -> None:
         self._mean, self.sigma, self.limit = mean, float(sigma), float(limit)
-        precision = np.linalg.inv(covariance)
-        self._precision = np.asarray((precision + precision.T) / 2.0)
+        self._precision = precision_of(covariance)
         self._ones = self._precision.sum(axis=0)
         self._weight = float(self._ones.sum())
 

@@ -53,9 +53,9 @@ def at_rest():
 def fail(consistency, gate, failing):
     """Let a failure happen, and return how often the pool was woken and what was found."""
     reference = consistency.reference
-    health = Health(consistency)
     rng = np.random.default_rng(1)
     before = at_rest()
+    health = Health(consistency)
     health.use(reference, np.abs(reference) * 0.02, gate)  # noisy, so that the gate's threshold is set anew
     health.use(reference, np.abs(reference) * 0.003, gate)
     for number in range(FRAMES):

@@ -16,7 +16,7 @@ PROGRAM = Path(__file__).with_name("one_thread_process.py")
 
 
 @pytest.mark.process
-def test_a_new_reference_and_a_failing_electrode_wake_no_thread_of_blas():
+def test_neither_health_nor_a_new_reference_nor_a_failing_electrode_wakes_a_thread_of_blas():
     clean = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
     found = subprocess.run(
         [sys.executable, str(PROGRAM), str(default_path("units"))],
