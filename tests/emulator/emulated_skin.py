@@ -39,12 +39,10 @@ from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.framing import Deframer
 from eitskin_proto.wire.scan_rows import ALL_DRIVES, table_rows
 from eitskin_tools.flash import procedure
-from eitskin_tools.scripted_scene.prepare import prepare
-from eitskin_tools.virtual_skin.configure import configuration_for
-from eitskin_tools.virtual_skin.process import WIRE_CAPACITY
+from eitskin_tools.scripted_scene.script import prepare
+from eitskin_tools.virtual_skin.process import WIRE_CAPACITY, Noise, configuration_for
 from eitskin_tools.virtual_skin.pty import PtyPort
 from eitskin_tools.virtual_skin.server import LOOK_S, wire_times
-from eitskin_tools.virtual_skin.sources import Noise
 
 LONGEST_S: Final = 60.0
 """Longer scripts are cut off; the board's memory holds 90 s at 200 frames/s."""

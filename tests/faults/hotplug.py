@@ -27,9 +27,8 @@ from eitskin.errors import HandshakeError, PortLost, PortReturned
 from eitskin_proto.wire.codes import MessageType
 from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.unwrap import StreamCounter
-from eitskin_tools.virtual_skin.configure import configuration_for
-from eitskin_tools.virtual_skin.device import VirtualDevice
-from eitskin_tools.virtual_skin.identity import Identity
+from eitskin_tools.virtual_skin.device import Identity, VirtualDevice
+from eitskin_tools.virtual_skin.process import configuration_for
 from eitskin_tools.virtual_skin.pty import PtyPort
 from eitskin_tools.virtual_skin.server import SkinServer
 

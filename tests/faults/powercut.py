@@ -27,7 +27,7 @@ from eitskin.acquisition.serial_port import SerialPort
 from eitskin_proto.errors import SkinError
 from eitskin_proto.wire import config_toml
 from eitskin_proto.wire.config import Configuration
-from eitskin_tools.flash import procedure, stored
+from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
 
 OLD: Final = "full208"
@@ -70,7 +70,7 @@ def count_changes(kind: str) -> int:
 
 def _name(device: HostDevice) -> str:
     device.take()
-    shown = stored.show(Exchange(device, timeout_s=0.1, attempts=2))
+    shown = procedure.show(Exchange(device, timeout_s=0.1, attempts=2))
     if config_toml.named(shown.active.configuration.name) != shown.active.configuration:
         return "neither"
     return shown.active.configuration.name
@@ -125,7 +125,7 @@ def _board_name(storage: Path) -> Configuration:
     with Board(storage) as board:
         port = SerialPort(board.port)
         try:
-            return stored.show(patient(port)).active.configuration
+            return procedure.show(patient(port)).active.configuration
         finally:
             port.close()
 

@@ -11,7 +11,8 @@
                           ├─ DISCARDURB ─> ENOENT        ├─ endpoint halted ─> EPIPE until CLEAR_HALT
                           └─ unplugged ─> ENODEV                                     REAPURB gives them back
 
-:class:`BusPort` is a :class:`eitskin_tools.virtual_skin.port.Port`: the virtual skin's server and faults run behind it.
+:class:`BusPort` is a :class:`eitskin_tools.virtual_skin.server.Port`: the virtual skin's server and faults run behind
+it.
 Each plug gets a new device number, as on a real bus. What a URB is, how it ends on a short packet, overflows if its
 buffer is no whole number of packets, or is cut short by an unplug, follows the kernel's usbdevfs.
 """

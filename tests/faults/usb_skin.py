@@ -24,10 +24,9 @@ from tests.faults.usb_bus import BusPort
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_tools.virtual_skin.configure import configuration_for
-from eitskin_tools.virtual_skin.device import VirtualDevice
+from eitskin_tools.virtual_skin.device import Identity, VirtualDevice
 from eitskin_tools.virtual_skin.faults import Fault, FaultPlayer
-from eitskin_tools.virtual_skin.identity import Identity
+from eitskin_tools.virtual_skin.process import configuration_for
 from eitskin_tools.virtual_skin.server import SkinServer
 
 ROOT: Final = Path(__file__).resolve().parents[2]

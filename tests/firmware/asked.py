@@ -15,8 +15,7 @@ from eitskin_proto.wire import messages as m
 from eitskin_proto.wire.codes import Code, EventCode
 from eitskin_proto.wire.config import Configuration
 from eitskin_proto.wire.frames import Frame
-from eitskin_tools.virtual_skin.device import VirtualDevice
-from eitskin_tools.virtual_skin.identity import Identity
+from eitskin_tools.virtual_skin.device import Identity, VirtualDevice
 from eitskin_tools.virtual_skin.server import SkinServer
 
 SILENCE_S = 60.0

@@ -17,10 +17,9 @@ import numpy as np
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_tools.virtual_skin import server
-from eitskin_tools.virtual_skin.configure import configuration_for
-from eitskin_tools.virtual_skin.device import VirtualDevice
+from eitskin_tools.virtual_skin.device import Identity, VirtualDevice
 from eitskin_tools.virtual_skin.faults import FOREIGN_ID, FaultPlayer, parse
-from eitskin_tools.virtual_skin.identity import Identity
+from eitskin_tools.virtual_skin.process import configuration_for
 from eitskin_tools.virtual_skin.pty import PtyPort
 
 WIRE_FRAMES = 1 << 17

@@ -5,9 +5,8 @@ import pytest
 
 from eitskin_proto.wire import messages
 from eitskin_proto.wire.framing import Deframer, encode
-from eitskin_tools.virtual_skin.configure import configuration_for
-from eitskin_tools.virtual_skin.device import VirtualDevice
-from eitskin_tools.virtual_skin.identity import Identity
+from eitskin_tools.virtual_skin.device import Identity, VirtualDevice
+from eitskin_tools.virtual_skin.process import configuration_for
 
 ROWS_V = np.linspace(-0.1, -0.001, 104)
 

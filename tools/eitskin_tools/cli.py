@@ -19,47 +19,51 @@ from typing import Final
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import plain
-from eitskin_tools.command_line import files, needs, overwriting
+from eitskin_tools.command_line import files, needs
 from eitskin_tools.command_line.parser import Parser
-from eitskin_tools.console.closed import escape_unwritable, replace_closed, unread, written_out
-from eitskin_tools.console.journal import goes_to_journal, prefix
+from eitskin_tools.console.terminal import (
+    goes_to_journal,
+    prefix,
+    unread,
+    written_out,
+)
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import Told, told_as_by_ctrl_c
 
 LIVE: Final[dict[str, tuple[str, str]]] = {
-    "demo": ("live.demo", "a virtual skin, the runtime, a scanner and a subscriber, with the map drawn live"),
-    "run": ("live.run", "read a skin, publish tactile frames"),
-    "subscribe": ("live.subscribe", "print the frames that a runtime publishes"),
-    "view": ("live.view", "look at a running skin in the browser"),
-    "virtual-skin": ("live.virtual_skin", "a virtual skin behind a pseudo-terminal"),
-    "reference": ("live.reference", "capture or show the one pre-deformation reference"),
-    "flash": ("live.flash", "show, compare, write, verify or roll back the device's configuration"),
-    "surface": ("live.surface", "order measured points of the bent sheet into a cloud, a point a pixel"),
-    "status": ("live.status", "how the runtime is, or all skins of a robot"),
-    "service": ("live.service", "files for systemd, udev and containers: list, print or write them"),
-    "doctor": ("live.doctor", "list ports, devices, permissions and what to do about each problem"),
+    "demo": ("demo", "a virtual skin, the runtime, a scanner and a subscriber, with the map drawn live"),
+    "run": ("run", "read a skin, publish tactile frames"),
+    "subscribe": ("subscribe", "print the frames that a runtime publishes"),
+    "view": ("view", "look at a running skin in the browser"),
+    "virtual-skin": ("virtual_skin", "a virtual skin behind a pseudo-terminal"),
+    "reference": ("reference", "capture or show the one pre-deformation reference"),
+    "flash": ("flash", "show, compare, write, verify or roll back the device's configuration"),
+    "surface": ("surface", "order measured points of the bent sheet into a cloud, a point a pixel"),
+    "status": ("status", "how the runtime is, or all skins of a robot"),
+    "service": ("service", "files for systemd, udev and containers: list, print or write them"),
+    "doctor": ("doctor", "list ports, devices, permissions and what to do about each problem"),
 }
 """Subcommands around a running skin: {name: (module below ``eitskin_tools.commands``, what it does)}."""
 
 OFFLINE: Final[dict[str, tuple[str, str]]] = {
-    "skin": ("offline.skin", "show or check the description of a sheet, skin.toml"),
-    "simulate": ("offline.simulate", "solve a scene with the forward model"),
-    "dataset": ("offline.dataset", "generate a data set"),
-    "train": ("offline.train", "train VD2T"),
-    "curves": ("offline.curves", "losses of training runs side by side"),
-    "calibrate": ("offline.calibrate", "find out what this device is, from its own readings"),
-    "evaluate": ("offline.evaluate", "score a solver on phantoms"),
-    "bench": ("offline.bench", "benchmarks, each with --json"),
+    "skin": ("skin", "show or check the description of a sheet, skin.toml"),
+    "simulate": ("simulate", "solve a scene with the forward model"),
+    "dataset": ("dataset", "generate a data set"),
+    "train": ("train", "train VD2T"),
+    "curves": ("curves", "losses of training runs side by side"),
+    "calibrate": ("calibrate", "find out what this device is, from its own readings"),
+    "evaluate": ("evaluate", "score a solver on phantoms"),
+    "bench": ("bench", "benchmarks, each with --json"),
 }
 """Subcommands of simulation, training and evaluation, as in ``LIVE``."""
 
 BUNDLES: Final[dict[str, tuple[str, str]]] = {
-    "build": ("bundles.build", "data, training, export and card of a bundle, from one file"),
-    "export": ("bundles.export", "export a trained network to a bundle"),
-    "pair": ("bundles.pair", "put a smaller network into a bundle"),
-    "card": ("bundles.card", "what a bundle's network is worth, by contrast and by mismatch"),
-    "adapt": ("bundles.adapt", "teach a trained network to go on without electrodes"),
-    "adapt-skin": ("bundles.adapt_skin", "let a bundle go on learning on a calibrated sheet"),
+    "build": ("build", "data, training, export and card of a bundle, from one file"),
+    "export": ("export", "export a trained network to a bundle"),
+    "pair": ("pair", "put a smaller network into a bundle"),
+    "card": ("card", "what a bundle's network is worth, by contrast and by mismatch"),
+    "adapt": ("adapt", "teach a trained network to go on without electrodes"),
+    "adapt-skin": ("adapt_skin", "let a bundle go on learning on a calibrated sheet"),
 }
 """Subcommands that make bundles and try them, as in ``LIVE``."""
 
@@ -135,8 +139,6 @@ def _print_version() -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one subcommand and return its exit status."""
-    replace_closed()
-    escape_unwritable()
     words = list(sys.argv[1:] if argv is None else argv)
     status = 0
     try:
@@ -168,8 +170,8 @@ def _main(words: list[str]) -> int:
     module = importlib.import_module(f"eitskin_tools.commands.{COMMANDS[arguments.command][0]}")
     try:
         needs.check(arguments)
-        overwriting.check(arguments)
-        files.check(arguments)
+        files.check_outputs(arguments)
+        files.check_inputs(arguments)
         return int(module.run(arguments))
     except BrokenPipeError as error:
         if unread():

@@ -15,8 +15,7 @@ from eitskin_tools.bench.harness import program
 from eitskin_tools.command_line import files
 from eitskin_tools.recording.layout import FRAME, WIRE
 from eitskin_tools.recording.reader import Recording
-from eitskin_tools.view.film.overview import Overview
-from eitskin_tools.view.film.parts import Film
+from eitskin_tools.view.film import Film, Overview
 
 JUMPS: Final = 100
 """To different seconds, in any order."""
@@ -55,7 +54,7 @@ def measured(path: Path, bundle: Path | None = None) -> dict[str, Any]:
     before_MB = _peak_MB()
     begin_s, overview = time.process_time(), Overview(film.seconds, film.first_ns)
     for entry in Recording(path).entries({WIRE.topic, FRAME.topic}):
-        overview.take(entry)
+        overview.add(entry)
     message = overview.message(done=True)
     return {
         "seconds": round(film.seconds, 1),

@@ -138,7 +138,7 @@ def _adapted(bundle: Any, twin: Any, folder: Path, arguments: argparse.Namespace
     from eitskin_tools.build import steps
     from eitskin_tools.build.adaptation import FEW_STEPS, Adaptation, adapted
     from eitskin_tools.build.recipe import GateWork
-    from eitskin_tools.stages import Stages
+    from eitskin_tools.console.progress import Stages
 
     usual = Adaptation()
     deformations = -(-arguments.samples // usual.per_deformation)

@@ -47,7 +47,7 @@ def read(path: Path) -> None:
 
 def _view(path: Path) -> None:
     """Ask for the parts that a page would."""
-    from eitskin_tools.view.film.parts import Film
+    from eitskin_tools.view.film import Film
 
     film = Film(path, TINY)
     for number in sorted({0, 1, film.parts // 2, film.parts - 1}):

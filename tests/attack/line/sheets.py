@@ -29,8 +29,7 @@ GAINS = {3: 8.0, 2: 8.0, 4: 1.0}
 
 @cache
 def _script() -> tuple[Any, Any]:
-    from eitskin_tools.scripted_scene.prepare import prepare
-    from eitskin_tools.scripted_scene.script import demonstration
+    from eitskin_tools.scripted_scene.script import demonstration, prepare
 
     script = demonstration()
     return script, prepare(script, script.period_s)
@@ -60,7 +59,7 @@ class Sheet:
     volts_per_count: float = field(init=False)
 
     def __post_init__(self) -> None:
-        from eitskin_tools.virtual_skin.sources import Noise
+        from eitskin_tools.virtual_skin.process import Noise
 
         self._script, self._solved = _script()
         self.rng = np.random.default_rng(self.seed)

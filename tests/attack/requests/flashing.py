@@ -12,8 +12,8 @@ from unittest.mock import patch
 from eitskin_proto.errors import SkinError
 from eitskin_proto.wire import config_toml
 from eitskin_tools import cli
-from eitskin_tools.commands.live import flash
-from eitskin_tools.flash import procedure, stored
+from eitskin_tools.commands import flash
+from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
 
 from ..outcome import Effort, Outcome
@@ -22,7 +22,7 @@ from .hostile_device import LIES, Endless, HostileDevice
 WANTED: Final = replace(config_toml.named("paper"), name="wanted", idle_drives=0, idle_rate_mHz=0)
 
 ACTIONS: Final[dict[str, Callable[[Exchange], object]]] = {
-    "show": stored.show,
+    "show": procedure.show,
     "verify": lambda exchange: procedure.verify(exchange, WANTED),
     "write": lambda exchange: procedure.write(exchange, WANTED),
     "rollback": procedure.rollback,

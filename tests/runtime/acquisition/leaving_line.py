@@ -6,9 +6,8 @@ import numpy as np
 
 from eitskin.errors import PortLost
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_tools.virtual_skin.configure import configuration_for
-from eitskin_tools.virtual_skin.device import VirtualDevice
-from eitskin_tools.virtual_skin.identity import Identity
+from eitskin_tools.virtual_skin.device import Identity, VirtualDevice
+from eitskin_tools.virtual_skin.process import configuration_for
 
 ROWS_V = np.linspace(-0.1, -0.001, N_ROWS)
 

@@ -16,13 +16,13 @@ from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import DISC, gather
-from eitskin_tools.build import adaptation, checks, press_lesson, steps
+from eitskin_tools.build import adaptation, steps
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build.adaptation import FEW_STEPS, Adaptation
 from eitskin_tools.build.recipe import CardWork, GateWork
 from eitskin_tools.cli import main
 from eitskin_tools.command_line import files
-from eitskin_tools.commands.bundles import adapt_skin
+from eitskin_tools.commands import adapt_skin
 from eitskin_training.start import Start
 
 EXAMPLE = Path(__file__).parents[3] / "docs" / "examples" / "skin.toml"
@@ -108,10 +108,10 @@ def test_a_sheet_of_another_map_is_refused_before_its_data_is_made(monkeypatch):
     fits = replace(fits, data={name: replace(one, deformations=2) for name, one in fits.data.items()})
     found = replace(fits, skin=load(EXAMPLE))
     own = steps.fitted_to(found, found.training[0], STATED).architecture
-    monkeypatch.setattr(checks, "start_of", lambda *_: Start({}, own, STATED, {}))
+    monkeypatch.setattr(steps, "start_of", lambda *_: Start({}, own, STATED, {}))
     with pytest.raises(MismatchError, match=r"network to start from: map: found 30 x 45 .*, expected 18 x 45 pixels"):
-        checks.check(found)
-    checks.check(fits)
+        steps.check(found)
+    steps.check(fits)
 
 
 def test_of_a_bundle_with_two_networks_both_are_adapted():
@@ -228,7 +228,7 @@ def test_what_recorded_presses_are_worth_is_told(tmp_path, monkeypatch, capsys):
     said = json.loads(capsys.readouterr().out)["presses"]
     assert (said["presses"], said["kept_apart"]) == (4, 1)
     assert said["used"] == (said["with_presses"]["cc"] > said["physics_alone"]["cc"])
-    assert "1 of 4 recorded presses, kept apart" in press_lesson.told(said)
+    assert "1 of 4 recorded presses, kept apart" in steps.presses_in_words(said)
     bundle = load_bundle(tmp_path / "f.eitskin")
     assert len(bundle.manifest["build"]["presses"]) == 16
     assert main([*words, "--workers=1", "--threads=1", "--json"]) == 0  # goes on where it was: at the end

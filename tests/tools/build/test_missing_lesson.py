@@ -8,7 +8,8 @@ import pytest
 from eitskin.model.bundle import load_bundle
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build import steps
-from eitskin_tools.build.missing_lesson import FOLDER, MissingElectrodesWork
+from eitskin_tools.build.recipe import MissingElectrodesWork
+from eitskin_tools.build.steps import MISSING_RUN
 
 TINY = (Path(recipes.__file__).parents[1] / "recipes" / "tiny.toml").read_text(encoding="utf-8")
 LESSON = "\n[missing_electrodes]\nfitting_steps = 3\nsteps = 2\n"
@@ -31,7 +32,7 @@ def test_the_last_lesson_is_exported_and_not_done_twice(tmp_path: Path) -> None:
     recipe, told = recipes.parse(tomllib.loads(TINY + LESSON)), []
     steps.make_data(recipe, tmp_path, 1, told.append)
     run = steps.train_legs(recipe, tmp_path, told.append)
-    assert run == tmp_path / "runs" / FOLDER
+    assert run == tmp_path / "runs" / MISSING_RUN
     assert (run / "gate.npz").exists()
     assert "learning to go on without electrodes" in told
     stamp = (run / "best.pt").stat().st_mtime_ns

@@ -10,9 +10,9 @@ from tests.export.test_pair import made as tiny_bundle
 from eitskin.model.bundle import load_bundle
 from eitskin_export import unfold
 from eitskin_sim.freeform.touch_kinds import WAYS
-from eitskin_tools.build import hours, making, steps
+from eitskin_tools.build import making, steps
 from eitskin_tools.build import recipe as recipes
-from eitskin_tools.build.hours import SHARES
+from eitskin_tools.build.making import SHARES
 from eitskin_tools.build.recipe import BuildRecipe
 from eitskin_tools.cli import main
 from eitskin_training.start import Start
@@ -127,7 +127,7 @@ def test_all_are_made_go_into_one_bundle_and_its_card_is_of_all(
 def test_a_time_too_little_for_one_of_them_is_refused_before_any_is_begun(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hours, "measure", lambda *_: hours.Pace(1.0, 0.01, 1e-3))
+    monkeypatch.setattr(making, "measure", lambda *_: making.Pace(1.0, 0.01, 1e-3))
     recipe, work, maker = recipes.load("tiny"), tmp_path / "work", making.Making(1, print, print)
     parts = [(recipe, work, 0.9), (recipe, work / "gentle", 0.1)]
     said = r"--hours 1 is too little for tiny, whose share is 10 %, on this machine, expected 1\.\d+ or more"

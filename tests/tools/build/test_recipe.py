@@ -12,9 +12,9 @@ from eitskin.model.bundle import load_bundle
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.toml import named, to_toml
 from eitskin_sim.dataset.generate import ONE_THREAD
-from eitskin_tools.build import checks
 from eitskin_tools.build import recipe as recipes
-from eitskin_tools.build.hours import REST_S, Pace, measure, scaled, seconds
+from eitskin_tools.build import steps
+from eitskin_tools.build.making import REST_S, Pace, measure, scale, seconds
 from eitskin_tools.build.recipe import Leg
 from eitskin_tools.build.steps import fitted_to, plan_of
 from eitskin_tools.cli import main
@@ -66,12 +66,12 @@ def test_a_leg_before_the_last_may_have_a_larger_network() -> None:
     found = parsed(NARROWED)
     first, last = (fitted_to(found, leg, found.skin).architecture for leg in found.training)
     assert (first.ranks, replace(last, ranks=())) == ((), first)
-    checks.check(found)
+    steps.check(found)
     assert [leg.get("network") for leg in found.as_dict()["training"]] == ["free", None]
     assert "network" not in parsed(TINY).as_dict()["training"][0]
     unlike = parsed(NARROWED.replace('network = "free"', 'network = "tiny"'))
     with pytest.raises(MismatchError, match="network to start from: found widths"):
-        checks.check(unlike)
+        steps.check(unlike)
 
 
 @pytest.mark.slow
@@ -181,13 +181,13 @@ def test_hours_scale_deformations_and_epochs_alike() -> None:
     tiny = replace(small, data=data, training=(Leg(epochs=20),))
     pace = Pace(deformation_s=40.0, sample_s=0.02, trained_s=1e-2)
     whole = seconds(tiny, pace)
-    assert scaled(tiny, whole / 3600, pace) == tiny
+    assert scale(tiny, whole / 3600, pace) == tiny
     for hours in (0.4 * whole / 3600, 2.5 * whole / 3600):
-        found = scaled(tiny, hours, pace)
+        found = scale(tiny, hours, pace)
         assert seconds(found, pace) == pytest.approx(3600 * hours, rel=0.1)
         for name, one in found.data.items():
             share = one.deformations / tiny.data[name].deformations
             assert share == pytest.approx(found.training[0].epochs / tiny.training[0].epochs, rel=0.15)
     with pytest.raises(ValueError, match=r"--hours 0.1 is too little on this machine, expected 0\.\d+ or more"):
-        scaled(tiny, 0.1, pace)
+        scale(tiny, 0.1, pace)
     assert REST_S < 3600

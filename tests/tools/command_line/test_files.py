@@ -10,7 +10,7 @@ import pytest
 
 from eitskin_tools import cli
 from eitskin_tools.command_line import files
-from eitskin_tools.commands.offline.bench import available
+from eitskin_tools.commands.bench import available
 
 ABSENT = "nothere"
 """Name of a file that is not there."""
@@ -156,7 +156,6 @@ WRITING = {
     "reference": ["reference", "--port", "/dev/null", "--out"],
     "demo --record": ["demo", "--no-draw", "--record"],
     "demo --picture": ["demo", "--no-draw", "--picture"],
-    "evaluate --picture": ["evaluate", "--phantoms", "paper_units", "--picture"],
     "record": ["record", "--out"],
     "reinfer --out": ["reinfer", ABSENT, "--out"],
     "reinfer --plot": ["reinfer", ABSENT, "--plot"],

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from eitskin_tools import cli
-from eitskin_tools.commands.live import doctor, flash
+from eitskin_tools.commands import doctor, flash
 from eitskin_tools.console.run_log import RunLog
-from eitskin_tools.console.status_line import StatusLine
+from eitskin_tools.console.terminal import StatusLine
 
 HOSTILE = "skin\x1b[2J\x1b]0;title\x07\x9b5n\u202eoof\nforged line"
 

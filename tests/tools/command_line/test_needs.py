@@ -11,7 +11,7 @@ import pytest
 import eitskin_tools
 from eitskin_tools import cli
 from eitskin_tools.command_line import needs
-from eitskin_tools.commands.offline.bench import BENCHMARKS
+from eitskin_tools.commands.bench import BENCHMARKS
 
 ROOT = Path(__file__).parents[3]
 BENCH = Path(eitskin_tools.__file__).parent / "bench"
@@ -82,7 +82,7 @@ def test_a_module_that_is_missed_while_a_command_runs_names_its_extra(
     def run(arguments: argparse.Namespace) -> int:
         raise ModuleNotFoundError(f"No module named {missing!r}", name=missing)
 
-    monkeypatch.setattr("eitskin_tools.commands.live.doctor.run", run)
+    monkeypatch.setattr("eitskin_tools.commands.doctor.run", run)
     assert cli.main(["doctor"]) == 1
     assert capsys.readouterr().err == f"eitskin doctor: No module named {missing!r}; install it with: {expected}\n"
 

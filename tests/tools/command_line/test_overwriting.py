@@ -6,7 +6,7 @@ import pytest
 from tests.tools.command_line import test_files
 
 from eitskin_tools import cli
-from eitskin_tools.command_line import overwriting
+from eitskin_tools.command_line import files
 
 MINE = "mine"
 """Name of a file that is read, and must stay as it is."""
@@ -25,7 +25,6 @@ OVER = {
     "pair": ["pair", "free", MINE, "--out", MINE],
     "demo --scene": ["demo", "--scene", MINE, "--record", MINE],
     "virtual-skin --scene": ["virtual-skin", "--scene", MINE, "--log", MINE],
-    "evaluate --picture": ["evaluate", "--phantoms", MINE, "--picture", MINE],
     "bench tradeoff": ["bench", "tradeoff", "--phantoms", MINE, "--plot", MINE],
 }
 OVER_WITH_TORCH = {
@@ -72,7 +71,7 @@ def test_two_things_are_not_written_to_one_file(
 
 
 def test_every_option_that_names_what_is_written_is_looked_at() -> None:
-    assert {f"--{name.replace('_', '-')}" for name in overwriting.WRITTEN} == set(test_files.WRITTEN)
+    assert {f"--{name.replace('_', '-')}" for name in files.WRITTEN} == set(test_files.WRITTEN)
 
 
 def test_a_bundle_takes_its_own_card(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

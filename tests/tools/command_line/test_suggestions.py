@@ -3,7 +3,7 @@
 import pytest
 
 from eitskin_tools import cli
-from eitskin_tools.command_line.suggest import did_you_mean
+from eitskin_tools.command_line.parser import did_you_mean
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:

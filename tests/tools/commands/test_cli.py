@@ -75,7 +75,7 @@ def test_the_help_is_no_wider_than_the_terminal(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_ctrl_c_is_130_without_a_word(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from eitskin_tools.commands.live import doctor
+    from eitskin_tools.commands import doctor
 
     def interrupted(arguments: object) -> int:
         raise KeyboardInterrupt

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from eitskin_tools import cli
-from eitskin_tools.commands.offline.bench import BENCHMARKS, available
+from eitskin_tools.commands.bench import BENCHMARKS, available
 
 
 def test_bad_usage_is_exit_2_with_the_value(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

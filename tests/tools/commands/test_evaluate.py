@@ -12,8 +12,8 @@ from eitskin_sim.evaluation import report as reports
 from eitskin_sim.scene.scene import parse_phantoms
 from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_tools import cli
-from eitskin_tools.evaluation import paper_tables, solvers
-from eitskin_tools.evaluation.paper import TABLE_2
+from eitskin_tools.evaluation import solvers
+from eitskin_tools.evaluation.printed import PAPER_CC
 
 pytestmark = pytest.mark.heavy
 
@@ -144,27 +144,6 @@ def test_a_trial_is_read_by_people_a_line_each(tiny, capsys):
     assert "None" not in said
 
 
-def test_picture_shows_every_phantom_and_solver(tiny, file, tmp_path, capsys):
-    pytest.importorskip("matplotlib", reason="the picture needs the extra 'plot'")
-    (tmp_path / "phantoms.json").write_text(
-        json.dumps([{**FILE[0], "name": "$\\frac{$ \a"}])
-    )  # no formula, and no bell
-    words = [
-        "evaluate",
-        "--phantoms",
-        file,
-        "--bundle",
-        str(tiny),
-        "--picture",
-        str(tmp_path / "gallery.png"),
-        "--json",
-    ]
-    assert cli.main(words) == 0
-    assert json.loads(capsys.readouterr().out)["phantoms"] == 1
-    assert (tmp_path / "gallery.png").read_bytes().startswith(b"\x89PNG")
-    assert cli.main(["evaluate", "--phantoms", file, "--picture", "x.png", "--all"]) == 2
-
-
 def test_a_bundle_that_a_classical_solver_does_not_read_is_told_of(tiny, file, capsys):
     assert cli.main(["evaluate", "--phantoms", file, "--solver", "tikhonov", "--bundle", str(tiny), "--json"]) == 0
     found = capsys.readouterr()
@@ -176,13 +155,10 @@ def test_a_bundle_that_a_classical_solver_does_not_read_is_told_of(tiny, file, c
     ("words", "text"),
     [
         (["--random", "few"], "2-4"),
-        (["--single", "10", "--all"], "--phantoms"),
         (["--single", "10", "--labels", "units"], "--labels"),
         (["--single", "10", "--shift-px", "3"], "from 0 to 1"),
         (["--single", "10", "--seed", "5"], "--seed does nothing with --single: leave it out; it belongs to --devices"),
         (["--untouched", "--each", "4"], "--each does nothing with --untouched"),
-        (["--phantoms", "paper_mm", "--all", "--solver", "l1"], "--solver does nothing with --all"),
-        (["--phantoms", "paper_mm", "--all", "--reference", "pre"], "--reference does nothing with --all"),
         (["--single", "10", "--solver", "sbl", "--prediction", "none"], "--prediction does nothing with --solver sbl"),
         (["--phantoms", "paper_mm", "--family", "B"], "--family does nothing with --phantoms"),
         (["--phantoms", "paper_mm", "--disc"], "--disc does nothing with --phantoms"),
@@ -203,33 +179,9 @@ def test_trials_that_cannot_be_are_bad_usage(capsys, words, text):
     assert text in capsys.readouterr().err
 
 
-def quick(phantoms, requests, conditions, progress):
-    """Reports of eight times the same phantom, for the price of one."""
-    found = solvers.evaluate_requests(phantoms[:1], requests, conditions, progress)
-    return [{**one, "phantoms": one["phantoms"] * len(phantoms)} for one in found]
-
-
-def test_table_holds_every_solver_and_reference_beside_the_papers(phantoms, monkeypatch):
-    monkeypatch.setattr(paper_tables, "CLASSICAL", ("tikhonov-pixels", "tikhonov-units"))
-    monkeypatch.setattr(paper_tables, "_has_bundle", lambda phantoms: False)
-    eight = [phantoms[0]] * 8
-    monkeypatch.setattr(paper_tables, "evaluate_requests", quick)
-    table, found = paper_tables.comparison(eight, harness.Conditions())
-    assert [(one["solver"], one["reference"]) for one in found] == [
-        (f"tikhonov-{cells}", kind) for cells in ("pixels", "units") for kind in ("post", "pre", "predicted")
-    ]
-    assert "paper: vd2t" in table
-    assert f"{found[0]['mean']['cc']:.3f}" in table
-    means = next(line for line in table.splitlines() if line.startswith("| paper: sbl"))
-    assert means.split(" | ")[2:5] == ["0.742", "19.1", "0.697"]  # FACTS: 0.7417
-    assert "paper" not in paper_tables.comparison(eight[:1], harness.Conditions())[0]
-
-
 def test_the_papers_table_has_the_means_that_its_text_gives():
-    means = {name: np.mean(values) for name, values in TABLE_2["cc"].items()}
+    means = {name: np.mean(values) for name, values in PAPER_CC.items()}
     assert means == pytest.approx({"tikhonov": 0.6625, "l1": 0.6651, "sbl": 0.7417, "vd2t": 0.9912}, abs=1e-4)
-    assert np.mean(TABLE_2["psnr_db"]["vd2t"]) == pytest.approx(38.38, abs=0.01)
-    assert np.mean(TABLE_2["rie"]["vd2t"]) == pytest.approx(0.1086, abs=1e-4)
 
 
 def test_a_phantom_of_another_sheet_than_the_map_is_one_line(tmp_path, capsys):

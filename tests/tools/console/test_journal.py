@@ -5,8 +5,8 @@ import os
 
 import pytest
 
-from eitskin_tools.console.journal import goes_to_journal, prefix
 from eitskin_tools.console.run_log import RunLog
+from eitskin_tools.console.terminal import goes_to_journal, prefix
 
 
 @pytest.fixture

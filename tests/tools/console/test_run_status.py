@@ -10,7 +10,7 @@ import pytest
 
 from eitskin_tools.console.run_log import RunLog
 from eitskin_tools.console.run_status import SILENT_S, RunStatus
-from eitskin_tools.console.status_line import StatusLine
+from eitskin_tools.console.terminal import StatusLine
 
 
 class Terminal(io.StringIO):

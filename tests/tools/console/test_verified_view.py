@@ -7,7 +7,7 @@ import pytest
 from eitskin.messaging.verified.message import FLAGS, VerifiedFrame
 from eitskin.messaging.verified.touch import VerifiedTouch
 from eitskin.touches.force import ForceTable
-from eitskin_tools.console.verified_view import FLAGGED, describe
+from eitskin_tools.console.stream_view import FLAGGED, describe_verdict
 
 TOUCH = VerifiedTouch(
     shape="rectangle", unit=None, centre_mm=(40.0, 30.0), centre_error_mm=(0.1, 0.2), size_mm=(12.0, 10.0),
@@ -22,16 +22,16 @@ TABLE = ForceTable([(0.0, 0.0, 0.0), (100.0, 2.0, 0.0)])
 
 
 def test_each_reason_for_a_flag_is_said():
-    said = {why: describe(dataclasses.replace(FOUND, why=why))[0] for why in (*FLAGS, "")}
+    said = {why: describe_verdict(dataclasses.replace(FOUND, why=why))[0] for why in (*FLAGS, "")}
     assert all(f"7 {FLAGGED[why]}, p 0.046, " in said[why] for why in FLAGS)
     assert "7 FLAGGED, p 0.046" in said[""]
-    assert "7 explained, " in describe(dataclasses.replace(FOUND, flagged=False))[0]
+    assert "7 explained, " in describe_verdict(dataclasses.replace(FOUND, flagged=False))[0]
 
 
 @pytest.mark.parametrize("why", ["", "it is late"])
 def test_a_verifier_that_is_ready_does_not_say_that_nothing_has_changed(why):
     found = dataclasses.replace(FOUND, p_value=None, touches=None, flagged=None, why=why)
-    assert describe(found) == [
+    assert describe_verdict(found) == [
         f"7 not verified: the verifier is ready, with no new verdict{why and f': {why}'}",
     ]
 
@@ -43,5 +43,5 @@ def test_a_verifier_that_is_ready_does_not_say_that_nothing_has_changed(why):
 ])  # fmt: skip
 def test_a_table_of_ones_own_gives_each_touch_its_force(strength, error, says):
     touch = dataclasses.replace(TOUCH, strength_mm2=strength, strength_error_mm2=error)
-    assert describe(dataclasses.replace(FOUND, touches=(touch,)), TABLE)[1].endswith(f" mm2{says}")
-    assert "force" not in describe(FOUND)[1]
+    assert describe_verdict(dataclasses.replace(FOUND, touches=(touch,)), TABLE)[1].endswith(f" mm2{says}")
+    assert "force" not in describe_verdict(FOUND)[1]

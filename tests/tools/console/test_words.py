@@ -2,8 +2,8 @@
 
 import pytest
 
-from eitskin_tools.commands.live import doctor
-from eitskin_tools.console.words import in_words
+from eitskin_tools.commands import doctor
+from eitskin_tools.console.terminal import in_words
 
 
 @pytest.mark.parametrize(("value", "words"), [

@@ -14,8 +14,7 @@ import pytest
 
 from eitskin_tools.demo import show
 from eitskin_tools.processes.children import Child, ChildDiedError, process_group
-from eitskin_tools.scripted_scene.prepare import prepare
-from eitskin_tools.scripted_scene.script import demonstration
+from eitskin_tools.scripted_scene.script import demonstration, prepare
 
 pytestmark = pytest.mark.process
 
@@ -233,11 +232,11 @@ def test_children_end_when_their_parent_is_killed(place: Path, cache: Path) -> N
 
 
 def test_the_demonstration_needs_no_torch() -> None:
-    modules = "show, live, scanner, recorder, score"
+    modules = "show, scanner, recorder, score"
     code = (
         f"from eitskin_tools.demo import {modules}\n"
         "from eitskin_tools.virtual_skin import process\n"
-        "import eitskin_tools.scripted_scene.prepare, eitskin_tools.scripted_scene.script\n"
+        "import eitskin_tools.scripted_scene.script\n"
         "import eitskin_sim.surface.predict, eitskin_sim.evaluation.metrics, sys\n"
         "print('torch' in sys.modules)\n"
     )

@@ -12,7 +12,7 @@ from eitskin.model import bundle as bundles
 from eitskin.model import skin_in_use
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import named, to_toml
-from eitskin_tools.demo.played import choose, script_of, skin_of, told
+from eitskin_tools.demo.show import choose, script_of, skin_of, touches_in_words
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 TINY, OTHER_SHEET = GOLDEN / "tiny.eitskin", GOLDEN / "second.eitskin"
@@ -71,8 +71,8 @@ def test_any_description_of_the_paper_s_sheet_plays_on_the_ideal_one(press):
 
 
 def test_the_screen_says_what_touches_do(press):
-    assert told(script_of(None, TINY, "raising")) == ", where conductance is 50 times as high"
+    assert touches_in_words(script_of(None, TINY, "raising")) == ", where conductance is 50 times as high"
     script = script_of(None, press, "lowering")
-    assert told(script) == ", as of a finger: conductance falls to 40 %"
+    assert touches_in_words(script) == ", as of a finger: conductance falls to 40 %"
     assert {touch.factor(1.0) for touch in script.scene_at(3.0).touches} == {0.4}
-    assert told(script_of(SAMPLE, TINY, "raising")) == ""
+    assert touches_in_words(script_of(SAMPLE, TINY, "raising")) == ""

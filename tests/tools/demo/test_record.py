@@ -11,7 +11,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.demo.frame_picture import choose, picture
 from eitskin_tools.demo.recorder import STAGES, Record
 from eitskin_tools.demo.score import accuracy, percentiles_us, timing
-from eitskin_tools.pictures.draw import Painter, plain_lines
+from eitskin_tools.pictures import Painter, plain_lines
 from eitskin_tools.scripted_scene.script import demonstration
 
 

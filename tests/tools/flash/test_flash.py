@@ -11,7 +11,7 @@ from tests.emulator.firmware import missing_tools
 
 from eitskin_proto.wire import config_toml, framing, messages
 from eitskin_tools import cli
-from eitskin_tools.commands.live import flash
+from eitskin_tools.commands import flash
 from eitskin_tools.flash import procedure
 
 FAST = config_toml.named("fast")

@@ -15,9 +15,9 @@ from eitskin_proto.wire.codes import Code
 from eitskin_tools import cli
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange, Refused, Silent
-from eitskin_tools.virtual_skin.configure import configuration_for
 from eitskin_tools.virtual_skin.device import VirtualDevice
 from eitskin_tools.virtual_skin.faults import FaultPlayer, parse
+from eitskin_tools.virtual_skin.process import configuration_for
 
 from .conftest import served
 

@@ -17,11 +17,10 @@ from eitskin_proto.wire import config_toml
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
 from eitskin_tools.flash.full_scan import NAME, full_scan, scanning_all_rows
-from eitskin_tools.flash.stored import FlashError, show
-from eitskin_tools.guided.frames import frames_of
-from eitskin_tools.guided.guide import GuideError
-from eitskin_tools.virtual_skin.configure import configuration_for
+from eitskin_tools.flash.procedure import FlashError, show
+from eitskin_tools.guided import GuideError, frames_of
 from eitskin_tools.virtual_skin.device import VirtualDevice
+from eitskin_tools.virtual_skin.process import configuration_for
 
 from .conftest import served
 

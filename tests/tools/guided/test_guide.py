@@ -8,8 +8,7 @@ import pytest
 
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_tools.errors import UsageError
-from eitskin_tools.guided.guide import Guide, GuideError, Plan
-from eitskin_tools.guided.watch import WINDOW, Watch
+from eitskin_tools.guided import WINDOW, Guide, GuideError, Plan, Watch
 
 ROWS = np.arange(104)
 FLAT = np.where(ROWS % 3, -1.0, 1.0) * 1e-3 * 40.0 ** (-ROWS / 103.0)
@@ -188,7 +187,7 @@ def test_a_sheet_that_moves_is_not_at_rest_and_noise_alone_is():
 
 @pytest.mark.parametrize("text", ["", "a", "16x", "1", "20x10x3", "nan", "61"])
 def test_a_stamp_that_is_none_is_refused(text):
-    from eitskin_tools.commands.offline.calibrate import _stamp
+    from eitskin_tools.commands.calibrate import _stamp
 
     with pytest.raises(UsageError, match="expected a diameter, as 16, or length x width"):
         _stamp(text)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from eitskin_tools.guided.terminal import Terminal
+from eitskin_tools.guided import Terminal
 
 
 @pytest.fixture

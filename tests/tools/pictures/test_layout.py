@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.skin import PAPER
-from eitskin_tools.pictures.draw import LEFT_OUT, Painter
-from eitskin_tools.pictures.layout import arrange, fitted
+from eitskin_tools.pictures import LEFT_OUT, Painter, arrange, fitted
 
 TITLE = "eitskin demo    12.3 s   the sheet is bent by 156 deg, its axis at +30, stretched 13.1 %; 3 touches"
 FOOTER = [

@@ -14,7 +14,7 @@ WRITER = """
 import signal, sys
 from eitskin_proto.files.writing import replacing
 from eitskin_tools import cli
-from eitskin_tools.commands.live import doctor
+from eitskin_tools.commands import doctor
 
 def run(arguments):
     with replacing(sys.argv[1]) as file:

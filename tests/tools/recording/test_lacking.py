@@ -18,7 +18,7 @@ from eitskin_tools.recording.reinfer.session import reinfer
 from eitskin_tools.recording.replay.play import Manner, Player
 from eitskin_tools.recording.script import Script
 from eitskin_tools.recording.seek.moments import Moments
-from eitskin_tools.view.film.parts import Film
+from eitskin_tools.view.film import Film
 
 from .conftest import TINY, Taker, recorded
 

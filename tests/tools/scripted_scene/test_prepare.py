@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from eitskin_tools.scripted_scene import keyframes, prepare
+from eitskin_tools.scripted_scene import keyframes
+from eitskin_tools.scripted_scene import script as prepare
 from eitskin_tools.scripted_scene.script import demonstration
 
 

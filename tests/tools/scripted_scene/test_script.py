@@ -23,7 +23,7 @@ SCRIPT = demonstration()
 def shipped() -> Keyframes:
     name = keyframes.digest(SCRIPT.moments(SCRIPT.period_s), keyframes.MODEL)
     found = keyframes.load(name, keyframes.SHIPPED)
-    assert found is not None, "solve what is shipped anew: python -m eitskin_tools.scripted_scene.prepare"
+    assert found is not None, "solve what is shipped anew: python -m eitskin_tools.scripted_scene.script"
     return found
 
 

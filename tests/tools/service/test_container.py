@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from eitskin_tools.service.files import text_of
+from eitskin_tools.commands.service import text_of
 
 SOURCE = Path(__file__).parents[3]
 

@@ -13,8 +13,8 @@ import pytest
 
 from eitskin.acquisition.usb_port import PRODUCT_ID, VENDOR_ID
 from eitskin_tools import cli
-from eitskin_tools.service import files
-from eitskin_tools.service.files import FILES, text_of
+from eitskin_tools.commands import service
+from eitskin_tools.commands.service import FILES, text_of
 from eitskin_tools.service.watchdog import STOOD_STILL
 
 UNITS = ("eitskin.service", "eitskin@.service")
@@ -151,7 +151,7 @@ def test_who_is_not_root_is_told_that_only_root_may_install(capsys, monkeypatch)
     def denied(*_, **__):
         raise PermissionError(errno.EACCES, "no", "/etc/systemd/system/eitskin.service")
 
-    monkeypatch.setattr(files, "write", denied)
+    monkeypatch.setattr(service, "write", denied)
     assert cli.main(["service", "--install", "--user", "robot"]) == 1
     said = capsys.readouterr().err
     assert "no permission for /etc/systemd/system/eitskin.service: only root may --install; run 'sudo /" in said

@@ -14,9 +14,8 @@ from eitskin import Frame
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools import cli
 from eitskin_tools.recording.script import Script
-from eitskin_tools.view.recorder import Recorder
 from eitskin_tools.view.source import Source, sources_of
-from eitskin_tools.view.viewer import Viewer
+from eitskin_tools.view.viewer import Recorder, Viewer
 
 from ..recording.conftest import TINY, measured, recorded
 from .chromium import PROGRAM
@@ -104,7 +103,7 @@ def test_a_robots_skins_are_found_by_its_file_and_by_its_folder(tmp_path):
 
 @pytest.mark.process
 def test_a_live_page_needs_no_package_that_recordings_need():
-    code = "import sys, eitskin_tools.view.viewer, eitskin_tools.commands.live.view; print('mcap' in sys.modules)"
+    code = "import sys, eitskin_tools.view.viewer, eitskin_tools.commands.view; print('mcap' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False\n"
 

@@ -11,9 +11,8 @@ from eitskin.messaging.frame_packer import FramePacker
 from eitskin.touches.surface import Surface
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.view.board import Board
-from eitskin_tools.view.feed import Feed
+from eitskin_tools.view.feed import Feed, TouchLister
 from eitskin_tools.view.messages import unpacked
-from eitskin_tools.view.own_touches import OwnTouches
 from eitskin_tools.view.source import Source
 from eitskin_tools.view.viewer import Viewer
 
@@ -93,14 +92,14 @@ def frame(values, cloud=0, number=1, run="r"):
 
 
 def test_own_touches_lie_on_the_surface_that_the_frame_was_computed_with():
-    touches = OwnTouches(PAPER.grid)
+    touches = TouchLister(PAPER.grid)
     flat, bent = disc(50.0, 40.0), Surface(cylinder(), PAPER.grid)
     (touch,) = touches.listed(frame(flat)).touches
     assert touch.place_mm == pytest.approx((*touch.centre_mm, 0.0), abs=1e-3)
     assert touch.normal == (0.0, 0.0, 1.0)
     (unplaced,) = touches.listed(frame(flat, cloud=1, number=2)).touches
     assert unplaced.normal == (0.0, 0.0, 0.0), "nobody has told of that surface yet"
-    touches.use("r", 1, cylinder())
+    touches.set_surface("r", 1, cylinder())
     (again,) = touches.listed(frame(flat, cloud=1, number=2)).touches
     expected = bent.at(np.array([touch.centre_mm[0]]), np.array([touch.centre_mm[1]]))[0]
     assert (*again.place_mm, *again.normal) == pytest.approx(tuple(expected), abs=1e-3)
@@ -114,7 +113,7 @@ def test_a_map_of_another_skin_is_left_as_it_is():
     packer = FramePacker(configuration="p/1", bundle="b", serial_number="S", run="r", shape=(5, 7))
     packer.put_texts("vd2t", (), ())
     found = unpack_frame(bytes(packer.message()), 0)
-    assert OwnTouches(PAPER.grid).listed(found) is found
+    assert TouchLister(PAPER.grid).listed(found) is found
 
 
 def test_silence_is_told_with_its_reason(endpoint):

@@ -14,11 +14,9 @@ from eitskin import Frame, WireFrame
 from eitskin.errors import SkinError
 from eitskin_tools.recording.layout import FRAME, WIRE
 from eitskin_tools.recording.reader import Entry, Recording
-from eitskin_tools.view.film import parts as parts_module
-from eitskin_tools.view.film.noted import count as counted
-from eitskin_tools.view.film.noted import number, texts
-from eitskin_tools.view.film.overview import MOST_MARKS, Overlooking, Overview
-from eitskin_tools.view.film.parts import Film
+from eitskin_tools.view import film as parts_module
+from eitskin_tools.view.film import MOST_MARKS, Film, Overview, OverviewThread, number, texts
+from eitskin_tools.view.film import count as counted
 from eitskin_tools.view.messages import unpacked
 
 from ..recording.conftest import CLOUD as CLOUD_MM
@@ -122,13 +120,13 @@ def test_a_recording_of_the_wire_alone_has_maps_too(tmp_path, items):
 
 def test_the_overview_has_what_happened_when(path, items):
     film, told = Film(path, TINY), []
-    with Overlooking(path, Overview(film.seconds, film.first_ns), told.append):
+    with OverviewThread(path, Overview(film.seconds, film.first_ns), told.append):
         while not told:
             time.sleep(0.01)
     assert unpacked(told[-1])[0][0]["share"] == 1.0
     overview = Overview(film.seconds, film.first_ns)
     for entry in Recording(path).entries({WIRE.topic, FRAME.topic}):
-        overview.take(entry)
+        overview.add(entry)
     ((head, _),) = unpacked(overview.message(done=True))
     assert head["share"] == 1.0
     touched = [item for item in items if isinstance(item, Frame) and item.touched]
@@ -148,10 +146,10 @@ def note(at_s, **fields):
 def test_losses_and_events_are_marked_once_and_within_bounds():
     overview = Overview(100.0, 0)
     for k in range(100):
-        overview.take(note(k, events=["saturated"], counts={"lost": k, "corrupt": 5 if k >= 50 else 0}))
-        overview.take(note(k + 0.1, events=["saturated"]))
+        overview.add(note(k, events=["saturated"], counts={"lost": k, "corrupt": 5 if k >= 50 else 0}))
+        overview.add(note(k + 0.1, events=["saturated"]))
     for k in range(2 * MOST_MARKS):
-        overview.take(note(0.01 * k, events=[f"electrode:{k}"]))
+        overview.add(note(0.01 * k, events=[f"electrode:{k}"]))
     ((head, _),) = unpacked(overview.message(done=False))
     assert [text for _, text in head["events"]].count("saturated") == 100
     assert len(head["events"]) == MOST_MARKS
@@ -168,8 +166,8 @@ def test_losses_and_events_are_marked_once_and_within_bounds():
 )  # fmt: skip
 def test_a_note_that_makes_no_sense_is_nothing_worse(data):
     overview = Overview(1.0, 0)
-    overview.take(Entry(FRAME.topic, 5, 0, data))
-    overview.take(Entry(WIRE.topic, 5, 0, data))
+    overview.add(Entry(FRAME.topic, 5, 0, data))
+    overview.add(Entry(WIRE.topic, 5, 0, data))
     assert unpacked(overview.message(done=True))
 
 
@@ -204,7 +202,7 @@ def test_whatever_is_damaged_ends_in_one_line_or_is_left_out(path):
         overview = Overview(1.0, 0)
         with contextlib.suppress(SkinError):
             for entry in Recording(path).entries({WIRE.topic, FRAME.topic}):
-                overview.take(entry)
+                overview.add(entry)
         assert unpacked(overview.message(done=True))
     assert outcomes == {"refused", "seen"}
 

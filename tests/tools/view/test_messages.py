@@ -26,7 +26,7 @@ def test_electrodes_lie_on_the_border_at_their_arc_length():
 
 
 def test_the_colours_can_be_told_apart_without_hue():
-    from eitskin_tools.pictures.draw import palette
+    from eitskin_tools.pictures import palette
 
     linear = (palette() / 255.0) ** 2.2
     lightness = 116 * np.cbrt(linear @ [0.2126, 0.7152, 0.0722]) - 16

@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from eitskin_tools import cli
-from eitskin_tools.commands.live import view
+from eitskin_tools.commands import view
 from eitskin_tools.demo.show import show_page
 
 from .conftest import started

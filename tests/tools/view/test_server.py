@@ -6,11 +6,9 @@ import pytest
 
 from eitskin_tools.view import board as board_module
 from eitskin_tools.view import server as server_module
-from eitskin_tools.view.address import host_allowed, is_loopback, page_address
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.messages import packed, status_message, unpacked
-from eitskin_tools.view.pages import pages
-from eitskin_tools.view.server import PortTaken, ViewServer
+from eitskin_tools.view.server import PortTaken, ViewServer, host_allowed, is_loopback, page_address, pages
 
 
 class Remembering:

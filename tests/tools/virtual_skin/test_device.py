@@ -10,9 +10,8 @@ from eitskin_proto.wire import messages as m
 from eitskin_proto.wire.codes import Code, FrameFlag, HelloFlag, Mode
 from eitskin_proto.wire.framing import encode
 from eitskin_proto.wire.scan_rows import row_count, table_rows
-from eitskin_tools.virtual_skin.configure import configuration_for
-from eitskin_tools.virtual_skin.device import VirtualDevice
-from eitskin_tools.virtual_skin.identity import Identity
+from eitskin_tools.virtual_skin.device import Identity, VirtualDevice
+from eitskin_tools.virtual_skin.process import configuration_for
 
 from ..conftest import ROWS_V, Host, Ramp
 

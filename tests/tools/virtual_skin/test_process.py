@@ -17,8 +17,7 @@ from eitskin_proto.wire import messages as m
 from eitskin_proto.wire.framing import Deframer, encode
 from eitskin_tools.processes.signals import met_by
 from eitskin_tools.processes.skin_log import read_log, script_start
-from eitskin_tools.scripted_scene.prepare import prepare
-from eitskin_tools.scripted_scene.script import demonstration
+from eitskin_tools.scripted_scene.script import demonstration, prepare
 
 pytestmark = pytest.mark.process
 

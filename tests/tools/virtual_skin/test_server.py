@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from eitskin_tools.virtual_skin import server
-from eitskin_tools.virtual_skin.configure import configuration_for
 from eitskin_tools.virtual_skin.device import VirtualDevice
+from eitskin_tools.virtual_skin.process import configuration_for
 from eitskin_tools.virtual_skin.pty import PtyPort
 
 from ..conftest import Ramp

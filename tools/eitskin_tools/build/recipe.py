@@ -35,8 +35,7 @@ from eitskin_proto.files.shipped import is_name
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.toml import FORMAT as SKIN_FORMAT
 from eitskin_proto.skin.toml import to_toml
-from eitskin_tools.build.missing_lesson import MissingElectrodesWork
-from eitskin_tools.command_line import files, skins
+from eitskin_tools.command_line import files, options
 
 FORMAT: Final = "eitskin-recipe"
 VERSION: Final = 1
@@ -107,6 +106,17 @@ class CardWork:
     each: int = 3
     draws: int = 2
     """Devices of each mismatch."""
+
+
+@dataclass(frozen=True, slots=True)
+class MissingElectrodesWork:
+    """How long a network learns to go on without electrodes."""
+
+    fitting_steps: int = 2000
+    """Of the filling alone."""
+    steps: int = 3000
+    """Of filling and network together."""
+    seed: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,14 +205,14 @@ def load(name: str) -> BuildRecipe:
         ValueError: It is neither a recipe nor a skin's description; the text names file and key.
     """
     if is_name(name, files.SKIN.names()) and name not in files.RECIPE.names():
-        return usual(skins.read(name))
+        return usual(options.read_skin(name))
     path = files.find(name, files.RECIPE)
     try:
         content = parse_toml(read_text(path, LARGEST_TOML))
         if content.get("format") == FORMAT:
             return parse(content, path.parent)
         if content.get("format") == SKIN_FORMAT:
-            return usual(skins.read(str(path)))
+            return usual(options.read_skin(str(path)))
         found = f"format is {quoted(content['format'])}" if "format" in content else "there is no format"
         raise ValueError(f"{found}, expected {SKIN_FORMAT!r}, a skin's description, or {FORMAT!r}, a bundle's recipe")
     except ValueError as error:
@@ -299,4 +309,4 @@ def _record(kind: type[Record], table: Fields) -> Record:
 
 def _skin(name: str, beside: Path) -> Skin:
     own = beside / name
-    return skins.read(str(own) if own.is_file() else name)
+    return options.read_skin(str(own) if own.is_file() else name)

@@ -5,13 +5,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.skin.skin import Skin
-from eitskin_tools.build import missing_lesson, press_lesson
 from eitskin_tools.build.folder import keep, stored
-from eitskin_tools.build.recipe import BuildRecipe, Data, Leg
+from eitskin_tools.build.recipe import BuildRecipe, Data, Leg, MissingElectrodesWork
 from eitskin_tools.command_line import files
 
 Tell = Callable[[str], None]
@@ -105,12 +104,12 @@ def train_legs(
         chosen = fitted_to(recipe, leg, data.skin)
         train.train(data, chosen, run, seed=leg.seed, resume=True, start=start, sources=sources, progress=epoch)
     if presses is not None:
-        run, data = press_lesson.learned(recipe, folder, run, data, presses, tell, epoch)
+        run, data = learn_presses(recipe, folder, run, data, presses, tell, epoch)
     bends, steps = _gate(recipe)
     gate_of_run(run, data, recipe.training[-1].seed, tell=tell, bends=bends, steps=steps)
     if recipe.missing_electrodes is None:
         return run
-    return missing_lesson.learned(recipe.missing_electrodes, folder, run, tell)
+    return learn_missing_electrodes(recipe.missing_electrodes, folder, run, tell)
 
 
 def export_run(recipe: BuildRecipe, folder: Path, run: Path, tell: Tell) -> tuple[Path, dict[str, Any]]:
@@ -229,3 +228,176 @@ def _gate(recipe: BuildRecipe) -> tuple[Callable[[Any], Any], int | None]:
 def processes(workers: int | None) -> int:
     """Return how many processes make data: as many as asked for, or one a core."""
     return workers or len(os.sched_getaffinity(0))
+
+
+MISSING_RUN: Final = "missing-electrodes"
+"""Among the runs of a half-made bundle."""
+
+
+def learn_missing_electrodes(work: MissingElectrodesWork, folder: Path, run: Path, tell: Callable[[str], None]) -> Path:
+    """Return the run that goes on without electrodes, with the gate of the one that it was made from.
+
+    Args:
+        work: How long.
+        folder: Of the half-made bundle.
+        run: Of the last leg.
+        tell: Told what is being done.
+    """
+    from eitskin_training import adapt
+    from eitskin_training.gate.stored import hand_on
+    from eitskin_training.run_files import data_of, trained
+
+    out = folder / "runs" / MISSING_RUN
+    if not (out / "best.pt").exists():
+        tell("learning to go on without electrodes")
+        found, plan = trained(run), adapt.Plan(fitting_steps=work.fitting_steps, steps=work.steps)
+        adapted = adapt.adapt(found.model, found.recipe, data_of(found), plan, seed=work.seed)
+        hand_on(run, out)
+        adapt.write(out, found.content, adapted)
+    return out
+
+
+PRESS_EPOCHS: Final = 2
+PRESS_RATE: Final = 0.8
+"""Of the learning rate of the leg before it."""
+
+PRESSES_FILE: Final = "presses.json"
+"""What it was worth."""
+
+SNR_DB: Final = 80.0
+"""Next to no noise is added to what was measured."""
+
+
+def learn_presses(
+    recipe: BuildRecipe,
+    folder: Path,
+    run: Path,
+    data: Any,
+    presses: Any,
+    tell: Callable[[str], None],
+    progress: Callable[[Any], None],
+) -> tuple[Path, Any]:
+    """Return the run that is better on presses kept apart, and what it learned from.
+
+    Args:
+        recipe: What is made.
+        folder: Of the half-made bundle.
+        run: That learned from physics alone.
+        data: What it learned from.
+        presses: The recording.
+        tell: Told what is being done.
+        progress: Told after every batch.
+    """
+    from eitskin_training import train
+    from eitskin_training.run_files import trained
+    from eitskin_training.samples import presses as recorded
+    from eitskin_training.samples.joined import join
+    from eitskin_training.start import Start
+
+    place, after = folder / "data" / "recorded-presses", folder / "runs" / "presses"
+    if not (place / recorded.NAME).exists():
+        recorded.write(place, presses, data)
+    alone = recorded.load(place)
+    both, before = join([data, alone]), trained(run)
+    tell(f"training on {len(alone.voltages)} recorded presses, on {train.device()}")
+    chosen = replace(before.recipe, epochs=PRESS_EPOCHS, learning_rate=PRESS_RATE * before.recipe.learning_rate)
+    sources = (*_sources(before.content["data"]), str(place.resolve()))
+    seed = recipe.training[-1].seed
+    start = Start.of_run(run)
+    train.train(both, chosen, after, seed=seed, resume=True, start=start, sources=sources, progress=progress)
+    if (found := stored(folder / PRESSES_FILE)) is None:
+        scores = {"physics_alone": _score(before, alone), "with_presses": _score(trained(after), alone)}
+        better = scores["with_presses"]["cc"] > scores["physics_alone"]["cc"]
+        found = {"presses": len(alone.voltages), "kept_apart": len(recorded.kept(alone)), **scores, "used": better}
+        keep(folder / PRESSES_FILE, found)
+    return (after, both) if found["used"] else (run, data)
+
+
+def presses_in_words(found: dict[str, Any]) -> str:
+    """Return what people read of :data:`PRESSES_FILE`."""
+    alone, more = found["physics_alone"], found["with_presses"]
+    used = "used" if found["used"] else "not used: physics alone is better"
+    return (
+        f"{found['kept_apart']} of {found['presses']} recorded presses, kept apart: CC {alone['cc']:.3f}, "
+        f"{alone['off_mm']:.1f} mm by physics alone; {more['cc']:.3f}, {more['off_mm']:.1f} mm with the others learned "
+        f"from; {used}"
+    )
+
+
+def _sources(known: str | list[str]) -> tuple[str, ...]:
+    return (known,) if isinstance(known, str) else tuple(known)
+
+
+def _score(found: Any, alone: Any) -> dict[str, float]:
+    """Return the mean correlation and distance of a network's maps of presses kept apart."""
+    import numpy as np
+
+    from eitskin_sim.evaluation.metrics import localisation_error_mm
+    from eitskin_training.samples.presses import kept
+    from eitskin_training.score import correlation, maps_of
+
+    rows, grid = kept(alone), alone.skin.grid
+    maps = maps_of(found.model, alone, rows, snr_db=SNR_DB)
+    truth = alone.labels[rows] / 255.0
+    pairs = zip(maps.reshape(-1, *grid.shape), truth.reshape(-1, *grid.shape), strict=True)
+    off_mm = float(np.mean([localisation_error_mm(image, true, grid) for image, true in pairs]))
+    return {"cc": round(float(correlation(maps, truth).mean()), 4), "off_mm": round(off_mm, 2)}
+
+
+def check(recipe: BuildRecipe) -> None:
+    """Refuse what would fail hours later: data that cannot be planned or joined, a network or start that does not fit.
+
+    Raises:
+        SkinError: A file is missing or is no bundle, or a leg's network does not go on from the one before.
+        ValueError: A number is outside its bounds, or things do not go together.
+    """
+    for name, data in recipe.data.items():
+        try:
+            plan_of(recipe, data)
+        except ValueError as error:
+            raise ValueError(f"[data.{name}] {error}") from error
+    start = start_of(recipe, recipe.training[0])
+    for number, leg in enumerate(recipe.training, 1):
+        start = _check_leg(recipe, number, leg, start)
+    _check_gate(recipe)
+
+
+def _check_leg(recipe: BuildRecipe, number: int, leg: Leg, start: Any) -> Any:
+    """Refuse data sets that do not go together, and a network that cannot begin with them where the last one ended.
+
+    Returns:
+        What the next leg starts from, but for its weights.
+    """
+    from eitskin_training.narrowed import fits
+    from eitskin_training.network.sharpen import cells
+    from eitskin_training.start import Start
+
+    names = leg.data or tuple(recipe.data)
+    plans = [plan_of(recipe, recipe.data[name]) for name in names]
+    for at, (name, plan) in enumerate(zip(names, plans, strict=True)):
+        if plan in plans[:at]:
+            twice = names[plans.index(plan)]
+            raise ValueError(f"[data.{name}] and [data.{twice}] are the same; give one of them another seed")
+        if plan.skin.digest != plans[0].skin.digest:
+            raise ValueError(
+                f"[[training]] {number} learns from skins {plans[0].skin.name} and {plan.skin.name}, in [data.{name}], "
+                "expected one; name those of one skin in its data, and the others in a leg of their own"
+            )
+    skin = plans[0].skin
+    wanted = fitted_to(recipe, leg, skin)
+    if wanted.architecture.sharpening:
+        cells(skin.grid.shape)
+    if start is not None and not fits(start, wanted):
+        start.require(wanted.architecture, skin)
+    return Start({}, wanted.architecture, skin, {})
+
+
+def _check_gate(recipe: BuildRecipe) -> None:
+    """Refuse a gate without untouched sheets that it did not learn from."""
+    plans = [plan_of(recipe, recipe.data[name]) for name in recipe.training[-1].data or recipe.data]
+    apart = sum(len(plan.bends) - plan.splits.count("train") for plan in plans)
+    if recipe.gate.untouched == 0 and apart < 2:
+        raise ValueError(
+            f"the gate has {apart} deformations kept apart to choose and measure it, expected at least 2; give more "
+            "kept in [data], or untouched in [gate]"
+        )

@@ -15,9 +15,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Final, Literal, TextIO
 
-from eitskin_tools.console.closed import takes_more
-from eitskin_tools.console.journal import goes_to_journal, prefix
-from eitskin_tools.console.status_line import StatusLine
+from eitskin_tools.console.terminal import StatusLine, goes_to_journal, prefix, takes_more
 
 LOUD: Final = ("warning", "error", "ready")
 """Events that are said even when quiet."""

@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_tools.demo.recorder import Record
-from eitskin_tools.pictures.draw import palette
-from eitskin_tools.pictures.saved import save
+from eitskin_tools.pictures import palette, save
 
 LEAST_ANGLE_DEG: Final = 50.0
 """A frame worth showing is bent at least so far."""

@@ -16,21 +16,25 @@ import sys
 import tempfile
 import time
 import webbrowser
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.errors import SkinError
+import eitskin
+from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.writing import write_bytes
-from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import to_toml
-from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_tools.demo import played
+from eitskin_proto.skin.touch_kind import TouchKind, knows
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.demo.score import accuracy, timing
+from eitskin_tools.pictures import RATE_HZ, Painter
 from eitskin_tools.processes.children import GRACE_S, Child, process_group
 from eitskin_tools.processes.skin_log import read_log, script_start
 
@@ -138,7 +142,7 @@ def draw_picture(options: Options, streamed: Streamed, path: Path) -> None:
     """
     from eitskin_tools.demo.frame_picture import picture
 
-    picture(streamed.record, script_of(options), streamed.start_us, path)
+    picture(streamed.record, _script_of(options), streamed.start_us, path)
 
 
 def summarise(options: Options, streamed: Streamed) -> dict[str, Any]:
@@ -149,7 +153,7 @@ def summarise(options: Options, streamed: Streamed) -> dict[str, Any]:
     """
     return {
         **timing(streamed.record, streamed.wire_ns),
-        **asdict(accuracy(streamed.record, script_of(options), streamed.start_us)),
+        **asdict(accuracy(streamed.record, _script_of(options), streamed.start_us)),
         "sent": streamed.sent,
         "dropped_by_device": streamed.dropped,
         "late_subscriber": streamed.record.late,
@@ -158,7 +162,7 @@ def summarise(options: Options, streamed: Streamed) -> dict[str, Any]:
         "start_s": round(streamed.start_s, 2),
         "noise": options.noise,
         "bundle": str(options.bundle) if options.bundle else "shipped",
-        "touches": f"{options.touches}{played.told(script_of(options))}",
+        "touches": f"{options.touches}{touches_in_words(_script_of(options))}",
         "solvers": streamed.runtime.get("solvers"),
     }
 
@@ -186,7 +190,7 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     # The skin outlives the demonstration by this much if nobody stops it; it never has to.
     longest = options.seconds + START_S + READY_S
     scene, sheet = ["--scene", str(options.scene)] if options.scene else [], list[str]()
-    if (described := played.skin_of(options.bundle, options.touches)) != PAPER:
+    if (described := skin_of(options.bundle, options.touches)) != PAPER:
         (description := folder / "skin.toml").write_text(to_toml(described), encoding="utf-8")
         sheet = ["--skin", str(description)]
     module, command, environment = ("eitskin_tools.cli", ["virtual-skin"], None)
@@ -250,7 +254,7 @@ def checkout() -> Path:
 
 
 def _scanner(options: Options, control: str, folder: Path, scene: list[str]) -> Child:
-    predict = ["--predict"] if played.uses_prediction(options.bundle) else []
+    predict = ["--predict"] if uses_prediction(options.bundle) else []
     return Child(
         "scanner", "eitskin_tools.demo.scanner",
         [control, str(folder / "skin.log"), f"--rate={CLOUDS_HZ}", f"--seed={options.seed}", *scene, *predict], folder,
@@ -261,9 +265,7 @@ def _look_on(options: Options, publish: str, log: Path, children: list[Child]) -
     """Wait for the subscriber to finish; draw meanwhile."""
     end = time.monotonic() + options.seconds + READY_S
     if options.draw:
-        from eitskin_tools.demo.live import live
-
-        live(publish, script_of(options), script_start(log)["device_us"], lambda: _going_on(children, end))
+        live(publish, _script_of(options), script_start(log)["device_us"], lambda: _going_on(children, end))
         return
     while _going_on(children, end):
         time.sleep(0.05)
@@ -280,9 +282,9 @@ def _going_on(children: list[Child], end: float) -> bool:
     return True
 
 
-def script_of(options: Options) -> Any:
+def _script_of(options: Options) -> Any:
     """Return the script that the virtual skin plays."""
-    return played.script_of(options.scene, options.bundle, options.touches)
+    return script_of(options.scene, options.bundle, options.touches)
 
 
 def _last_object(child: Child) -> dict[str, Any]:
@@ -296,3 +298,137 @@ def _last_object(child: Child) -> dict[str, Any]:
 def _told(log: Path, what: str) -> int | None:
     """Return a count that the skin wrote down when it stopped."""
     return next((int(event[what]) for event in read_log(log) if event["event"] == "stop"), None)
+
+
+def choose(bundle: Path | None, touches: TouchKind | None) -> tuple[Path | None, TouchKind]:
+    """Return the bundle and the touches to show: presses as a finger's, where nothing is said and they are known.
+
+    Args:
+        bundle: What was named; None for a shipped one.
+        touches: What was named.
+
+    Raises:
+        BundleError: It cannot be read, or no shipped one knows these touches.
+        MismatchError: The named one knows others.
+    """
+    from eitskin.model.bundle import default_path, load_bundle
+    from eitskin.model.skin_in_use import knowing
+
+    if touches is not None:
+        return knowing(touches, bundle).path, touches
+    if bundle is None:
+        pressed = default_path("area", "lowering")
+        return (pressed, "lowering") if pressed.exists() else (None, "raising")
+    return bundle, "raising" if load_bundle(bundle, lazily=True).touch_kind == "raising" else "lowering"
+
+
+def skin_of(bundle: Path | None, touches: TouchKind = "raising") -> Skin:
+    """Return the sheet that is played on: the paper's ideal one where the bundle is for it, else the bundle's own.
+
+    Args:
+        bundle: A bundle; None for the shipped one.
+        touches: "raising" or "lowering"; a bundle knows both, or these.
+
+    Raises:
+        BundleError: It cannot be read.
+        MismatchError: It knows other touches.
+    """
+    from eitskin.model.bundle import load_bundle
+
+    found = load_bundle(bundle, lazily=True)
+    if not knows(found.touch_kind, touches):
+        hint = "show those that it knows: --touches"
+        raise MismatchError(f"{found.path}: touches", found=found.touch_kind, expected=touches, hint=hint)
+    return (PAPER if found.skin.grid_id == PAPER.grid_id else found.skin).touched(touches)
+
+
+def uses_prediction(bundle: Path | None) -> bool:
+    """Return whether a bundle's network takes V_pred."""
+    from eitskin.model.bundle import load_bundle
+
+    return bool(load_bundle(bundle, lazily=True).uses_prediction)
+
+
+def script_of(scene: Path | None, bundle: Path | None, touches: TouchKind) -> Any:
+    """Return the script that the virtual skin plays."""
+    from eitskin_tools.scripted_scene import script
+
+    return script.script_of(scene, skin_of(bundle, touches))
+
+
+def touches_in_words(script: Any) -> str:
+    """Return for people what the demonstration's touches do to conductance; nothing of a scene's, which says itself."""
+    from eitskin_tools.scripted_scene.choreography import LOWERED, RAISED
+
+    if not isfinite(script.period_s):
+        return ""
+    if script.skin.touch_kind == "raising":
+        return f", where conductance is {RAISED:g} times as high"
+    return f", as of a finger: conductance falls to {100 * LOWERED:g} %"
+
+
+def live(publish: str, script: Any, start_us: int, going_on: Callable[[], bool]) -> None:
+    """Draw until the demonstration is over.
+
+    Args:
+        publish: Endpoint of the frames.
+        script: What the virtual skin plays.
+        start_us: Device clock when the script began.
+        going_on: Says whether to draw on.
+    """
+    begin = time.monotonic()
+    with eitskin.subscribe(publish, timeout_s=0.5, patient=True) as frames, Painter(sys.stdout) as painter:
+        while going_on():
+            due = time.monotonic() + 1.0 / RATE_HZ
+            with suppress(eitskin.NoFrame):
+                frame = frames.next_frame()
+                time_s = (frame.device_us - start_us) % (1 << 32) * 1e-6
+                painter.show(_title(script, time_s), frame.map, script.truth_at(time_s), _footer(frame, begin))
+            time.sleep(max(due - time.monotonic(), 0.0))
+
+
+def _title(script: Any, time_s: float) -> str:
+    scene = script.scene_at(time_s)
+    bend, touches = scene.bend, len(scene.touches)
+    turned = f"bent by {bend.angle_deg:.0f} deg, its axis at {bend.axis_deg:+.0f}"
+    shape = "flat" if bend == type(bend)() else f"{turned}, stretched {100 * (bend.stretch_along - 1):.1f} %"
+    number = f"{touches} {'press' if script.skin.touch_kind == 'lowering' else 'touch'}{'' if touches == 1 else 'es'}"
+    return f"eitskin demo   {time_s:5.1f} s   the sheet is {shape}; {number}{touches_in_words(script)}"
+
+
+def _footer(frame: Any, begin: float) -> list[str]:
+    skipped = f", skipped {', '.join(frame.skipped)}" if frame.skipped else ""
+    return [
+        f"frame {frame.sequence}, {'touched' if frame.touched else 'untouched'}, by {frame.solver}{skipped}, "
+        f"cloud {frame.cloud}",
+        f"last byte to here {frame.latency_s * 1e3:.2f} ms   lost {frame.counts['lost']}   "
+        f"corrupt {frame.counts['corrupt']}   {time.monotonic() - begin:.0f} s   Ctrl-C ends",
+    ]
+
+
+def print_summary(summary: dict[str, Any]) -> None:
+    """Print a summary for people."""
+    latency, stages = summary["latency_us"], summary["stages_us"]
+
+    def ms(value: float) -> str:
+        return f"{value / 1000:.2f}"
+
+    out = sys.stdout
+    print(f"{summary['frames']} frames at {summary['rate_hz']:g} frames/s; {summary['lost']} lost, "
+          f"{summary['corrupt']} corrupt", file=out)  # fmt: skip
+    print(f"wire to subscriber: p50 {ms(latency['p50'])} ms, p99 {ms(latency['p99'])} ms, max {ms(latency['max'])} ms",
+          file=out)  # fmt: skip
+    if alone := summary["latency_inferred_us"]:
+        print(f"  the {summary['inferred']} frames that a solver ran for: p50 {ms(alone['p50'])} ms, "
+              f"p99 {ms(alone['p99'])} ms", file=out)  # fmt: skip
+    parts = ", ".join(f"{name} {spans['p50']:.0f}/{spans['p99']:.0f}" for name, spans in stages.items() if spans)
+    print(f"stages, us p50/p99: {parts}", file=out)
+    if summary["cc_median"] is not None:
+        split = [f"{name} {summary[key]:.3f}" for name, key in (("flat", "cc_median_flat"), ("bent", "cc_median_bent"))
+                 if summary[key] is not None]  # fmt: skip
+        print(f"correlation with the truth: median {summary['cc_median']:.3f} over {summary['scored']} touched frames "
+              f"({', '.join(split)})", file=out)  # fmt: skip
+    gate = [f"{name} {100 * summary[key]:.2f} %" for name, key in (("missed touches", "missed"),
+            ("false alarms", "false_alarms")) if summary[key] is not None]  # fmt: skip
+    print(f"touches: {summary['touches']}", file=out)
+    print(f"gate: {', '.join(gate)}; clouds used: {summary['clouds']}", file=out)

@@ -17,9 +17,7 @@ from eitskin_sim.evaluation.harness import Conditions
 from eitskin_sim.scene.parts import Phantom
 from eitskin_tools.command_line import files
 from eitskin_tools.evaluation.devices import trials_of
-from eitskin_tools.evaluation.gate_judge import judge_of
-from eitskin_tools.evaluation.solvers import Request, named
-from eitskin_tools.evaluation.trial_runs import touched_trial
+from eitskin_tools.evaluation.solvers import Request, judge_of, named, touched_trial
 
 RAISING: Final = (50.0, 10.0, 5.0, 3.0, 2.0, 1.5)
 """Contrasts of 10 mm squares, or of units."""

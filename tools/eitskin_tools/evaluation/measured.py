@@ -23,10 +23,9 @@ from eitskin_sim.evaluation.harness import SOLVERS, Case, Reference, Sheet
 from eitskin_sim.evaluation.metrics import correlation, localisation_error_mm
 from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
 from eitskin_sim.surface.predict import flat_voltages, predict
-from eitskin_tools.evaluation.gate_judge import judge_of
 from eitskin_tools.evaluation.measured_file import Measured
 from eitskin_tools.evaluation.printed import cell
-from eitskin_tools.evaluation.solvers import Progress, Request, bundle_on, named
+from eitskin_tools.evaluation.solvers import Progress, Request, bundle_on, judge_of, named
 
 if TYPE_CHECKING:
     from eitskin_tools.evaluation.verified.solver import Checked

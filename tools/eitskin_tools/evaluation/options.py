@@ -3,8 +3,8 @@
 import argparse
 from typing import Final
 
-from eitskin_tools.command_line import files, skins
-from eitskin_tools.command_line.belonging import Own, settle
+from eitskin_tools.command_line import files, options
+from eitskin_tools.command_line.options import ModeOption, settle
 
 TOUCHED: Final = ("single", "pair", "random")
 TRIALS: Final = (*TOUCHED, "untouched")
@@ -15,32 +15,28 @@ SIMULATED: Final = ("phantoms", *TRIALS)
 SOLVED: Final = (*SIMULATED, "measured", "devices")
 """Where a solver is named, a network's too."""
 
-EVERY_SOLVER: Final = "all"
-"""With phantoms, all solvers side by side, each as it is meant: another way, where none is named."""
-
-OWN: Final = {
-    "solver": Own("vd2t", (*SOLVED, "tank"), {"tank": "tikhonov"}),
-    "reference": Own(None, SOLVED),
-    "bundle": Own(None, (*SOLVED, EVERY_SOLVER)),
-    "prediction": Own("scan", SOLVED),
-    "noise": Own("N2", (*SIMULATED, "devices", EVERY_SOLVER)),
-    "snr_db": Own(50.0, (*SIMULATED, "devices", EVERY_SOLVER)),
-    "seeds": Own(1, (*SIMULATED, EVERY_SOLVER)),
-    "shift_px": Own(0.0, (*SIMULATED, EVERY_SOLVER)),
-    "cloud": Own("scan", (*SIMULATED, EVERY_SOLVER)),
-    "at_rest": Own(0, SIMULATED),
-    "picture": Own(None, ("phantoms",)),
-    "family": Own("A", TRIALS),
-    "deformations": Own(20, (*TRIALS, "devices")),
-    "each": Own(5, (*TOUCHED, "devices")),
-    "labels": Own("area", ("random", "untouched")),
-    "contrast": Own(None, ("single",)),
-    "border": Own(None, ("single",)),
-    "disc": Own(None, ("single",)),
-    "draws": Own(3, ("devices",)),
-    "seed": Own(0, ("devices",)),
-    "trials": Own("mm,units,single,press04,press06", ("devices",)),
-    "drift": Own("left", ("devices",)),
+MODE_OPTIONS: Final = {
+    "solver": ModeOption("vd2t", (*SOLVED, "tank"), {"tank": "tikhonov"}),
+    "reference": ModeOption(None, SOLVED),
+    "bundle": ModeOption(None, SOLVED),
+    "prediction": ModeOption("scan", SOLVED),
+    "noise": ModeOption("N2", (*SIMULATED, "devices")),
+    "snr_db": ModeOption(50.0, (*SIMULATED, "devices")),
+    "seeds": ModeOption(1, SIMULATED),
+    "shift_px": ModeOption(0.0, SIMULATED),
+    "cloud": ModeOption("scan", SIMULATED),
+    "at_rest": ModeOption(0, SIMULATED),
+    "family": ModeOption("A", TRIALS),
+    "deformations": ModeOption(20, (*TRIALS, "devices")),
+    "each": ModeOption(5, (*TOUCHED, "devices")),
+    "labels": ModeOption("area", ("random", "untouched")),
+    "contrast": ModeOption(None, ("single",)),
+    "border": ModeOption(None, ("single",)),
+    "disc": ModeOption(None, ("single",)),
+    "draws": ModeOption(3, ("devices",)),
+    "seed": ModeOption(0, ("devices",)),
+    "trials": ModeOption("mm,units,single,press04,press06", ("devices",)),
+    "drift": ModeOption("left", ("devices",)),
 }
 """Every option that does something in some ways only."""
 
@@ -52,7 +48,7 @@ def way_of(arguments: argparse.Namespace) -> str:
         UsageError: An option was named that does nothing there.
     """
     way = next(name for name in WAYS if getattr(arguments, name) is not None and getattr(arguments, name) is not False)
-    settle(arguments, EVERY_SOLVER if way == "phantoms" and arguments.all else way, OWN)
+    settle(arguments, way, MODE_OPTIONS)
     return way
 
 
@@ -80,13 +76,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "are of, or, with -pixels or -units behind the name, as in tikhonov-units, always for these",
     )
     parser.add_argument(
-        "--all",
-        "--markdown",
-        dest="all",
-        action="store_true",
-        help="with --phantoms: every solver and reference as Markdown, beside the paper's Table II",
-    )
-    parser.add_argument(
         "--noise",
         choices=("N1", "N2", "N3", "none"),
         help="noise in proportion to the voltages' change (N1), to each voltage (N2), to their rms (N3); default: N2",
@@ -106,12 +95,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help=f"{files.A_BUNDLE}, with the network (default: the one with the same labels)",
     )
-    parser.add_argument(
-        "--picture", metavar="FILE.png", help="with --phantoms: truth and every solver's map on the bent surface"
-    )
     _add_ablations(parser)
     _add_trials(parser)
-    skins.add_skin(
+    options.add_skin(
         parser, "model, map and clouds of the solvers, and the sheet of trials and of what phantoms leave out"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")

@@ -23,7 +23,7 @@ from eitskin_proto.wire.config import Configuration, largest_line_rate_hz
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
-from eitskin_tools.flash.stored import FlashError, show
+from eitskin_tools.flash.procedure import FlashError, show
 from eitskin_tools.processes.signals import met_by
 
 NAME: Final = "calib208"

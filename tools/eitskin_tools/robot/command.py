@@ -126,8 +126,8 @@ def _check_skin(settings: "SkinSettings") -> list[str]:
     from eitskin.model.skin_in_use import bundle_and_skin, knowing
     from eitskin.reference import captured
     from eitskin_proto.skin import toml
-    from eitskin_tools.command_line.touches import WAYS
-    from eitskin_tools.console.run_report import doubts
+    from eitskin_tools.command_line.options import WAYS
+    from eitskin_tools.console.run_status import doubts
 
     bundle_path = _there("bundle", settings.bundle, files.BUNDLE)
     description_path = _there("skin", settings.description, files.SKIN)

@@ -6,7 +6,12 @@ that the virtual skin measures, the truth that the streamed maps are judged by, 
 follow from :meth:`Script.scene_at`.
 """
 
-from collections.abc import Callable
+import multiprocessing
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -19,6 +24,8 @@ from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.scene import Scene, load_scene
 from eitskin_sim.surface.measured_cloud import measured_cloud
+from eitskin_tools.console.progress import ProgressBar
+from eitskin_tools.processes.signals import endings
 from eitskin_tools.scripted_scene import choreography, keyframes
 from eitskin_tools.scripted_scene.keyframes import Keyframes, Moment
 
@@ -130,3 +137,86 @@ def script_of(scene: str | Path | None, skin: Skin = PAPER) -> Script:
         OSError: The file cannot be read.
     """
     return demonstration(skin) if scene is None else from_scene(scene, skin)
+
+
+FEW: Final = 20
+"""So many moments are solved before anybody wonders."""
+
+
+def prepare(script: Script, until_s: float, *, workers: int | None = None, cache: bool = True) -> Keyframes:
+    """Return the keyframes with which times up to ``until_s`` can be interpolated.
+
+    Args:
+        script: What to solve.
+        until_s: A looping script needs no more than its period, whatever is asked.
+        workers: Processes; by default one a core.
+        cache: Read and write the user's cache folder.
+    """
+    moments = script.moments(until_s)
+    name = keyframes.digest(moments, keyframes.MODEL)
+    folder = keyframes.cache_folder()
+    found = (keyframes.load(name, folder) or _shipped(script)) if cache else None
+    if found is not None:
+        return found
+    scenes = list(dict.fromkeys(moment.scene for moment in moments))
+    solved = dict(zip(scenes, _solve_all(scenes, workers or os.cpu_count() or 1), strict=True))
+    found = Keyframes(
+        np.array([moment.time_s for moment in moments]), np.array([solved[moment.scene] for moment in moments])
+    )
+    if cache:
+        try:
+            keyframes.save(name, found, folder)
+        except OSError as error:
+            print(f"eitskin: keyframes were not kept for the next time: {error}", file=sys.stderr)
+    return found
+
+
+def _shipped(script: Script) -> Keyframes | None:
+    """Return the package's keyframes of a script, if they are of this script as it is now."""
+    if not np.isfinite(script.period_s):
+        return None
+    return keyframes.load(keyframes.digest(script.moments(script.period_s), keyframes.MODEL), keyframes.SHIPPED)
+
+
+def ship(*scripts: Script) -> list[str]:
+    """Solve whole periods of scripts, put those alone where the package ships them from, and return their digests."""
+    names = []
+    for script in scripts:
+        name = keyframes.digest(script.moments(script.period_s), keyframes.MODEL)
+        if keyframes.load(name, keyframes.SHIPPED) is None:
+            keyframes.save(name, prepare(script, script.period_s, cache=False), keyframes.SHIPPED)
+        names.append(name)
+    for stale in keyframes.SHIPPED.glob("*.npz"):
+        if stale.stem not in names:
+            stale.unlink()
+    return names
+
+
+def _solve_all(scenes: list[Scene], workers: int) -> list[keyframes.Array]:
+    if len(scenes) > FEW and not sys.stderr.isatty():
+        text = f"solving {len(scenes)} moments of the script for this sheet, once; it may take minutes"
+        print(f"eitskin: {text}", file=sys.stderr)
+    with ExitStack() as stack:
+        bar = stack.enter_context(ProgressBar("solving the script's keyframes", lines=False))
+        solved: Iterable[keyframes.Array] = map(keyframes.solve, scenes)
+        if workers > 1 and len(scenes) >= 8:  # leaving the block terminates them, done or not
+            pool = stack.enter_context(multiprocessing.Pool(workers, _default_signals))
+            solved = pool.imap(keyframes.solve, scenes, chunksize=4)
+        results = []
+        for voltages in solved:
+            results.append(voltages)
+            bar.show(len(results), len(scenes))
+        return results
+
+
+def _default_signals() -> None:
+    """Let a worker die of what asks for an end, and leave SIGINT to its parent."""
+    for number in endings():
+        signal.signal(number, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+if __name__ == "__main__":
+    from eitskin_proto.skin.skin import PAPER
+
+    print(*ship(demonstration(), demonstration(PAPER.touched("lowering"))), sep="\n")

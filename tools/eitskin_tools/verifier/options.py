@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from eitskin.pipeline.latency_budget import MOST_MS
 from eitskin_tools.command_line import needs
-from eitskin_tools.command_line.suggest import expected_one_of
+from eitskin_tools.command_line.parser import expected_one_of
 from eitskin_tools.errors import UsageError
 
 if TYPE_CHECKING:

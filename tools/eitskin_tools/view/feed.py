@@ -1,23 +1,31 @@
 """The viewer's own subscriber: takes the newest frame, 30 times a second at most, and only while somebody looks on.
 
 Frames in between are dropped by libzmq and never decoded; surfaces and what happened come by streams of their own
-(:mod:`eitskin_tools.view.streams`), and touches are listed here (:mod:`eitskin_tools.view.own_touches`): what the frame
+(:mod:`eitskin_tools.view.feed`), and touches are listed here (:mod:`eitskin_tools.view.feed`): what the frame
 loop has to do does not depend on who looks on.
 """
 
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
 
 import eitskin
 from eitskin.errors import NoFrame
+from eitskin.messaging.frame import Frame
+from eitskin.touches.surface import Surface
+from eitskin.touches.touch import LAYOUT, unpack_touches
+from eitskin.touches.watch import TouchWatch
+from eitskin_proto.skin.grid import Grid
 from eitskin_tools.processes.rhythm import Rhythm
 from eitskin_tools.view.board import Board
-from eitskin_tools.view.messages import frame_message, status_message
-from eitskin_tools.view.own_touches import OwnTouches
+from eitskin_tools.view.messages import frame_message, state_message, status_message, surface_message
 from eitskin_tools.view.source import Source
-from eitskin_tools.view.streams import Streams
 
 REFRESH_HZ: Final = 30.0
 """Pictures a second of a skin, at most."""
@@ -88,7 +96,7 @@ class Feed:
 
     def _follow(self) -> None:
         """Post frames until nobody looks on."""
-        touches = OwnTouches(self._source.skin.grid)
+        touches = TouchLister(self._source.skin.grid)
         with (
             eitskin.subscribe(self.endpoint, timeout_s=SILENCE_S, patient=True, keys=self._source.keys) as frames,
             Streams(self.endpoint, self._source, self._board, self._of, touches),
@@ -100,14 +108,14 @@ class Feed:
                 try:
                     frame = touches.listed(frames.next_frame())
                 except NoFrame as error:
-                    self._say("silent", str(error))
+                    self._post_status("silent", str(error))
                 else:
                     rhythm.heard(frame.number, frame.host_ns["read"])
                     self._board.post("frame", frame_message(frame, self._of, self._source.pose), self._of)
                     self.taken += 1
                     if due_s - status_s >= STATUS_S:
                         status_s = due_s
-                        self._say("live", self._mismatch(frame.map.shape))
+                        self._post_status("live", self._mismatch(frame.map.shape))
                 now_s = time.monotonic()
                 if self._board.pages:
                     seen_s = now_s
@@ -126,5 +134,96 @@ class Feed:
             "millimetres are wrong; name the runtime's skin with 'eitskin view --skin FILE'"
         )
 
-    def _say(self, state: str, text: str) -> None:
+    def _post_status(self, state: str, text: str) -> None:
         self._board.post("status", status_message(state, text, self._of, **self._more()), self._of)
+
+
+NOWHERE: Final = (0.0, 0.0, 0.0)
+"""The normal of a touch whose surface is not known yet: who draws it places it on the surface that is drawn."""
+
+
+class TouchLister:
+    """Lists the touches of one frame after another.
+
+    Args:
+        grid: Of the skin; frames with other maps are left as they are.
+    """
+
+    def __init__(self, grid: Grid) -> None:
+        self._grid, self._watch = grid, TouchWatch(grid)
+        self._flat = Surface(grid.flat_cloud_mm(), grid)
+        self._surfaces: dict[tuple[str, int], Surface] = {}
+        self._run = ""
+
+    def set_surface(self, run: str, revision: int, cloud_mm: npt.NDArray[np.floating]) -> None:
+        """Place touches on a surface, of frames that were computed with it; may be called from another thread.
+
+        Args:
+            run: Of the runtime.
+            revision: As frames name it in ``cloud``.
+            cloud_mm: (3, rows, columns) mm.
+        """
+        if cloud_mm.shape[1:] == self._grid.shape:
+            self._surfaces = {(run, revision): Surface(cloud_mm, self._grid)}
+
+    def listed(self, frame: Frame) -> Frame:
+        """Return a frame with its touches: those that it brought, or else our own."""
+        if frame.touch_list is not None or frame.map.shape != self._grid.shape or frame.run != self._run:
+            self._watch.forget()
+            self._run = frame.run
+        if frame.touch_list is not None or frame.map.shape != self._grid.shape:
+            return frame
+        known = self._surfaces.get((frame.run, frame.cloud))
+        surface = known or self._flat
+        values = frame.map.reshape(-1) if frame.map.any() else None
+        raw, events, more = self._watch.look(values, (frame.solver, frame.map_sequence), surface, frame.device_us)
+        found = unpack_touches(raw, LAYOUT.size, events, more)
+        if known is None and frame.cloud:
+            found = replace(found, touches=tuple(replace(one, normal=NOWHERE) for one in found.touches))
+        return replace(frame, touch_list=found)
+
+
+class Streams:
+    """Follows clouds and state from when it is entered to when it is left.
+
+    Args:
+        endpoint: Where the runtime publishes.
+        source: Which runtime.
+        board: Where to post.
+        of: Its number among all skins.
+        touches: Lists them, and is told of surfaces too.
+    """
+
+    def __init__(self, endpoint: str, source: Source, board: Board, of: int, touches: TouchLister) -> None:
+        self._endpoint, self._source, self._board, self._of, self._touches = endpoint, source, board, of, touches
+        self._posted = ("", -1)
+        self._left = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"view-streams-{of}", daemon=True)
+
+    def _run(self) -> None:
+        while not self._left.is_set():  # a connection that something else had answered is made anew
+            with (
+                suppress(NoFrame),
+                eitskin.subscribe_streams(
+                    self._endpoint, wire=False, clouds=True, state=True, timeout_s=2.0, keys=self._source.keys
+                ) as items,
+            ):
+                while not self._left.is_set():
+                    self._post(items.next_item())
+
+    def _post(self, item: object) -> None:
+        if isinstance(item, eitskin.CloudInUse):
+            if self._posted != (which := (item.run, item.revision)):  # it is told again every second
+                self._posted = which
+                self._touches.set_surface(item.run, item.revision, item.cloud)
+                message = surface_message(item.revision, item.cloud, item.run, self._of, self._source.pose)
+                self._board.post("surface", message, self._of)
+        elif isinstance(item, eitskin.SkinState):
+            self._board.post("state", state_message(item, self._of), self._of)
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._left.set()
+        self._thread.join()

@@ -26,7 +26,7 @@ from eitskin.messaging.streams.state import SkinState
 from eitskin.robot.pose import Pose
 from eitskin.touches.touch import Touch
 from eitskin_proto.skin.skin import Skin
-from eitskin_tools.pictures.draw import palette
+from eitskin_tools.pictures import palette
 
 HEAD: Final = struct.Struct("<II")
 

@@ -6,28 +6,23 @@ of each kind; who does not read for ``STALL_S`` is left, and told of in a line. 
 """
 
 import contextlib
+import errno
+import hmac
 import io
+import ipaddress
+import secrets
 import socket
 import threading
 import time
 from collections.abc import Iterator
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, Final
+from importlib import resources
+from typing import Any, Final, Protocol, Self
 
 from eitskin.errors import SkinError
-from eitskin_tools.console.say import say
-from eitskin_tools.view.address import (
-    came_from_here,
-    host_allowed,
-    is_loopback,
-    page_address,
-    token_given,
-    why_not_bound,
-)
-from eitskin_tools.view.asked import ACTIONS, PART, Actions, Parts
+from eitskin_tools.console.terminal import say
 from eitskin_tools.view.board import Board
-from eitskin_tools.view.pages import HEADERS, pages
 
 MOST: Final = 64
 """Connections at a time."""
@@ -43,6 +38,38 @@ STALL_S: Final = 5.0
 
 SEND_BYTES: Final = 65536
 """What waits for a page within the kernel: some pictures, so that one that stalled shows none of long ago."""
+
+
+PART: Final = "/part/"
+"""How the paths of parts of a recording begin; a number follows."""
+
+ACTIONS: Final = ("/record/start", "/record/stop")
+"""What a page may ask for, by POST without a body."""
+
+
+class Actions(Protocol):
+    """What starts and stops recordings."""
+
+    def start(self) -> str:
+        """Begin; return "" or why not."""
+        ...
+
+    def stop(self) -> str:
+        """End; return "" or why not."""
+        ...
+
+
+class Parts(Protocol):
+    """A recording in parts."""
+
+    @property
+    def parts(self) -> int:
+        """How many there are."""
+        ...
+
+    def part(self, number: int) -> bytes:
+        """Return the messages of one."""
+        ...
 
 
 class PortTaken(SkinError):  # noqa: N818 -- named as the runtime's own are
@@ -123,7 +150,7 @@ class ViewServer(ThreadingHTTPServer):
 
 
 @contextlib.contextmanager
-def told_if_left() -> Iterator[None]:
+def report_stalled_page() -> Iterator[None]:
     """Say in a line that a page is left because it does not read."""
     try:
         yield
@@ -232,7 +259,7 @@ class _Request(BaseHTTPRequestHandler):
             except (SkinError, OSError, ValueError) as error:  # whatever a file may hold
                 self._refuse(HTTPStatus.CONFLICT, str(error))
                 return
-            with told_if_left():
+            with report_stalled_page():
                 self._answer(HTTPStatus.OK, body, "application/octet-stream")
 
     def _token_missing(self) -> bool:
@@ -248,7 +275,7 @@ class _Request(BaseHTTPRequestHandler):
         if self._token_missing():
             return
         board = self.server.board
-        with board.page() as room, told_if_left():
+        with board.page() as room, report_stalled_page():
             if not room:
                 self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "as many pages as may be look on already; close one")
                 return
@@ -283,3 +310,165 @@ class _Request(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Keep no log."""
+
+
+FROM_HERE: Final = ("same-origin", "none", "")
+"""Sec-Fetch-Site of our own page, of an address that somebody typed, and of a browser that does not say."""
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether an address to bind to can be reached from this machine only."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def new_token() -> str:
+    """Return a token that nobody guesses: 128 bits."""
+    return secrets.token_urlsafe(16)
+
+
+def split_host(host: str) -> tuple[str, str]:
+    """Return name and port of a Host header; the port is empty where there is none."""
+    if host.startswith("["):
+        name, _, rest = host[1:].partition("]")
+        return name, rest.removeprefix(":")
+    name, _, port = host.partition(":")
+    return name, port
+
+
+def host_allowed(host: str, bound: str, port: int) -> bool:
+    """Return whether a Host header names this server and no site.
+
+    Args:
+        host: The header.
+        bound: Address that the server is bound to.
+        port: Its port.
+    """
+    name, stated = split_host(host.strip().lower())
+    if stated != str(port):
+        return False
+    if is_loopback(bound):
+        return name == "localhost" or is_loopback(name)
+    own = socket.gethostname().lower()
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return name in {"localhost", own, f"{own.partition('.')[0]}.local"}
+    return True
+
+
+def came_from_here(site: str) -> bool:
+    """Return whether a request comes from our own page, or from somebody who typed the address.
+
+    Args:
+        site: Its Sec-Fetch-Site; empty where the browser sends none.
+    """
+    return site in FROM_HERE
+
+
+def token_given(authorization: str, token: str) -> bool:
+    """Return whether a request has the token; any has where there is none.
+
+    Args:
+        authorization: The header.
+        token: Expected, or empty.
+    """
+    given = authorization.removeprefix("Bearer ").encode("latin-1", "replace")
+    return not token or hmac.compare_digest(given, token.encode())
+
+
+def page_address(host: str, port: int, token: str) -> str:
+    """Return what to type into a browser; the token stands behind the #, which no request carries.
+
+    Args:
+        host: Address that the server is bound to.
+        port: Its port.
+        token: What the page must know; empty for nothing.
+    """
+    name = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+    return f"http://{name}:{port}/{f'#token={token}' if token else ''}"
+
+
+def why_not_bound(host: str, port: int, error: OSError) -> str:
+    """Return why a server cannot have an address, and what to do."""
+    if error.errno == errno.EADDRINUSE:
+        return (
+            f"port {port} of {host} is in use, perhaps by another 'eitskin view'; name another one with --port, "
+            "or --port 0 for any that is free"
+        )
+    if error.errno == errno.EACCES:
+        return f"port {port} of {host} is not yours to take; name one above 1023 with --port"
+    return f"{host} port {port} cannot be bound ({error.strerror or error}); expected an address of this machine"
+
+
+TYPES: Final = {
+    "html": "text/html; charset=utf-8",
+    "css": "text/css; charset=utf-8",
+    "js": "text/javascript; charset=utf-8",
+    "svg": "image/svg+xml",
+}
+"""Content type by suffix."""
+
+POLICY: Final = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""Content-Security-Policy: the page's own files and no other, and nothing written into it."""
+
+HEADERS: Final = {
+    "Content-Security-Policy": POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+"""Of every answer."""
+
+
+def pages() -> dict[str, tuple[str, bytes]]:
+    """Return {path: (content type, bytes)} of the page's files; ``/`` is ``index.html``."""
+    found = {}
+    for entry in resources.files("eitskin_tools.view").joinpath("static").iterdir():
+        if kind := TYPES.get(entry.name.rpartition(".")[2]):
+            path = "/" if entry.name == "index.html" else f"/{entry.name}"
+            found[path] = (kind, entry.read_bytes())
+    return found
+
+
+class PageServer:
+    """A page from when it is entered to when it is left, of whatever is posted on its board."""
+
+    def __init__(self) -> None:
+        self.board = Board()
+        self.stack = contextlib.ExitStack()
+        """What ends with it."""
+
+    def serve(self, host: str, port: int, token: str, **more: Any) -> None:
+        """Bind the address.
+
+        Raises:
+            PortTaken: It cannot be bound.
+            ValueError: It can be reached from other machines, and there is no token.
+        """
+        self.server = ViewServer(host, port, self.board, token, **more)
+        self.address = self.server.address
+        """What to type into a browser."""
+        self._thread = threading.Thread(target=self.server.serve_forever, name="view-server", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.board.closed:
+            return
+        self.board.close()
+        self.stack.close()
+        self.server.shutdown()
+        self._thread.join()
+        self.server.server_close()

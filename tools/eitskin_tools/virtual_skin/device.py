@@ -11,12 +11,14 @@ the process began, and a reset of the device does not turn it back: the world ou
 """
 
 from collections.abc import Callable
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.errors import ProtocolError
+from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire import hardware, messages
@@ -26,8 +28,32 @@ from eitskin_proto.wire.frames import Frame, full_scale, quantise
 from eitskin_proto.wire.framing import Deframer, encode
 from eitskin_proto.wire.messages import Ack, Hello
 from eitskin_proto.wire.scan_rows import full_rows, row_count, table_rows
-from eitskin_tools.virtual_skin.identity import Identity, Source
 from eitskin_tools.virtual_skin.store import Answer, ConfigurationStore
+
+Array = npt.NDArray[np.float64]
+
+
+class Source(Protocol):
+    """Where voltages come from."""
+
+    def voltages(self, time_s: float) -> Array:
+        """Return the V at a time since the first START, noise included.
+
+        They are (104,); or (208,) of the full table, where a pair of pairs reads otherwise the other way round.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What makes this skin different from others."""
+
+    serial_number: str = "VIRTUAL-0001"
+    protocol_id: str = PROTOCOL_ID
+    """Another than this installation's plays a foreign device."""
+    first_us: int = 0
+    """What the device clock shows at boot; near 2^32 it wraps soon."""
+
 
 FIRMWARE_VERSION: Final = (1, 0, 0)
 """What HELLO says."""

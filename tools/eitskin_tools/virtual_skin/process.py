@@ -10,23 +10,96 @@ import os
 import signal
 import sys
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter_ns
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
 
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.wire import config_toml
+from eitskin_proto.wire.config import Configuration
 from eitskin_proto.wire.frames import full_scale
+from eitskin_sim.measurement.noise import add_noise
 from eitskin_tools.processes.signals import endings
-from eitskin_tools.virtual_skin.configure import configuration_for
-from eitskin_tools.virtual_skin.device import CONVERTER_V, VirtualDevice
+from eitskin_tools.virtual_skin.device import CONVERTER_V, Identity, VirtualDevice
 from eitskin_tools.virtual_skin.faults import FOREIGN_ID, Fault, FaultPlayer
-from eitskin_tools.virtual_skin.identity import Identity
 from eitskin_tools.virtual_skin.pty import PtyPort
 from eitskin_tools.virtual_skin.server import SkinServer, wire_times
-from eitskin_tools.virtual_skin.sources import Noise, ScriptSource
+
+if TYPE_CHECKING:
+    from eitskin_tools.scripted_scene.keyframes import Keyframes
+    from eitskin_tools.scripted_scene.script import Script
+
+
+def configuration_for(rate_hz: float, name: str = "paper") -> Configuration:
+    """Return a named configuration at a rate, with less settling and averaging where its own are too slow for it.
+
+    Args:
+        rate_hz: Frames a second.
+        name: Of a shipped configuration, or the path of a TOML file.
+
+    Raises:
+        ValueError: The electronics cannot reach the rate; the largest is given.
+    """
+    asked = replace(config_toml.load(name), rate_mHz=round(rate_hz * 1000))
+    quick = replace(asked, frequency_hz=100_000, averages=1, settle_us=20)
+    for candidate in (asked, replace(asked, frequency_hz=50_000, averages=4, settle_us=40), quick):
+        if 1e9 / candidate.scan_us() >= candidate.rate_mHz:
+            return candidate
+    raise ValueError(f"a rate of {rate_hz:g} Hz is too high: the electronics reach {int(1e6 / quick.scan_us())} Hz")
+
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(slots=True, eq=False)
+class Noise:
+    """Noise of one kind at one level, in order from a seed.
+
+    Args:
+        kind: "N1", "N2", "N3" or "none"; see :mod:`eitskin_sim.measurement.noise`.
+        snr_db: Signal to noise ratio.
+        seed: Of the generator.
+        reference: (104,) V, flat and untouched; N1 needs it.
+        converter_V: Noise of the converter itself, that every front end has; none with "none".
+    """
+
+    kind: str = "N2"
+    snr_db: float = 50.0
+    seed: int = 0
+    reference: Array | None = None
+    converter_V: float = 0.0
+    _rng: np.random.Generator = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._rng = np.random.default_rng(self.seed)
+
+    def on(self, voltages: Array) -> Array:
+        """Return (104,) V as a noisy front end measures them."""
+        reference = voltages if self.reference is None else self.reference
+        noisy = add_noise(voltages, reference, self.kind, self.snr_db, self._rng)  # type: ignore[arg-type]
+        if self.kind != "none" and self.converter_V > 0.0:
+            noisy = noisy + self.converter_V * self._rng.standard_normal(noisy.shape)
+        return noisy
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScriptSource:
+    """Voltages of a script, interpolated between its keyframes."""
+
+    script: "Script"
+    keyframes: "Keyframes"
+    noise: Noise
+
+    def voltages(self, time_s: float) -> Array:
+        """Return the (104,) V at a time since the first START."""
+        return self.noise.on(self.script.voltages_at(time_s, self.keyframes))
+
 
 WIRE_CAPACITY = 1 << 20
 """Frames whose times on the wire are kept: 87 minutes at 200 frames/s, 8 MiB."""
@@ -89,8 +162,7 @@ def serve(options: Options) -> int:
 
 
 def _build(options: Options, stack: ExitStack) -> SkinServer:
-    from eitskin_tools.scripted_scene.prepare import prepare
-    from eitskin_tools.scripted_scene.script import script_of
+    from eitskin_tools.scripted_scene.script import prepare, script_of
 
     configuration = configuration_for(options.rate_hz, options.configuration)
     player = FaultPlayer(options.faults, options.seed)

@@ -17,7 +17,7 @@ from eitskin_tools.recording.script import Script
 from eitskin_tools.recording.seek.moments import Moments
 from eitskin_tools.recording.sink import Reserve
 from eitskin_tools.recording.writer import RecordingWriter
-from eitskin_tools.view.film.noted import number
+from eitskin_tools.view.film import number
 
 from ..conftest import TINY, Taker
 

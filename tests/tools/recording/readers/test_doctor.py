@@ -8,7 +8,7 @@ from typing import Any
 
 from eitskin import Conditions, SkinState, WireFrame
 from eitskin.reference.captured import stored
-from eitskin_tools.commands.live import doctor
+from eitskin_tools.commands import doctor
 from eitskin_tools.recording.script import Script
 
 from ..conftest import recorded, reference

@@ -163,9 +163,8 @@ def main(rows: Path, log: Path, touches: int) -> None:
         log: Where events are written.
         touches: How many.
     """
-    from eitskin_tools.virtual_skin.configure import configuration_for
-    from eitskin_tools.virtual_skin.device import VirtualDevice
-    from eitskin_tools.virtual_skin.identity import Identity
+    from eitskin_tools.virtual_skin.device import Identity, VirtualDevice
+    from eitskin_tools.virtual_skin.process import configuration_for
     from eitskin_tools.virtual_skin.pty import PtyPort
     from eitskin_tools.virtual_skin.server import SkinServer
 

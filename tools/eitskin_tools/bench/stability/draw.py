@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from eitskin_tools.bench.stability.harness.rows import Curve
-from eitskin_tools.pictures.saved import save
+from eitskin_tools.pictures import save
 
 COLUMNS: Final = 5
 PANEL_INCH: Final = (3.3, 2.3)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from eitskin_tools.bench.tradeoff.point_names import beside
-from eitskin_tools.pictures.saved import save
+from eitskin_tools.pictures import save
 
 SMALLEST_ERROR: Final = 1e-4
 """Where the axis ends."""

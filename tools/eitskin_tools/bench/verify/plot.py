@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from eitskin_tools.pictures.saved import save
+from eitskin_tools.pictures import save
 
 
 def draw(path: Path, stated: list[dict[str, Any]]) -> None:

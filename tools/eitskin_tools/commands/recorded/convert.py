@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line import files, kinds, needs
-from eitskin_tools.command_line.span import add_span, check_span
-from eitskin_tools.command_line.suggest import expected_one_of
+from eitskin_tools.command_line.options import add_span, check_span
+from eitskin_tools.command_line.parser import expected_one_of
 from eitskin_tools.errors import UsageError
 
 FORMATS = {".npz": "npz", ".parquet": "parquet", "": "rosbag2"}

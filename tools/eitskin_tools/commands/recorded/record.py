@@ -15,6 +15,7 @@ from typing import Any
 
 from eitskin.errors import NoFrame
 from eitskin_tools.command_line import files
+from eitskin_tools.command_line.options import add_client_keys, check_client_keys, client_keys
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import endings
 
@@ -53,8 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
     parser.add_argument("--frames", type=int, metavar="N", help="end after N frames of the wire")
     parser.add_argument("--timeout-s", type=float, metavar="T", help="end after T s without a frame (default: wait)")
-    parser.add_argument("--server-key", type=Path, metavar="FILE", help="CURVE: server.key of the runtime")
-    parser.add_argument("--client-key", type=Path, metavar="FILE", help="CURVE: our own .key_secret")
+    add_client_keys(parser)
     parser.add_argument("--quiet", action="store_true", help="say nothing on stderr but what is wrong")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
 
@@ -62,14 +62,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Record until SIGINT, SIGTERM, SIGHUP, a number of frames or a time; return 0, or 1 when the disk was full."""
     _check(arguments)
-    from eitskin.messaging.curve_keys import load_client_keys
     from eitskin.messaging.streams.subscription import subscribe_streams
     from eitskin.messaging.subscription import subscribe
     from eitskin_tools.recording.intake import Intake
     from eitskin_tools.recording.recorder import Kept, Recorder
     from eitskin_tools.recording.series import Series, others
 
-    keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
+    keys = client_keys(arguments)
     if (there := others(arguments.out)) and not arguments.quiet:
         some = f"{there[0]} is" if len(there) == 1 else f"{there[0]} and {len(there) - 1} more are"
         print(f"eitskin record: {some} there already and stay: numbers go on behind what is taken", file=sys.stderr)
@@ -120,7 +119,7 @@ class _Stop:
 
 def _go_on(arguments: argparse.Namespace, recorder: Any, intake: Any, stopped: _Stop) -> bool:
     """Record until the end, and return whether the disk was full."""
-    from eitskin_tools.console.status_line import StatusLine
+    from eitskin_tools.console.terminal import StatusLine
 
     line = StatusLine(sys.stderr)
     begin_s = first_s = heard_s = shown_s = time.monotonic()
@@ -197,8 +196,7 @@ def _summary(recorder: Any, intake: Any) -> dict[str, Any]:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    if (arguments.server_key is None) != (arguments.client_key is None):
-        raise UsageError("--server-key and --client-key belong together")
+    check_client_keys(arguments)
     if arguments.wire_only and (arguments.maps or arguments.pictures_hz):
         raise UsageError("--wire-only keeps neither maps nor pictures: leave --maps and --pictures-hz out")
     if arguments.every is not None and not arguments.maps:

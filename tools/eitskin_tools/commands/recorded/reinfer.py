@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line import files, kinds
-from eitskin_tools.command_line.span import add_span, check_span
+from eitskin_tools.command_line.options import add_span, check_span
 from eitskin_tools.errors import UsageError
 
 MOST_KEPT = 200_000
@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Compute, compare, and return 0; 1 if maps that should be the same differ."""
     _check(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from eitskin_tools.console.status_line import StatusLine
+    from eitskin_tools.console.terminal import StatusLine
     from eitskin_tools.recording.reinfer.choice import others
     from eitskin_tools.recording.reinfer.session import Span, reinfer
     from eitskin_tools.recording.script import Script

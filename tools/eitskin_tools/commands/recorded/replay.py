@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line import files
-from eitskin_tools.command_line.span import add_span, check_span
+from eitskin_tools.command_line.options import add_span, check_span
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import endings
 from eitskin_tools.verifier import options as verifier

@@ -6,7 +6,7 @@ import numpy as np
 
 from eitskin_proto.files.arrays import save_arrays
 from eitskin_proto.files.writing import replacing
-from eitskin_tools.pictures.saved import save
+from eitskin_tools.pictures import save
 from eitskin_tools.recording.layout import RecordingError
 from eitskin_tools.recording.reinfer.session import Maps, Reinferred
 

@@ -1,0 +1,213 @@
+"""Options that several commands have, and how their values are checked before anything is opened."""
+
+import argparse
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_tools.command_line import files
+from eitskin_tools.errors import UsageError
+
+if TYPE_CHECKING:
+    from eitskin.messaging.curve_keys import ClientKeys
+    from eitskin_proto.skin.skin import Skin
+
+WAYS: Final[dict[str, TouchKind]] = {"lower": "lowering", "raise": "raising"}
+"""What ``--touches`` takes -> which way touches change conductance."""
+
+SOLVERS: Final = ("vd2t", "vd2t-int8", "vd2t-small", "tikhonov")
+"""What a stream's ``--solver`` takes, from the most accurate to the fastest."""
+
+SNR_DB: Final = (0.0, 200.0)
+"""Bounds of ``--snr-db``: as loud as the signal, and far below the last bit of any converter."""
+
+MAX_SEED: Final = 1_000_000_000
+"""Of ``--seed``: the largest from which every generator can draw."""
+
+MAX_SPAN_S: Final = 1e9
+"""Thirty years: nothing was recorded for longer."""
+
+
+def flag(name: str) -> str:
+    """Return an argument's name as it is typed."""
+    return f"--{name.replace('_', '-')}"
+
+
+def check_least(arguments: argparse.Namespace, **least: int) -> None:
+    """Refuse whole numbers below their bounds; what was left out is None.
+
+    Raises:
+        UsageError: One is too small.
+    """
+    for name, bound in least.items():
+        value = getattr(arguments, name)
+        if value is not None and value < bound:
+            raise UsageError(f"{flag(name)} is {value}, expected at least {bound}")
+
+
+def check_positive(arguments: argparse.Namespace, *names: str, most: float | None = None) -> None:
+    """Refuse numbers that are not above 0, and those above a bound; what was left out is None.
+
+    Raises:
+        UsageError: One is no such number.
+    """
+    for name in names:
+        value = getattr(arguments, name)
+        if value is not None and not 0 < value <= (float("inf") if most is None else most):
+            bound = "" if most is None else f" and at most {most:.0f}"
+            raise UsageError(f"{flag(name)} is {value:g}, expected more than 0{bound}")
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a ``--seed`` that no generator takes.
+
+    Raises:
+        UsageError: It is below 0 or too large.
+    """
+    if not 0 <= seed <= MAX_SEED:
+        raise UsageError(f"--seed is {seed}, expected 0 to {MAX_SEED}")
+
+
+def check_snr(value: float) -> None:
+    """Refuse a ``--snr-db`` that no instrument has: NaN would get into every voltage.
+
+    Raises:
+        UsageError: It is no number, or outside the bounds.
+    """
+    if not SNR_DB[0] <= value <= SNR_DB[1]:
+        raise UsageError(f"--snr-db is {value:g}, expected {SNR_DB[0]:g} to {SNR_DB[1]:g}")
+
+
+def add_skin(parser: argparse.ArgumentParser, what: str) -> None:
+    """Declare ``--skin``.
+
+    Args:
+        parser: Of the command.
+        what: What of the skin the command uses.
+    """
+    names = ", ".join(files.SKIN.names())
+    parser.add_argument(
+        "--skin", metavar="FILE", help=f"skin.toml that gives {what}: a file, or one of {names} (default: the paper's)"
+    )
+
+
+def chosen_skin(arguments: argparse.Namespace) -> "Skin":
+    """Return the skin that ``--skin`` names, or the paper's.
+
+    Raises:
+        MissingFileError: There is no such file.
+        ValueError: It is no skin's description; the text names file and key.
+    """
+    from eitskin_proto.skin.skin import PAPER
+
+    return PAPER if arguments.skin is None else read_skin(arguments.skin)
+
+
+def read_skin(name: str) -> "Skin":
+    """Return the skin of a file, or of one that comes with the package; as for :func:`chosen_skin`."""
+    from eitskin_proto.skin.toml import load
+
+    return load(files.find(name, files.SKIN))
+
+
+def add_touches(parser: argparse.ArgumentParser, default: str, what: str = "touches that the bundle must know") -> None:
+    """Declare ``--touches``.
+
+    Args:
+        parser: Of the command.
+        default: What holds where nothing is said.
+        what: What is said.
+    """
+    parser.add_argument(
+        "--touches",
+        choices=tuple(WAYS),
+        help=f"{what}: lower conductance, as a finger's press on a hydrogel, or raise it, as the paper's touches "
+        f"(default: {default})",
+    )
+
+
+def chosen_touches(arguments: argparse.Namespace) -> TouchKind | None:
+    """Return which way the touches of ``--touches`` change conductance; None where nothing was said."""
+    return None if arguments.touches is None else WAYS[arguments.touches]
+
+
+def add_client_keys(parser: argparse.ArgumentParser) -> None:
+    """Declare the keys with which a runtime is reached over TCP."""
+    parser.add_argument("--server-key", type=Path, metavar="FILE", help="CURVE: server.key of the runtime")
+    parser.add_argument("--client-key", type=Path, metavar="FILE", help="CURVE: our own .key_secret")
+
+
+def check_client_keys(arguments: argparse.Namespace) -> None:
+    """Refuse one key without the other.
+
+    Raises:
+        UsageError: One is missing.
+    """
+    if (arguments.server_key is None) != (arguments.client_key is None):
+        raise UsageError("--server-key and --client-key belong together")
+
+
+def client_keys(arguments: argparse.Namespace) -> "ClientKeys | None":
+    """Return the keys that were named; None where none were."""
+    from eitskin.messaging.curve_keys import load_client_keys
+
+    return None if arguments.server_key is None else load_client_keys(arguments.server_key, arguments.client_key)
+
+
+def add_span(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--from`` and ``--to``, the part of a recording that a command takes."""
+    parser.add_argument("--from", type=float, dest="from_s", metavar="S", help="begin S seconds after the first frame")
+    parser.add_argument("--to", type=float, dest="to_s", metavar="S", help="end S seconds after the first frame")
+
+
+def check_span(arguments: argparse.Namespace) -> None:
+    """Refuse a part that no recording has.
+
+    Raises:
+        UsageError: A bound is no time after the first frame, or the part ends before it begins.
+    """
+    begin_s, end_s = arguments.from_s, arguments.to_s
+    for option, value in (("--from", begin_s), ("--to", end_s)):
+        if value is not None and not 0 <= value < MAX_SPAN_S:
+            raise UsageError(f"{option} is {value:g}, expected 0 or more seconds after the first frame")
+    if begin_s is not None and end_s is not None and begin_s >= end_s:
+        raise UsageError(f"--from {begin_s:g} is not before --to {end_s:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class ModeOption:
+    """An option that does something in some ways of using a command only; declared with default None."""
+
+    usual: Any
+    """What holds where nothing was said."""
+    ways: tuple[str, ...]
+    """In which ways of using the command it does something."""
+    elsewhere: Mapping[str, Any] = field(default_factory=dict)
+    """What holds instead in some of these ways."""
+
+
+def settle(arguments: argparse.Namespace, way: str, options: Mapping[str, ModeOption]) -> None:
+    """Give every option what holds where nothing was said, and refuse those that would do nothing.
+
+    Args:
+        arguments: They are changed.
+        way: In which way the command is used, by the option that says so.
+        options: By their names in ``arguments``.
+
+    Raises:
+        UsageError: One was named that does nothing in this way.
+    """
+    for name, option in options.items():
+        if getattr(arguments, name) is None:
+            setattr(arguments, name, option.elsewhere.get(way, option.usual))
+        elif way not in option.ways:
+            raise UsageError(
+                f"{flag(name)} does nothing with {flag(way)}: leave it out; it belongs to {_listed(option.ways)}"
+            )
+
+
+def _listed(names: Iterable[str]) -> str:
+    *first, last = (flag(name) for name in names)
+    return f"{', '.join(first)} and {last}" if first else last

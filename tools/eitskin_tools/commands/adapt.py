@@ -1,0 +1,60 @@
+"""``eitskin adapt``: teach a trained network to go on without electrodes; minutes after the hours of training."""
+
+import argparse
+import json
+from pathlib import Path
+
+from eitskin_tools.console.terminal import note
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the subcommand takes."""
+    parser.add_argument("run_folder", metavar="RUN", help="folder of 'eitskin train'")
+    parser.add_argument("--out", required=True, metavar="RUN2", help="folder of the adapted run, for 'eitskin export'")
+    parser.add_argument("--data", nargs="+", metavar="DIR", help="the run's data sets, if they have moved")
+    parser.add_argument("--fitting-steps", type=int, default=2000, metavar="N", help="of the filling alone")
+    parser.add_argument("--steps", type=int, default=3000, metavar="N", help="of filling and network together")
+    parser.add_argument("--seed", type=int, default=0, help="of every draw (default 0)")
+    parser.add_argument("--threads", type=int, default=0, help="CPU threads (default: torch's choice)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Adapt and report."""
+    import torch
+
+    from eitskin_tools.command_line import files
+    from eitskin_tools.command_line.options import check_seed
+    from eitskin_tools.errors import UsageError
+    from eitskin_training import adapt
+    from eitskin_training.gate import stored
+    from eitskin_training.run_files import data_of, trained
+
+    check_seed(arguments.seed)
+    if arguments.threads < 0:
+        raise UsageError(f"--threads is {arguments.threads}; expected 1 or more, or 0 for torch's choice")
+    try:
+        plan = adapt.Plan(fitting_steps=arguments.fitting_steps, steps=arguments.steps)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    if arguments.threads:
+        torch.set_num_threads(arguments.threads)
+    source, out = Path(arguments.run_folder), files.folder(arguments.out)
+    if (out / "best.pt").exists():
+        raise UsageError(f"{out} holds a run already; name another folder with --out, or remove it")
+    found = trained(source)
+    data = data_of(found, arguments.data)
+    adapted = adapt.adapt(found.model, found.recipe, data, plan, seed=arguments.seed, tell=note)
+    sources = [str(Path(one).resolve()) for one in arguments.data or ()]
+    content = {**found.content, "data": sources or found.content["data"]}
+    path = adapt.write(out, content, adapted)
+    stored.hand_on(source, out)
+    if arguments.json:
+        print(json.dumps({"run": str(out), **adapted.facts}))
+        return 0
+    before, after = adapted.facts["before"], adapted.facts["after"]
+    print(f"{path}: mean CC on bends never seen, with N2 noise")
+    for name, value in after.items():
+        print(f"{name:10s}  {before[name]:.4f} -> {value:.4f}, {value / after['whole']:.4f} of whole")
+    print(f"next: eitskin export {out} --out {out}.eitskin")
+    return 0

@@ -1,0 +1,89 @@
+"""``eitskin adapt-skin BUNDLE --skin calibrated.toml --out FILE``: a bundle goes on learning on one sheet's own twin.
+
+It is a build (``eitskin build``) of few samples that begins with the bundle's network: stopped at any point, the same
+command goes on where it was. Presses that were recorded on the sheet itself may be learned from in the end; what they
+were worth is printed, and where physics alone is better it stays.
+"""
+
+import argparse
+from dataclasses import replace
+from typing import Any
+
+from eitskin_proto.errors import SkinError
+from eitskin_tools.command_line import files, options
+from eitskin_tools.commands.build import add_making, make
+from eitskin_tools.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    from eitskin_tools.build import adaptation
+
+    usual = adaptation.Adaptation()
+    parser.add_argument("bundle", metavar="BUNDLE", help=f"a file, or one of {', '.join(files.BUNDLE.names())}")
+    parser.add_argument(
+        "--skin",
+        required=True,
+        metavar="FILE",
+        help="what the sheet is, as 'eitskin calibrate' writes it; devices are drawn from what it leaves uncertain",
+    )
+    parser.add_argument(
+        "--presses",
+        metavar="FILE",
+        help="presses of a stamp recorded on the sheet, as 'eitskin calibrate' reads them; they are learned from too",
+    )
+    for name, what in (
+        ("deformations", "devices and bends are drawn for"),
+        ("per_deformation", "touch sets at each of them"),
+        ("epochs", "of training"),
+        ("seed", "where all draws come from"),
+    ):
+        default = getattr(usual, name)
+        flag = f"--{name.replace('_', '-')}"
+        parser.add_argument(flag, type=int, metavar="N", default=default, help=f"{what} (default {default})")
+    add_making(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Adapt, and report."""
+    from eitskin.model.bundle import load_bundle
+    from eitskin.model.manifest import GENTLE
+    from eitskin.model.skin_in_use import check_touches
+    from eitskin_tools.build import adaptation
+
+    chosen = {name: getattr(arguments, name) for name in ("deformations", "per_deformation", "epochs", "seed")}
+    options.check_least(arguments, deformations=1, per_deformation=1, epochs=1)
+    options.check_seed(arguments.seed)
+    bundle = load_bundle(files.find(arguments.bundle, files.BUNDLE), lazily=True)
+    twin, work = options.read_skin(arguments.skin), replace(adaptation.Adaptation(), **chosen)
+    check_touches(bundle, twin)
+    recipe = adaptation.adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work, bundle.skin)
+    gentle_of = bundle.path if GENTLE in bundle.beside else None
+    if arguments.presses is None:
+        return make(recipe, arguments, gentle_of=gentle_of)
+    recording, identity = _recorded(arguments.presses, twin, bundle)
+    return make(replace(recipe, presses=identity), arguments, presses=recording, gentle_of=gentle_of)
+
+
+def _recorded(name: str, twin: Any, bundle: Any) -> tuple[Any, str]:
+    """Return a recording whose presses agree with each other, the skin and the bundle, and the id of its file.
+
+    Raises:
+        SkinError: It cannot be read, or learned from; in one line.
+    """
+    from eitskin_proto.files.digest import id_of
+    from eitskin_proto.files.reading import read_bytes
+    from eitskin_sim.calibration.recording import LARGEST_FILE, RecordingError, load_recording
+    from eitskin_training.samples.press_ways import check_ways
+    from eitskin_training.samples.presses import check
+
+    if bundle.labels != "area":
+        raise UsageError("--presses: a bundle of units cannot learn from presses, which have places anywhere")
+    path = files.find(name, files.TO_CALIBRATE)
+    recording = load_recording(path, twin)
+    try:
+        check(recording)
+        check_ways(recording, twin, bundle.touch_kind, f"bundle {bundle.path.stem}")
+    except SkinError as error:
+        raise RecordingError(f"{path}: {error}") from error
+    return recording, id_of(read_bytes(path, LARGEST_FILE))

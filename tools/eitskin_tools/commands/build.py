@@ -1,0 +1,138 @@
+"""``eitskin build SKIN.toml --out FILE.eitskin``: data, training, export and card of a bundle, in one command.
+
+It may be stopped at any point, by Ctrl-C or by force; the same command goes on where it was.
+"""
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from eitskin_proto.files.holding import held
+from eitskin_tools.console.terminal import note
+
+if TYPE_CHECKING:
+    from eitskin_tools.build.recipe import BuildRecipe
+
+MANY: Final = 3000
+"""Deformations that a core draws in a minute; before any is computed with, each is checked to be one that can be."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    from eitskin_tools.command_line import files
+
+    shipped = ", ".join(dict.fromkeys((*files.RECIPE.names(), *files.SKIN.names())))
+    parser.add_argument(
+        "recipe", metavar="SKIN.toml", help=f"a skin's description, or a recipe: a file, or one of {shipped}"
+    )
+    parser.add_argument(
+        "--hours",
+        type=float,
+        metavar="H",
+        help="scale data and epochs to so long on this machine (default: not)",
+    )
+    add_making(parser)
+
+
+def add_making(parser: argparse.ArgumentParser) -> None:
+    """Declare how a bundle is made, whatever it is of."""
+    parser.add_argument(
+        "--out", required=True, type=Path, metavar="FILE", help="the bundle; its name should end in .eitskin"
+    )
+    parser.add_argument(
+        "--work", type=Path, metavar="DIR", help="folder of the half-made bundle (default: FILE.eitskin.build)"
+    )
+    parser.add_argument("--workers", type=int, metavar="N", help="processes that make data (default: one a core)")
+    parser.add_argument("--threads", type=int, default=0, help="CPU threads of training (default: torch's choice)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Build, and report."""
+    from eitskin_tools.build import recipe
+    from eitskin_tools.errors import UsageError
+
+    if arguments.hours is not None and not 0 < arguments.hours < 1e4:
+        raise UsageError(f"--hours is {arguments.hours:g}, expected more than 0")
+    return make(recipe.load(arguments.recipe), arguments, arguments.hours)
+
+
+def make(
+    asked: "BuildRecipe",
+    arguments: argparse.Namespace,
+    hours_asked: float | None = None,
+    presses: Any = None,
+    gentle_of: Path | None = None,
+) -> int:
+    """Make the bundle of a recipe, or go on with it, and report.
+
+    Args:
+        asked: What is asked for.
+        arguments: Those of :func:`add_making`.
+        hours_asked: To scale it to; None leaves it as it is.
+        presses: A recording of some, to be learned from besides; None without.
+        gentle_of: A bundle whose network for gentle touches goes in as it is; None for none.
+    """
+    import torch
+
+    from eitskin_tools.build import folder as half_made
+    from eitskin_tools.build import steps
+    from eitskin_tools.build.making import SHARES, Making
+    from eitskin_tools.command_line import files, kinds
+    from eitskin_tools.console.progress import Stages
+    from eitskin_tools.errors import UsageError
+    from eitskin_tools.evaluation import card
+
+    if arguments.threads < 0 or (arguments.workers is not None and arguments.workers < 1):
+        raise UsageError("--workers is at least 1, --threads at least 0")
+    files.writable(arguments.out, kinds.BUNDLE)
+    work = arguments.work or arguments.out.with_name(f"{arguments.out.name}.build")
+    others = asked.others()
+    if (many := sum(one.deformations for one in asked.data.values())) > MANY:
+        note(f"drawing {many:,} deformations, some {many // MANY} min; then the first data set")
+    for one in (asked, *others.values()):
+        steps.check(one)
+    half_made.begun(work, asked, hours_asked)
+    if arguments.threads:
+        torch.set_num_threads(arguments.threads)
+    began = time.monotonic()
+    work.mkdir(parents=True, exist_ok=True)
+    hint = "wait until it has ended, or name another folder with --work"
+    with held(work, "another process makes a bundle there", hint), Stages() as tell:
+        making = Making(steps.processes(arguments.workers), tell, note)
+        own = 1.0 - sum(SHARES[name] for name in others)
+        parts = [(other, work / name, SHARES[name]) for name, other in others.items()]
+        making.begin([(asked, work, own), *parts], hours_asked)
+        made = making.made(asked, work, hours_asked, share=own, presses=presses)
+        made = making.with_others(made, others, work, hours_asked, gentle_of)
+        found, identity = making.finished(made, work, arguments.out)
+    wanted, exported = made.recipe, made.exported
+    result: dict[str, Any] = {
+        "bundle": identity,
+        "path": str(arguments.out),
+        "bytes": arguments.out.stat().st_size,
+        "recipe": {"name": wanted.name, "digest": wanted.digest},
+        "labels": exported["labels"],
+        "touches": exported["touches"],
+        "seconds": round(time.monotonic() - began, 1),
+        "gate": exported["gate"],
+        "card": found,
+    }
+    gain = None if presses is None else half_made.stored(work / steps.PRESSES_FILE)
+    if gain is not None:
+        result["presses"] = gain
+    if arguments.json:
+        print(json.dumps(result))
+        return 0
+    print(
+        f"{arguments.out}: bundle {identity}, {result['bytes'] / 1e6:.1f} MB, {result['labels']} labels, "
+        f"{result['touches']} touches"
+    )
+    if gain is not None:
+        print(steps.presses_in_words(gain))
+    for line in card.told(found):
+        print(line)
+    print(f"{work} may be removed")
+    return 0

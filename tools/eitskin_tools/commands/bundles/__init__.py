@@ -1,1 +1,0 @@
-"""Subcommands that make bundles, put them together and try them."""

@@ -1,0 +1,196 @@
+"""``eitskin calibrate FILE.npz --out skin.toml``: what this device is, from its own readings.
+
+With ``--guided --port PORT`` they are recorded first, step by step; FILE.npz is where they go.
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from shlex import quote
+from typing import Any, Final
+
+from eitskin_tools.command_line import files, kinds, options
+from eitskin_tools.command_line.options import flag
+from eitskin_tools.errors import UsageError
+
+GUIDED: Final[dict[str, Any]] = {
+    "port": None, "baud": None, "full_scan": None, "surface": None, "bends": 3, "presses": 6, "stamp": None,
+    "frames": 40,
+}  # fmt: skip
+"""What belongs to ``--guided``, and what holds there where nothing was said."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "recording", metavar="FILE", help="what was recorded, .npz, see docs/calibrate.md; with --guided, where it goes"
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="SKIN.toml", help="the calibrated description")
+    parser.add_argument(
+        "--skin",
+        metavar="FILE",
+        default="lab",
+        help="the stated skin, whose uncertainties are the priors: a file, or one of "
+        f"{', '.join(files.SKIN.names())} (default: lab)",
+    )
+    parser.add_argument("--snr-db", type=float, metavar="DB", help="of a frame (default: the least stated)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    guided = parser.add_argument_group("guided")
+    guided.add_argument("--guided", action="store_true", help="record now: says what to do, and waits for the sheet")
+    guided.add_argument("--port", help="of the skin (or usb:SERIAL)")
+    guided.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    guided.add_argument(
+        "--full-scan",
+        action="store_true",
+        default=None,
+        help="flash the device to scan all 208 rows for the recording, and back after it: reciprocity then tells the "
+        "front end",
+    )
+    guided.add_argument(
+        "--surface",
+        type=Path,
+        metavar="CLOUD.npz",
+        help="scan of the sheet as it lies for reference and presses, by 'eitskin surface' (default: it lies flat)",
+    )
+    guided.add_argument("--bends", type=int, metavar="N", help="bends to ask for (default 3)")
+    guided.add_argument("--presses", type=int, metavar="N", help="presses to ask for (default 6)")
+    guided.add_argument("--stamp", metavar="MM", help="a disc's diameter, as 16, or length x width, as 20x10")
+    guided.add_argument("--frames", type=int, metavar="N", help="of a bend or a press (default 40)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Calibrate, report and write the skin."""
+    from eitskin_proto.files.writing import write_bytes
+    from eitskin_proto.skin.toml import to_toml
+    from eitskin_sim.calibration.parameters import check_contacts
+    from eitskin_sim.calibration.printed import table
+    from eitskin_sim.calibration.recording import load_recording
+    from eitskin_sim.calibration.report import calibrate
+    from eitskin_sim.devices.draws import check_outline
+
+    if arguments.snr_db is not None and not 10.0 <= arguments.snr_db <= 120.0:
+        raise UsageError(f"--snr-db is {arguments.snr_db:g}, expected 10 to 120")
+    files.writable(arguments.out, kinds.SKIN)
+    skin = options.read_skin(arguments.skin)
+    check_outline(skin)
+    check_contacts(skin)
+    if arguments.guided:
+        _record(arguments, skin)
+    elif given := [flag(name) for name in GUIDED if getattr(arguments, name) is not None]:
+        raise UsageError(f"without --guided nothing is recorded now: leave {', '.join(given)} out")
+    recording = load_recording(files.find(arguments.recording, files.TO_CALIBRATE), skin)
+
+    def tell(step: int, misfit: float) -> None:
+        print(f"eitskin calibrate: step {step}, misfit {misfit:.3g}", file=sys.stderr, flush=True)
+
+    twin, report = calibrate(skin, recording, arguments.snr_db, tell)
+    write_bytes(arguments.out, to_toml(twin).encode())
+    report["out"] = str(arguments.out)
+    if arguments.json:
+        print(json.dumps(report))
+    else:
+        print(table(report))
+        print(f"next: {_next(twin, arguments.out)}")
+    return 0
+
+
+def _next(twin: Any, path: Path) -> str:
+    """Return the command that makes a bundle of a calibrated skin: of the shipped one that fits, or of none."""
+    from eitskin.model.skin_in_use import knowing, use_skin
+    from eitskin_proto.errors import SkinError
+
+    file = quote(str(path))
+    try:
+        bundle = knowing(twin.touch_kind)
+        use_skin(bundle, twin)
+    except SkinError:  # none knows its touches, or has its map
+        return f"eitskin build {file} --out BUNDLE"
+    return f"eitskin adapt-skin {bundle.path.stem} --skin {file} --out BUNDLE"
+
+
+def _record(arguments: argparse.Namespace, skin: Any) -> None:
+    """Lead through a recording, and write it."""
+    from contextlib import nullcontext
+
+    import numpy as np
+
+    from eitskin.acquisition.device import Device
+    from eitskin.acquisition.ports import open_line
+    from eitskin.acquisition.serial_port import DEFAULT_BAUD
+    from eitskin.acquisition.transport import Transport
+    from eitskin_proto.files.arrays import save_arrays
+    from eitskin_proto.files.writing import replacing
+    from eitskin_proto.sensor.ids import PROTOCOL_ID
+    from eitskin_proto.sensor.table import N_ROWS
+    from eitskin_proto.skin.cloud_file import load_surface
+    from eitskin_sim.calibration.stamp import places
+    from eitskin_tools.flash.full_scan import scanning_all_rows
+    from eitskin_tools.guided import Guide, Plan, Terminal, frames_of
+
+    plan = Plan(
+        places_mm=places(skin.outline.size_mm, _at_least(arguments, "presses", 0)),
+        stamp_mm=_stamp(arguments.stamp),
+        bends=_at_least(arguments, "bends", 0),
+        frames=_at_least(arguments, "frames", 4),
+        lying_mm=_lying(arguments.surface, skin),
+    )
+    if not arguments.port:
+        raise UsageError("--guided needs --port, of a skin or of 'eitskin virtual-skin'")
+    if arguments.json:
+        raise UsageError("--guided talks on standard output; leave --json out, and calibrate FILE once more with it")
+    files.writable(Path(arguments.recording), kinds.GUIDED)
+    ids = {"protocol_id": PROTOCOL_ID, "grid_id": skin.grid_id, "skin_digest": skin.digest}
+
+    def opened() -> Transport:
+        return open_line(arguments.port, arguments.baud or DEFAULT_BAUD)
+
+    talk = Terminal()
+    with scanning_all_rows(opened, talk.tell) if arguments.full_scan else nullcontext():
+        line = opened()
+        try:
+            device = Device(line, skin)
+            if device.hello.rows == N_ROWS:
+                talk.tell(f"the device scans {N_ROWS} rows: --full-scan would tell more of its front end")
+            device.start()
+            guide = Guide(plan, frames_of(device), talk, lambda name: np.array(load_surface(name, skin).cloud_mm))
+            arrays = guide.run()
+            device.stop()
+        finally:
+            talk.end()
+            line.close()
+        with replacing(arguments.recording) as file:  # before anything else can go wrong
+            save_arrays(file, {**arrays, **ids})
+
+
+def _lying(path: Path | None, skin: Any) -> Any:
+    """Return the scan (3, rows, columns) of the sheet as it lies for the reference; None where it lies flat."""
+    if path is None:
+        return None
+    from eitskin_proto.skin.cloud_file import load_surface
+    from eitskin_proto.skin.sheet_cloud import check_sheet
+
+    try:
+        return check_sheet(load_surface(path, skin).cloud_mm, skin)[0]
+    except ValueError as error:
+        raise UsageError(f"--surface {path}: {error}") from error
+
+
+def _at_least(arguments: argparse.Namespace, name: str, least: int) -> int:
+    said = getattr(arguments, name)
+    found = int(GUIDED[name] if said is None else said)
+    if found < least:
+        raise UsageError(f"--{name} is {found}, expected at least {least}")
+    return found
+
+
+def _stamp(text: str | None) -> tuple[float, ...]:
+    if text is None:
+        return ()
+    try:
+        found = tuple(float(one) for one in text.lower().split("x"))
+    except ValueError:
+        found = ()
+    if len(found) not in (1, 2) or not all(3.0 <= one <= 60.0 for one in found):
+        raise UsageError(f"--stamp is {text!r}, expected a diameter, as 16, or length x width, as 20x10, of 3 to 60 mm")
+    return found

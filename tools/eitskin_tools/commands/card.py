@@ -1,0 +1,49 @@
+"""``eitskin card BUNDLE``: what a bundle's network is worth at deformations, touches and devices that it never saw.
+
+``eitskin build`` ends with the same card; this is for bundles that were made otherwise.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("bundle", metavar="BUNDLE", help="a file, or a shipped one's name")
+    parser.add_argument("--deformations", type=int, default=8, metavar="N", help="unseen ones (default: 8)")
+    parser.add_argument("--each", type=int, default=3, metavar="N", help="touches at each of them (default: 3)")
+    parser.add_argument("--draws", type=int, default=2, metavar="N", help="devices of each mismatch (default: 2)")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write the bundle with the card in its manifest")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Try the bundle part by part, and report."""
+    from eitskin_tools.build.steps import finish
+    from eitskin_tools.command_line import files, kinds
+    from eitskin_tools.console.progress import Stages
+    from eitskin_tools.errors import UsageError
+    from eitskin_tools.evaluation import card
+
+    sizes = (arguments.deformations, arguments.each, arguments.draws)
+    if min(sizes) < 1:
+        raise UsageError("--deformations {} --each {} --draws {}: expected at least 1 of each".format(*sizes))
+    path = files.find(arguments.bundle, files.BUNDLE)
+    if arguments.out is not None:
+        files.writable(arguments.out, kinds.BUNDLE)
+    found = {}
+    with Stages() as tell:
+        for name in card.parts(path):
+            tell(name)
+            found[name] = card.part(name, path, *sizes)
+    whole = card.whole(found, path)
+    identity = None if arguments.out is None else finish(path, whole, arguments.out)
+    if arguments.json:
+        print(json.dumps({"bundle": identity, "path": str(arguments.out or path), "card": whole}))
+        return 0
+    for line in card.told(whole):
+        print(line)
+    if identity is not None:
+        print(f"{arguments.out}: bundle {identity}, with this card")
+    return 0

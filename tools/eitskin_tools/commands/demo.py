@@ -1,0 +1,93 @@
+"""``eitskin demo``: the main job in one command."""
+
+import argparse
+import json
+import signal
+import sys
+from pathlib import Path
+
+from eitskin_tools.command_line import files, kinds, options
+from eitskin_tools.command_line.parser import expected_one_of
+from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.signals import endings
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="how long, from the first frame (20, with --view 3600)"
+    )
+    parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (default 200)")
+    parser.add_argument(
+        "--bundle",
+        type=files.bundle,
+        metavar="FILE",
+        help=f"{files.A_BUNDLE}, to run (default: a shipped one that knows the touches)",
+    )
+    options.add_touches(parser, "those of the bundle, presses where it knows them or one that does is shipped")
+    parser.add_argument(
+        "--solver",
+        metavar="NAME",
+        help="most accurate solver to use: vd2t, vd2t-int8, vd2t-small or tikhonov (default: vd2t-int8 where the "
+        "bundle's card says that it shows the same, else vd2t)",
+    )
+    parser.add_argument(
+        "--scene", metavar="FILE", help="hold this scene (a file, or sample); without it touches come and go"
+    )
+    parser.add_argument(
+        "--device", default="virtual", choices=("virtual", "qemu"),
+        help="qemu: the real firmware on an emulated board (needs qemu-system-arm and gcc-arm-none-eabi)",
+    )  # fmt: skip
+    parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="at 50 dB (default N2)")
+    parser.add_argument("--seed", type=int, default=0, help="of the noise (default 0)")
+    parser.add_argument("--view", action="store_true", help="look at it in the browser, until Ctrl-C")
+    parser.add_argument("--no-draw", action="store_true", help="do not draw the map")
+    parser.add_argument("--record", type=Path, metavar="FILE.npz", help="keep what the subscriber noted")
+    parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw a frame of this run (extra 'plot')")
+    parser.add_argument("--json", action="store_true", help="print the summary as one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the demonstration."""
+    from eitskin_tools.demo.show import Options, choose, draw_picture, print_summary, stream, summarise
+
+    seconds = arguments.seconds if arguments.seconds is not None else 3600.0 if arguments.view else 20.0
+    options.check_positive(arguments, "seconds")
+    if not 0.0 < arguments.rate <= 1e5:
+        raise UsageError(f"--rate is {arguments.rate:g}; expected above 0 frames/s")
+    options.check_seed(arguments.seed)
+    if arguments.solver is not None and arguments.solver not in options.SOLVERS:
+        raise UsageError(expected_one_of("--solver", arguments.solver, options.SOLVERS))
+    scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
+    if arguments.record is not None:
+        files.writable(arguments.record, kinds.NOTED)
+    if arguments.picture is not None:
+        files.picture(arguments.picture)
+    bundle, kind = choose(arguments.bundle, options.chosen_touches(arguments))
+    for number in endings():
+        signal.signal(number, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind
+    draw = sys.stdout.isatty() and not (arguments.no_draw or arguments.view) and not arguments.json
+    wanted = Options(
+        seconds=seconds,
+        rate_hz=arguments.rate,
+        bundle=bundle,
+        touches=kind,
+        solver=arguments.solver,
+        scene=scene,
+        noise=arguments.noise,
+        device=arguments.device,
+        seed=arguments.seed,
+        draw=draw,
+        view=arguments.view,
+        talk=not draw and not arguments.json,
+        record=arguments.record,
+    )
+    streamed = stream(wanted)
+    summary = summarise(wanted, streamed)
+    if arguments.json:
+        print(json.dumps(summary), flush=True)
+    else:
+        print_summary(summary)
+    if arguments.picture is not None:  # last: a run without a frame worth drawing has a summary all the same
+        draw_picture(wanted, streamed, arguments.picture)
+    return 0

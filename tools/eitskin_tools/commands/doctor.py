@@ -1,0 +1,211 @@
+"""``eitskin doctor``: what is there, what is wrong with it, and what to do about it."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from eitskin_tools.command_line import files
+from eitskin_tools.command_line.options import flag
+from eitskin_tools.console.terminal import in_words, say
+from eitskin_tools.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--port", help="greet the device on this port (a path, or usb:SERIAL) as well")
+    parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    parser.add_argument("--make-curve-keys", type=Path, metavar="DIR", help="make CURVE keys for TCP, then exit")
+    parser.add_argument(
+        "--electrodes", action="store_true", help="look at all 16 electrodes, on --port or in --recorded frames"
+    )
+    parser.add_argument(
+        "--drift",
+        action="store_true",
+        help="how far a flat, free sheet is from its --reference, on --port or in --recorded frames",
+    )
+    parser.add_argument(
+        "--recorded", type=Path, metavar="FILE", help="frames to look at: .npy of (n, 104) V, or the end of a .mcap"
+    )
+    parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="how long to look (default 2)")
+    parser.add_argument("--reference", type=Path, metavar="FILE", help="captured reference (default: the model's)")
+    parser.add_argument(
+        "--bundle",
+        type=files.bundle,
+        metavar="FILE",
+        help=f"{files.A_BUNDLE}, that knows healthy frames (default: free)",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print what was found and return 0; a port that was named and does not answer is a failure."""
+    if arguments.make_curve_keys is not None:
+        return _make_keys(arguments)
+    from eitskin.diagnostics import doctor
+
+    if arguments.drift and arguments.electrodes:
+        raise UsageError("--drift and --electrodes look at different things; one at a time")
+    if arguments.electrodes:
+        return _electrodes(arguments)
+    if arguments.drift:
+        return _drift(arguments)
+    for name in ("recorded", "reference", "bundle"):
+        if getattr(arguments, name) is not None:
+            raise UsageError(f"{flag(name)} does nothing alone: say --electrodes or --drift, what to look for")
+    found = doctor.examine()
+    if arguments.port:
+        from eitskin.acquisition.serial_port import DEFAULT_BAUD
+
+        baud = arguments.baud or DEFAULT_BAUD
+        device = doctor.greet(arguments.port, baud)
+        found["problems"] += device.pop("problems")
+        found["device"] = device
+        found["configuration"] = _configuration(arguments.port, baud)
+    if arguments.json:
+        print(json.dumps(found))
+    else:
+        _print(found)
+    return 0
+
+
+def _electrodes(arguments: argparse.Namespace) -> int:
+    """Print the sixteen electrodes and return 0."""
+    from eitskin.acquisition.serial_port import DEFAULT_BAUD
+    from eitskin.diagnostics import electrode_checkup
+    from eitskin.errors import BundleError
+    from eitskin.health.imputation import MISSING, Consistency
+    from eitskin.model.bundle import load_bundle
+    from eitskin.reference.captured import load
+
+    if (arguments.port is None) == (arguments.recorded is None):
+        raise UsageError("--electrodes needs --port PORT or --recorded FILE.npy, and not both")
+    bundle = load_bundle(arguments.bundle)
+    arrays = bundle.consistency_arrays()
+    if arrays is None:
+        raise BundleError(f"{bundle.path}: telling failed electrodes is {MISSING}")
+    reference = None if arguments.reference is None else load(arguments.reference, bundle.skin)
+    if arguments.recorded is not None and arguments.recorded.suffix == ".mcap":
+        recording, own = _of_recording(arguments, bundle)
+        reference = reference or own
+    elif arguments.recorded is not None:
+        recording = electrode_checkup.load_recording(files.find(arguments.recorded, files.RECORDING))
+    else:
+        recording = electrode_checkup.record(arguments.port, arguments.seconds, arguments.baud or DEFAULT_BAUD)
+    found = electrode_checkup.check_up(recording, Consistency.of(arrays), reference)
+    if arguments.json:
+        print(json.dumps(found))
+    else:
+        for line in electrode_checkup.lines(found):
+            say(line)
+    return 0
+
+
+def _drift(arguments: argparse.Namespace) -> int:
+    """Print how far the sheet has drifted since its reference, and return 0."""
+    from eitskin.acquisition.serial_port import DEFAULT_BAUD
+    from eitskin.diagnostics import drift_checkup, electrode_checkup
+    from eitskin.model.bundle import load_bundle
+    from eitskin.reference.captured import load
+
+    if (arguments.port is None) == (arguments.recorded is None):
+        raise UsageError("--drift needs --port PORT or --recorded FILE, and not both")
+    reference = None
+    if arguments.reference is not None:
+        reference = load(arguments.reference, load_bundle(arguments.bundle, lazily=True).skin)
+    if arguments.recorded is not None and arguments.recorded.suffix == ".mcap":
+        recording, own = _of_recording(arguments)
+        reference = reference or own
+    elif arguments.recorded is not None:
+        recording = electrode_checkup.load_recording(files.find(arguments.recorded, files.RECORDING))
+    if reference is None:
+        raise UsageError("--drift needs --reference FILE, which 'eitskin reference' captured before")
+    if arguments.recorded is None:
+        recording = electrode_checkup.record(arguments.port, arguments.seconds, arguments.baud or DEFAULT_BAUD)
+    found = drift_checkup.drift_since(recording.voltages, reference)
+    if arguments.json:
+        print(json.dumps(found))
+    else:
+        say(drift_checkup.line(found))
+    return 0
+
+
+def _of_recording(arguments: argparse.Namespace, bundle: Any = None) -> tuple[Any, Any]:
+    """Return the last seconds of a recording, and the reference that held then.
+
+    Args:
+        arguments: Of the command.
+        bundle: Refuse a recording of another skin than this bundle's; None for any.
+    """
+    from eitskin.diagnostics.electrode_checkup import Recording
+    from eitskin_tools.command_line.needs import RECORDINGS, require
+
+    require("a recording", RECORDINGS)
+    from eitskin.errors import BadReference
+    from eitskin.health.electrodes import WINDOW
+    from eitskin_tools.recording.bundles import for_skin, reference_of
+    from eitskin_tools.recording.convert.table import table_of
+    from eitskin_tools.recording.script import Script
+
+    script = Script(files.find(arguments.recorded, files.RECORDING))
+    if script.ending:
+        print(f"eitskin doctor: {script.path}{script.ending}", file=sys.stderr)
+    if bundle is not None:
+        for_skin(bundle, script)
+    begin_s = max(script.seconds - arguments.seconds, 0.0)
+    found = table_of(script, begin_s)
+    if len(found.voltages_V) < WINDOW:
+        raise BadReference(
+            f"{script.path}: {len(found.voltages_V)} frames to look at, expected {WINDOW}; see --seconds"
+        )
+    held = [step.reference for step in script.steps(begin_s) if step.reference is not None]
+    reference = reference_of(script, held[-1] if held else script.reference())
+    return Recording(found.voltages_V, None, script.hello.volts_per_count), reference
+
+
+def _configuration(port: str, baud: int) -> dict[str, Any]:
+    """Return the fields of what the device runs, and the name of what a rollback would return to."""
+    from dataclasses import asdict
+
+    from eitskin.acquisition.ports import open_line
+    from eitskin_tools.flash.exchange import Exchange
+    from eitskin_tools.flash.procedure import show
+
+    line = open_line(port, baud)
+    try:
+        shown = show(Exchange(line))
+    finally:
+        line.close()
+    other = shown.other.configuration.name if shown.other else None
+    return {**asdict(shown.active.configuration), "rolls_back_to": other}
+
+
+def _make_keys(arguments: argparse.Namespace) -> int:
+    from eitskin.messaging.curve_keys import make_keys
+
+    made = [str(path) for path in make_keys(arguments.make_curve_keys)]
+    print(json.dumps({"files": made}) if arguments.json else "\n".join(made))
+    return 0
+
+
+def _print(found: dict[str, Any]) -> None:
+    from eitskin_proto.wire.config_toml import in_file
+
+    for port in found["ports"]:
+        say(f"port     {port['port']}  {port['description']}  {port['id']}  {port['state']}")
+    for device in found["usb"]:
+        say(f"usb      {device['port']}  {device['id']}  {device['node']}  {device['state']}")
+    for bundle in found["bundles"]:
+        say(f"bundle   {bundle['path']}  {bundle['state']}")
+    for endpoint in found["runtimes"]:
+        say(f"runtime  publishing on {endpoint}")
+    for line in found["limits"]:
+        say(f"limit    {line}")
+    for name, value in found.get("device", {}).items():
+        say(f"device   {name} {in_words(value)}")
+    for field, value in found.get("configuration", {}).items():
+        name, shown = in_file(field, value)
+        say(f"config   {name} {in_words(shown)}")
+    for problem in found["problems"]:
+        say(f"to do    {problem}")

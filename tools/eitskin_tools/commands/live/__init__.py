@@ -1,1 +1,0 @@
-"""Subcommands around a running skin."""

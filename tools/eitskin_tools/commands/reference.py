@@ -1,0 +1,121 @@
+"""``eitskin reference``: capture the one pre-deformation reference of a skin, or show a captured one.
+
+A reference of a bent, touched or moving sheet is refused. It is held against the bundle's flat sheet, and against an
+older reference of the same device: that of ``--against``, or the file that ``--out`` is about to replace. Where the
+sheet was scanned as it lies (``--surface``), the reference carries the scan and counts as that of the flat sheet.
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from eitskin_tools.command_line import files, kinds
+from eitskin_tools.console.terminal import say
+from eitskin_tools.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--port", help="capture: serial port (or usb:SERIAL) of the skin, flat and untouched")
+    what.add_argument("--show", type=Path, metavar="FILE", help="show a captured reference")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="capture: where it is stored")
+    parser.add_argument("--frames", type=int, default=100, metavar="N", help="capture: how many frames (default 100)")
+    parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    parser.add_argument(
+        "--bundle",
+        type=files.bundle,
+        metavar="FILE",
+        help=f"{files.A_BUNDLE}, whose flat sheet and gate it is held against (default: the shipped one of area labels "
+        "and of the skin's touches)",
+    )
+    parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
+    parser.add_argument(
+        "--against", type=Path, metavar="FILE", help="older reference to hold it against (default: what --out replaces)"
+    )
+    parser.add_argument(
+        "--surface",
+        metavar="CLOUD",
+        help="scan of the sheet as it lies now, by 'eitskin surface --predict'; default: it lies flat",
+    )
+    parser.add_argument("--force", action="store_true", help="take it even if the sheet seems bent, touched or moving")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Capture or show a reference and return 0."""
+    from eitskin.reference import captured as references
+
+    if arguments.show is not None:
+        found = references.load(arguments.show)
+    else:
+        if arguments.out is None:
+            raise UsageError("--port captures a reference; name the file that it goes to with --out")
+        if arguments.frames < 2:
+            raise UsageError(f"--frames is {arguments.frames}, expected at least 2")
+        files.writable(arguments.out, kinds.REFERENCE)
+        found = _capture(arguments)
+        references.save(found, arguments.out)
+    if arguments.json:
+        print(json.dumps(_fields(found)))
+    else:
+        for line in found.report():
+            say(line)
+    return 0
+
+
+def _capture(arguments: argparse.Namespace) -> Any:
+    from eitskin.acquisition.capture import capture
+    from eitskin.acquisition.serial_port import DEFAULT_BAUD
+    from eitskin.model.skin_in_use import bundle_and_skin
+    from eitskin.reference.judged import yardstick_of
+    from eitskin.reference.plausible import scan_of
+    from eitskin_proto.skin.cloud_file import load_surface
+
+    bundle, skin = bundle_and_skin(arguments.bundle, arguments.skin)
+    yardstick = yardstick_of(bundle, _older(arguments, skin))
+    scan = None
+    if arguments.surface is not None:
+        scan = scan_of(load_surface(arguments.surface, skin), skin)
+    lies = "flat" if scan is None else "as it was scanned"
+    print(f"eitskin reference: the sheet must be {lies} and untouched now", file=sys.stderr)
+    return capture(
+        arguments.port,
+        arguments.frames,
+        arguments.baud or DEFAULT_BAUD,
+        yardstick=yardstick,
+        force=arguments.force,
+        skin=skin,
+        scan=scan,
+    )
+
+
+def _older(arguments: argparse.Namespace, skin: Any) -> Any:
+    """The reference that was named, or the one that is about to be replaced, if it is one."""
+    from eitskin.reference import captured as references
+    from eitskin_proto.errors import SkinError
+
+    if arguments.against is not None:
+        return references.load(arguments.against, skin)
+    if not arguments.out.exists():
+        return None
+    try:
+        return references.load(arguments.out, skin)
+    except SkinError as error:
+        say(f"eitskin reference: {arguments.out} is replaced unseen: {error}", error=True)
+        return None
+
+
+def _fields(found: Any) -> dict[str, object]:
+    return {
+        "serial_number": found.serial_number,
+        "configuration": f"{found.configuration_name}/{found.configuration_digest:08x}",
+        "skin_digest": found.skin_digest,
+        "captured_utc": found.captured_utc,
+        **found.answer(),
+        "scanned": found.scan is not None,
+        "voltages_V": found.voltages_V.tolist(),
+        "spread_V": found.spread_V.tolist(),
+    }

@@ -1,0 +1,291 @@
+"""``eitskin run``: read a skin, publish frames, take control requests, until told to stop.
+
+Standard error says what was got, line by line, then ``ready ...``, then once a second at most how the stream is;
+standard output stays empty but for the one object of ``--json`` at the end.
+"""
+
+import argparse
+import contextlib
+import gc
+import importlib
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from eitskin.pipeline.latency_budget import MOST_MS
+from eitskin_tools.command_line import files, options
+from eitskin_tools.command_line.options import flag
+from eitskin_tools.command_line.parser import expected_one_of
+from eitskin_tools.console.run_log import FORMATS, RunLog, end_unread
+from eitskin_tools.console.run_status import closing, report
+from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.signals import endings
+from eitskin_tools.verifier import options as verifier
+
+if TYPE_CHECKING:
+    from eitskin.messaging.curve_keys import ServerKeys
+    from eitskin.model.bundle import Bundle
+    from eitskin_tools.service.supervisor import Supervisor
+    from eitskin_tools.service.watchdog import Watchdog
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--port", help="serial port of the skin, or usb:SERIAL")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE.toml", help="several skins instead of one, as a robot.toml lists them"
+    )
+    parser.add_argument("--check", action="store_true", help="with --config: look at the file and what it names, only")
+    parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    parser.add_argument(
+        "--reconnect", type=float, metavar="S", help="wait so long for a port that vanishes (default: end)"
+    )
+    parser.add_argument(
+        "--bundle",
+        type=files.bundle,
+        metavar="FILE",
+        help=f"{files.A_BUNDLE}, to use (default: the shipped one of area labels and of the touches)",
+    )
+    options.add_touches(parser, "those of --skin, else raise")
+    parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
+    parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
+    parser.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
+    parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, which TCP needs")
+    parser.add_argument(
+        "--reference", type=Path, metavar="FILE", help="a reference that was captured before (default: capture one now)"
+    )
+    parser.add_argument(
+        "--reference-frames",
+        type=int,
+        metavar="N",
+        help="frames of one that is captured now (default 100)",
+    )
+    parser.add_argument(
+        "--force-reference",
+        action="store_true",
+        help="take one that is captured now even if the sheet seems bent, touched or moving",
+    )
+    parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument(
+        "--budget-ms", type=float, metavar="B", help="latency budget in ms, from read to publish (default: none)"
+    )
+    parser.add_argument(
+        "--solver",
+        metavar="NAME",
+        help="most accurate solver to use: vd2t, vd2t-int8, vd2t-small or tikhonov (default: vd2t-int8 where the "
+        "bundle's card says that it shows the same, else vd2t; with a budget vd2t)",
+    )
+    parser.add_argument(
+        "--every-map", action="store_true", help="compute every touched frame, also if only noise changed"
+    )
+    parser.add_argument(
+        "--idle-after", type=float, metavar="S", help="scan a few drives only once untouched for S seconds"
+    )
+    parser.add_argument(
+        "--exclude-electrode",
+        type=int,
+        action="append",
+        default=[],
+        metavar="N",
+        help="go on without electrode N, 0 to 15; repeatable",
+    )
+    parser.add_argument(
+        "--compensate-drift",
+        action=argparse.BooleanOptionalAction,
+        help="take out what the sheet is known to have drifted since the reference (default: wherever the bundle can)",
+    )
+    verifier.add_arguments(parser)
+    parser.add_argument("--sched-fifo", type=int, metavar="PRIORITY", help="ask for SCHED_FIFO at this priority")
+    parser.add_argument("--affinity", metavar="CPUS", help="run on these CPUs only, such as 2 or 2,3")
+    parser.add_argument("--mlock", action="store_true", help="ask that no page is swapped out")
+    parser.add_argument(
+        "--log-format", choices=FORMATS, default="text", help="of stderr: text, or json for one object a line"
+    )
+    parser.add_argument("--quiet", action="store_true", help="say nothing on stderr but 'ready ...' and what is wrong")
+    parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run until SIGINT, SIGTERM, SIGHUP, ``stop``, a number of frames or a time; return 0."""
+    _check(arguments)
+    if arguments.config is not None:
+        from eitskin_tools.robot.command import run_all
+
+        return run_all(arguments, add_arguments)
+    for number in endings():  # until there is something to close, at once, and not as an error amid some import
+        signal.signal(number, signal.SIG_DFL)
+    log = RunLog(sys.stderr, arguments.log_format, quiet=arguments.quiet)
+    # One inference thread means one: numpy's BLAS would start a pool as soon as it is imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    gc.disable()  # while modules and weights are loaded, which leave nothing to collect; settle() turns it on again
+    from eitskin.diagnostics import realtime
+    from eitskin.skin import Skin
+    from eitskin_tools.service.supervisor import Supervisor
+    from eitskin_tools.service.watchdog import END_S, Watchdog
+
+    with contextlib.ExitStack() as stack:
+        stack.push(end_unread)
+        stack.callback(gc.enable)
+        supervisor = Supervisor.of(os.environ)
+        stack.callback(supervisor.close)
+        watchdog = stack.enter_context(Watchdog(log.failed, supervisor))
+        keys = _check_endpoints(arguments)
+        for line in keys.damaged if keys is not None else ():
+            log.warn(line)
+        open_files = realtime.more_files()  # said once the port is open, so that a missing port is one line
+        if arguments.affinity:
+            log.say(realtime.pin([int(cpu) for cpu in arguments.affinity.split(",")]))
+        keywords: dict[str, Any] = {} if arguments.baud is None else {"baud": arguments.baud}
+        port = arguments.port
+        if arguments.reconnect is not None:
+            from eitskin.acquisition.hotplug import HotPlug
+
+            port = HotPlug(arguments.port, **keywords, give_up_s=arguments.reconnect)
+        _load_what_serves()
+        skin = stack.enter_context(
+            Skin(
+                port,
+                bundle=_bundle(arguments),
+                skin=arguments.skin,
+                reference=arguments.reference,
+                budget_ms=arguments.budget_ms,
+                solver=arguments.solver,
+                skip_unchanged=not arguments.every_map,
+                idle_after_s=arguments.idle_after,
+                exclude=tuple(arguments.exclude_electrode),
+                compensate_drift=arguments.compensate_drift,
+                **keywords,
+            )
+        )
+        for number in endings():
+            signal.signal(number, lambda *_: skin.stop())
+        report(skin, log)
+        log.say(open_files)
+        if arguments.sched_fifo is not None:
+            log.say(realtime.schedule_fifo(arguments.sched_fifo))
+        if arguments.mlock:
+            log.say(realtime.lock_memory())
+        try:
+            _serve(skin, arguments, keys, stack, log, watchdog, supervisor)
+        finally:
+            watchdog.watch("closing everything", limit_s=END_S)
+        if arguments.json:
+            print(json.dumps(skin.summary()))
+        else:
+            log.say(closing(skin.summary()))
+    _leave_unfinished_work()
+    return 0
+
+
+def _load_what_serves() -> None:
+    """Load the modules of :func:`_serve` now, while SIGTERM still ends the process at once."""
+    for name in ("eitskin.messaging.control", "eitskin.serving", "eitskin_tools.console.run_status"):
+        importlib.import_module(name)
+
+
+def _bundle(arguments: argparse.Namespace) -> "Bundle | Path | None":
+    """The bundle that knows the touches that were asked for; what was named, where none were."""
+    from eitskin.model.skin_in_use import knowing
+
+    wanted = options.chosen_touches(arguments)
+    return arguments.bundle if wanted is None else knowing(wanted, arguments.bundle)
+
+
+def _leave_unfinished_work() -> None:
+    """End the process here if a thread cannot be interrupted: the interpreter would wait for it."""
+    if any(not thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread()):
+        sys.stdout.flush()
+        os._exit(0)
+
+
+def _serve(
+    skin: Any,
+    arguments: argparse.Namespace,
+    keys: "ServerKeys | None",
+    stack: contextlib.ExitStack,
+    log: RunLog,
+    watchdog: "Watchdog",
+    supervisor: "Supervisor",
+) -> None:
+    from eitskin.diagnostics import realtime
+    from eitskin.errors import BadReference
+    from eitskin.messaging import endpoints
+    from eitskin.messaging.control import ControlServer
+    from eitskin.messaging.publish import Publisher
+    from eitskin.reference.captured import DEFAULT_FRAMES
+    from eitskin.serving import serve
+    from eitskin_tools.console.run_status import RunStatus
+    from eitskin_tools.service.watchdog import WatchedLine
+
+    publisher = Publisher(arguments.publish or endpoints.default_publish(), keys, skin.bundle.skin.grid.shape)
+    stack.callback(publisher.close)
+    control = ControlServer(arguments.control or endpoints.default_control(), skin, keys)
+    stack.callback(control.close)
+    stack.callback(skin.stop)  # whoever waits for a reference is told before control is closed
+    stack.callback(supervisor.stopping)
+    watchdog.sockets += [
+        Path(where.removeprefix("ipc://")) for where in (publisher.endpoint, control.endpoint) if where[:4] == "ipc:"
+    ]
+    line = skin.device.transport = WatchedLine(skin.device.transport)
+    realtime.settle()  # 60 ms that would otherwise pass between the reference and the first frame
+    watchdog.watch("the frame loop", line)
+    if skin.reference is None:
+        frames = arguments.reference_frames or DEFAULT_FRAMES
+        log.say(f"reference: capturing {frames} frames; the sheet must be flat and untouched")
+        supervisor.status("capturing the reference; the sheet must be flat and untouched")
+        try:
+            skin.capture_reference(frames, force=arguments.force_reference)
+        except BadReference:
+            if skin.stopping:
+                return
+            raise
+    for line in skin.reference.report():
+        log.say(line)
+    log.ready(publisher.endpoint, control.endpoint)
+    supervisor.ready()
+    supervisor.status(f"publishing on {publisher.endpoint}")
+    until_ns = None if arguments.seconds is None else time.perf_counter_ns() + int(arguments.seconds * 1e9)
+    unread = arguments.quiet and not supervisor.listens
+    with (
+        verifier.verifying(skin, publisher, arguments) as behind,
+        contextlib.nullcontext() if unread else RunStatus(skin.status, log, tell=supervisor.status),
+    ):
+        serve(skin, publisher, frames=arguments.frames, until_ns=until_ns, behind=behind)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    if (arguments.port is None) == (arguments.config is None):
+        raise UsageError("expected --port PORT for one skin, or --config FILE.toml for several; one of the two")
+    if arguments.check and arguments.config is None:
+        raise UsageError("--check goes with --config: it looks at a robot.toml")
+    options.check_least(arguments, frames=1, reference_frames=2, baud=300)
+    options.check_positive(arguments, "seconds", "reconnect", "idle_after", most=1e9)
+    options.check_positive(arguments, "budget_ms", most=MOST_MS)
+    if arguments.solver is not None and arguments.solver not in options.SOLVERS:
+        raise UsageError(expected_one_of("--solver", arguments.solver, options.SOLVERS))
+    if any(not 0 <= number < 16 for number in arguments.exclude_electrode):
+        raise UsageError(f"--exclude-electrode is {arguments.exclude_electrode}, expected numbers from 0 to 15")
+    if arguments.affinity and not all(part.isdecimal() for part in arguments.affinity.split(",")):
+        raise UsageError(f"--affinity is {arguments.affinity!r}, expected CPU numbers such as 2 or 2,3")
+    for name in ("reference_frames", "force_reference"):
+        if arguments.reference is not None and getattr(arguments, name):
+            raise UsageError(f"{flag(name)} is of a reference that is captured now: leave it out, or --reference")
+    verifier.check(arguments)
+
+
+def _check_endpoints(arguments: argparse.Namespace) -> "ServerKeys | None":
+    """Refuse endpoints and keys that cannot be used, before the device is touched; return the keys."""
+    from eitskin.messaging import endpoints
+    from eitskin.messaging.curve_keys import load_server_keys
+
+    keys = None if arguments.curve_keys is None else load_server_keys(arguments.curve_keys)
+    for endpoint in (arguments.publish, arguments.control):
+        if endpoint is not None:
+            endpoints.check_allowed(endpoint, keys)
+    return keys

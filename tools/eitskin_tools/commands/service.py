@@ -1,0 +1,169 @@
+"""``eitskin service``: the files with which a system runs skins as a service: listed, printed, or written."""
+
+import argparse
+import json
+import re
+import shutil
+import sys
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Final
+
+from eitskin_proto.files.reading import FileError
+from eitskin_tools.command_line.files import folder
+from eitskin_tools.console.terminal import say
+from eitskin_tools.errors import UsageError
+
+FOLDER: Final = "shipped"
+
+COMMON: Final = "common.conf"
+
+USER_NAME: Final = re.compile(r"[a-z_][a-z0-9_-]{0,30}")
+PROGRAM_PATH: Final = re.compile(r"(/[A-Za-z0-9._+@-]+)+")
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceFile:
+    """One of the files.
+
+    Attributes:
+        name: Its name.
+        home: The folder of the system in which it belongs; empty for none.
+        what: For people.
+    """
+
+    name: str
+    home: str
+    what: str
+
+
+FILES: Final = (
+    ServiceFile("eitskin.service", "/etc/systemd/system", "all skins of /etc/eitskin/robot.toml"),
+    ServiceFile("eitskin@.service", "/etc/systemd/system", "eitskin@NAME: the skins of /etc/eitskin/NAME.toml"),
+    ServiceFile("61-eitskin-start.rules", "/etc/udev/rules.d", "starts eitskin.service when a skin is plugged in"),
+    ServiceFile("Containerfile", "", "a container that runs /etc/eitskin/robot.toml"),
+)
+
+
+def text_of(name: str, user: str, program: str) -> str:
+    """Return the text of a file.
+
+    Args:
+        name: One of ``FILES``.
+        user: Who runs the skins.
+        program: Path of the ``eitskin`` that the units start.
+
+    Raises:
+        ValueError: There is no such file, or user or program do not fit into a unit.
+    """
+    if name not in (one.name for one in FILES):
+        raise ValueError(f"no file {name!r}, expected one of {', '.join(one.name for one in FILES)}")
+    if USER_NAME.fullmatch(user) is None:
+        raise ValueError(f"user is {user!r}, expected a name such as robot: small letters, digits, - and _")
+    if PROGRAM_PATH.fullmatch(program) is None:
+        raise ValueError(
+            f"program is {program!r}, expected an absolute path without blanks, such as /opt/eitskin/bin/eitskin"
+        )
+    text = _read(name)
+    if name.endswith(".service"):
+        text = text.replace("{common}", _read(COMMON)).replace("{user}", user).replace("{eitskin}", program)
+    return text
+
+
+def _read(name: str) -> str:
+    return resources.files("eitskin_tools.service").joinpath(FOLDER, name).read_text(encoding="utf-8")
+
+
+def write(root: Path, user: str, program: str, *, homes: bool) -> list[Path]:
+    """Write the files and return where they are.
+
+    Args:
+        root: Folder to write into; ``/`` for the system itself.
+        user: See :func:`text_of`.
+        program: See :func:`text_of`.
+        homes: Into the folders in which the system wants them, those without one left out; else side by side.
+
+    Raises:
+        ValueError: See :func:`text_of`.
+        OSError: They cannot be written.
+    """
+    from eitskin_proto.files.writing import write_bytes
+
+    texts = {one: text_of(one.name, user, program) for one in FILES if one.home or not homes}
+    written = []
+    for one, text in texts.items():
+        folder = root / one.home.lstrip("/") if homes else root
+        folder.mkdir(parents=True, exist_ok=True)
+        write_bytes(folder / one.name, text.encode(), 0o644)
+        written.append(folder / one.name)
+    return written
+
+
+PROGRAM = "/opt/eitskin/bin/eitskin"
+"""Where it is installed if that cannot be told."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--print", dest="shown", metavar="NAME", help="print one of the files")
+    what.add_argument("--out", type=Path, metavar="DIR", help="write all of them into a folder, to be looked at")
+    what.add_argument("--install", action="store_true", help="write them where systemd and udev look; only root may")
+    parser.add_argument("--root", type=Path, default=Path("/"), metavar="DIR", help="with --install: of the system (/)")
+    parser.add_argument("--user", default="eitskin", metavar="NAME", help="who runs the skins (default eitskin)")
+    parser.add_argument("--program", metavar="PATH", help="the eitskin that is started (default: this one)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object: what was written or is there")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """List, print or write, and say what to do next."""
+    program = arguments.program or _this_program()
+    try:
+        text_of("eitskin.service", arguments.user, program)
+    except ValueError as error:
+        raise UsageError(f"--{error}") from error
+    if arguments.shown is not None:
+        try:
+            print(text_of(arguments.shown, arguments.user, program), end="")
+        except ValueError as error:
+            raise UsageError(f"--print: {error}") from error
+        return 0
+    if arguments.out is None and not arguments.install:
+        rows = [{"name": one.name, "home": one.home, "what": one.what} for one in FILES]
+        if arguments.json:
+            print(json.dumps({"files": rows}))
+        else:
+            for one in FILES:
+                say(f"{one.name:<24}{one.home or '-':<22}{one.what}")
+            say("'eitskin service --print NAME' shows one, 'sudo eitskin service --install --user NAME' writes them")
+        return 0
+    if arguments.out is not None:
+        folder(arguments.out)
+    try:
+        written = write(
+            arguments.root if arguments.install else arguments.out, arguments.user, program, homes=arguments.install
+        )
+    except PermissionError as error:
+        if not arguments.install:
+            raise
+        raise FileError(
+            f"no permission for {error.filename}: only root may --install; run 'sudo {_this_program()} service "
+            f"--install --user {arguments.user}', or look at the files with --out DIR"
+        ) from error
+    if arguments.json:
+        print(json.dumps({"written": [str(path) for path in written], "user": arguments.user, "program": program}))
+        return 0
+    for path in written:
+        say(f"wrote {path}")
+    if arguments.install:
+        say(f"next: write /etc/eitskin/robot.toml for user {arguments.user}, of the group dialout; then")
+        say("sudo systemctl daemon-reload && sudo udevadm control --reload && sudo systemctl enable --now eitskin")
+    return 0
+
+
+def _this_program() -> str:
+    """Return the path of the ``eitskin`` that runs, as far as it can be told."""
+    beside = Path(sys.executable).with_name("eitskin")
+    found = str(beside) if beside.exists() else shutil.which("eitskin") or PROGRAM
+    return found if PROGRAM_PATH.fullmatch(found) else PROGRAM

@@ -1,0 +1,210 @@
+"""``eitskin subscribe``: print what a runtime publishes, or count it.
+
+In mode ``latest`` one line is kept up to date on a terminal, and written every second elsewhere; mode ``all`` prints a
+line a frame.
+"""
+
+import argparse
+import contextlib
+import dataclasses
+import json
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from eitskin_tools.command_line import options
+from eitskin_tools.console.terminal import say
+from eitskin_tools.errors import UsageError
+
+REPEAT_S = 0.1
+"""Between two lists of touches in mode ``latest``; what happens to touches is always told."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("endpoint", nargs="?", help="where the runtime publishes (default: its default)")
+    parser.add_argument(
+        "--mode", choices=("latest", "all"), default="latest", help="newest frame (default), or every frame"
+    )
+    parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--timeout-s", type=float, default=5.0, metavar="T", help="give up after T s without a frame")
+    parser.add_argument("--max-age-ms", type=float, metavar="A", help="fail at a frame older than this")
+    parser.add_argument(
+        "--region",
+        type=float,
+        nargs=4,
+        metavar=("X0", "Y0", "X1", "Y1"),
+        help="show only this rectangle of the sheet, in mm",
+    )
+    options.add_skin(parser, "the sheet's size, so that places are in mm")
+    parser.add_argument("--skip-unchanged", action="store_true", help="do without maps that changed by noise only")
+    parser.add_argument("--touches", action="store_true", help="the list of touches, without maps")
+    parser.add_argument("--verified", action="store_true", help="what physics says of frames, without the frames")
+    parser.add_argument(
+        "--force-table", type=Path, metavar="FILE.csv", help="with --verified: strength to newtons, of your own"
+    )
+    options.add_client_keys(parser)
+    parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print what comes (or, with ``--json``, one object at the end) and return 0."""
+    options.check_client_keys(arguments)
+    if arguments.touches and (arguments.region is not None or arguments.skip_unchanged):
+        raise UsageError("--touches takes no maps: leave --region and --skip-unchanged out")
+    maps_wanted = arguments.region is not None or arguments.skip_unchanged or arguments.max_age_ms is not None
+    if arguments.verified and (arguments.touches or maps_wanted):
+        raise UsageError("--verified takes no frames: leave --touches, --region, --skip-unchanged, --max-age-ms out")
+    if arguments.force_table is not None and not arguments.verified:
+        raise UsageError("--force-table goes with --verified: a map tells no strength, only physics does")
+    options.check_positive(arguments, "frames", "seconds", "timeout_s", "max_age_ms")
+    from eitskin.messaging.regions import Region
+    from eitskin.messaging.subscription import subscribe
+    from eitskin_tools.console.stream_view import StreamView
+
+    skin = options.chosen_skin(arguments)
+    if arguments.region is not None:
+        try:
+            x0, y0, x1, y1 = arguments.region
+            Region.from_mm(x0, y0, x1, y1, skin.grid)
+        except ValueError as error:
+            raise UsageError(f"--region: {error}") from error
+    keys = options.client_keys(arguments)
+    if threading.current_thread() is threading.main_thread():  # a script's "&" has it ignore Ctrl-C, which ends it
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if arguments.verified:
+        return _verified(arguments, keys)
+    subscription = subscribe(
+        arguments.endpoint,
+        arguments.mode,
+        timeout_s=arguments.timeout_s,
+        region_mm=None if arguments.region is None else tuple(arguments.region),
+        skin=skin,
+        skip_unchanged=arguments.skip_unchanged,
+        maps=not arguments.touches,
+        max_age_s=None if arguments.max_age_ms is None else arguments.max_age_ms / 1000,
+        keys=keys,
+    )
+    view = StreamView(sys.stdout, grid=skin.grid)
+    show: Callable[[Any], None] = _print if arguments.mode == "all" else view.show
+    if arguments.touches:
+        show = _touch_lines(REPEAT_S if arguments.mode == "latest" else 0.0)
+    latencies: list[float] = []
+    stages: dict[str, list[float]] = {}
+    first_s = time.perf_counter()
+    with contextlib.ExitStack() as stack:
+        stack.callback(view.end)
+        stack.enter_context(contextlib.suppress(KeyboardInterrupt))
+        for frame in stack.enter_context(subscription):
+            if arguments.json:
+                latencies.append(frame.latency_s * 1e6)
+                for stage, span in frame.stages_us().items():
+                    stages.setdefault(stage, []).append(span)
+            else:
+                show(frame if arguments.region is None else _within(frame, subscription.region))
+            if arguments.frames is not None and subscription.received >= arguments.frames:
+                break
+            if arguments.seconds is not None and time.perf_counter() - first_s >= arguments.seconds:
+                break
+    if arguments.json:
+        print(json.dumps(_summary(subscription, latencies, stages, time.perf_counter() - first_s)))
+    return 0
+
+
+def _within(frame: Any, region: Any) -> Any:
+    """Return a frame whose map is 0 outside a region."""
+    part = 0.0 * frame.map
+    part[region.slices] = frame.map[region.slices]
+    return dataclasses.replace(frame, map=part)
+
+
+def _verified(arguments: argparse.Namespace, keys: Any) -> int:
+    """Print verdicts, or count them."""
+    from eitskin.messaging.verified.subscription import subscribe_verified
+    from eitskin.touches.force import ForceTable
+    from eitskin_tools.console.stream_view import describe_verdict
+
+    table = None if arguments.force_table is None else ForceTable.load(arguments.force_table)
+    state, checked, flagged, spent_us = ("", ""), 0, 0, list[float]()
+    endpoint, timeout_s, first_s = arguments.endpoint, arguments.timeout_s, time.perf_counter()
+    with (
+        contextlib.suppress(KeyboardInterrupt),
+        subscribe_verified(endpoint, arguments.mode, frames=False, timeout_s=timeout_s, keys=keys) as verdicts,
+    ):
+        for found in verdicts:
+            if found.verified:
+                checked, flagged = checked + 1, flagged + bool(found.flagged)
+                spent_us.append(found.spent_s * 1e6)
+            if not arguments.json and (found.verified or (found.state, found.why) != state):
+                for line in describe_verdict(found, table):
+                    say(line)
+            if not found.verified or found.state != state[0]:
+                state = found.state, "" if found.verified else found.why
+            if arguments.frames is not None and checked >= arguments.frames:
+                break
+            if arguments.seconds is not None and time.perf_counter() - first_s >= arguments.seconds:
+                break
+    if arguments.json:
+        print(json.dumps(_verified_summary(verdicts, checked, flagged, spent_us)))
+    return 0
+
+
+def _verified_summary(verdicts: Any, checked: int, flagged: int, spent_us: list[float]) -> dict[str, Any]:
+    import numpy as np
+
+    from eitskin.pipeline.stats import quantiles
+
+    return {
+        "checked": checked, "flagged": flagged, "lost": verdicts.lost, "rejected": verdicts.rejected,
+        "extra_us": quantiles(np.array(spent_us)),
+    }  # fmt: skip
+
+
+def _print(frame: Any) -> None:
+    peak = f"peak {frame.map.max():.2f}" if frame.touched else "untouched"
+    events = f" [{', '.join(frame.events)}]" if frame.events else ""
+    say(
+        f"{frame.sequence} {peak} solver {frame.solver} age {frame.age_s * 1e3:.2f} ms latency "
+        f"{frame.latency_s * 1e3:.2f} ms cloud {frame.cloud}{events}",
+    )
+
+
+def _touch_lines(every_s: float) -> Callable[[Any], None]:
+    """Return what prints the touches of a frame, every so often, and what happened to them."""
+    due_s = [0.0]
+
+    def show(frame: Any) -> None:
+        for event in frame.touch_list.events:
+            say(f"{frame.sequence} touch {event.id} {event.kind}{f' {event.other}' if event.other else ''}")
+        if time.monotonic() < due_s[0]:
+            return
+        due_s[0] = time.monotonic() + every_s
+        for touch in frame.touches:
+            say(f"{frame.sequence} {touch}")
+        if frame.touch_list.more:
+            say(f"{frame.sequence} {frame.touch_list.more} more that are not listed")
+
+    return show
+
+
+def _summary(
+    subscription: Any, latencies: list[float], stages: dict[str, list[float]], elapsed_s: float
+) -> dict[str, Any]:
+    import numpy as np
+
+    from eitskin.pipeline.stats import quantiles
+
+    return {
+        "frames": subscription.received,
+        "rate_hz": round(subscription.received / elapsed_s, 3) if elapsed_s > 0 else 0.0,
+        "lost": subscription.lost,
+        "rejected": subscription.rejected,
+        "mapless": subscription.mapless,
+        "latency_us": quantiles(np.array(latencies)),
+        "stages_us": {stage: quantiles(np.array(spans)) for stage, spans in stages.items()},
+    }

@@ -1,0 +1,168 @@
+"""``eitskin surface``: measured points of the bent sheet in, the ordered cloud out, with V_pred if asked.
+
+The whole way from a 3-D scanner to a running stream is ``eitskin surface POINTS --out CLOUD.npz --predict --send``.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any, Final
+
+from eitskin_proto.errors import SkinError
+from eitskin_tools.command_line import files, kinds, options
+from eitskin_tools.console.terminal import say
+
+MM: Final = {"mm": 1.0, "m": 1000.0}
+"""Millimetres of a unit."""
+
+DEFAULT = "default"
+"""What ``--send`` without an endpoint means."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the subcommand's arguments."""
+    parser.add_argument(
+        "file",
+        metavar="POINTS",
+        help="points of the sheet: .ply or .pcd (ASCII or binary), .xyz or .npy; or sample",
+    )
+    parser.add_argument(
+        "--unit",
+        choices=tuple(MM),
+        default="mm",
+        help="of the points and of --corner (default: %(default)s); ROS and depth cameras write m",
+    )
+    parser.add_argument("--out", required=True, metavar="CLOUD.npz", help="where the cloud goes")
+    parser.add_argument(
+        "--corner",
+        nargs=3,
+        type=float,
+        metavar=("X", "Y", "Z"),
+        help="a point near the sheet's corner (0, 0), in the points' own frame; it decides between the four ways "
+        "in which a rectangle fits. Without it the scanner's frame decides: the way that needs the smallest turn",
+    )
+    parser.add_argument(
+        "--predict",
+        action="store_true",
+        help="add V_pred, what the forward model says that this sheet reads untouched: maps are more accurate with it",
+    )
+    parser.add_argument(
+        "--send",
+        nargs="?",
+        const=DEFAULT,
+        metavar="ENDPOINT",
+        help="give it to a running stream, at the control endpoint of 'eitskin run' (default: the same as its default)",
+    )
+    options.add_skin(parser, "the sheet's size, its pixels and, for V_pred, its electrodes")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Order the points, write the cloud, and predict and send it where that is asked for."""
+    from eitskin_proto.skin.sheet_cloud import check_sheet
+    from eitskin_sim.surface.ordered_cloud import DOUBTFUL_RMS, PointCloudError, organise, save_cloud
+    from eitskin_sim.surface.point_files import read_points
+
+    skin = options.chosen_skin(arguments)
+    points = MM[arguments.unit] * read_points(files.find(arguments.file, files.POINTS))
+    corner = None if arguments.corner is None else tuple(MM[arguments.unit] * place for place in arguments.corner)
+    files.writable(arguments.out, kinds.CLOUD)
+    start = time.perf_counter()
+    try:
+        result = organise(points, corner, skin.grid)
+        elapsed_ms = 1e3 * (time.perf_counter() - start)
+        check_sheet(result.cloud_mm, skin)
+    except (PointCloudError, ValueError) as error:
+        raise PointCloudError(f"{arguments.file}: {error}") from error
+    predicted, predict_ms = None, None
+    if arguments.predict:
+        from eitskin_sim.surface.predict import flat_voltages, predict
+
+        start = time.perf_counter()
+        predicted = predict(result.cloud_mm, skin), flat_voltages(skin)
+        predict_ms = 1e3 * (time.perf_counter() - start)
+        if result.prediction_rms > DOUBTFUL_RMS:
+            print(
+                f"eitskin surface: the sheet's outline is sure within {result.outline_sigma_mm:.2f} mm only; V_pred is "
+                f"likely off by {100 * result.prediction_rms:.1f} %, not {100 * DOUBTFUL_RMS:g} %, and maps "
+                "may be worse with it than without: measure more densely, or leave --predict out",
+                file=sys.stderr,
+            )
+    save_cloud(arguments.out, result, predicted, skin)
+    sent = None if arguments.send is None else _sent(arguments.send, arguments.out)
+    if arguments.json:
+        print(json.dumps(_report(arguments, result, len(points), elapsed_ms, predict_ms, sent)))
+        return 0
+    print(
+        f"{Path(arguments.out).name}: {result.points} points, {result.outliers} outliers, "
+        f"noise {result.noise_mm:.3f} mm, {result.size_mm[0]:.1f} x {result.size_mm[1]:.1f} mm "
+        f"within {result.outline_sigma_mm:.2f} mm, largest hole {result.largest_hole_mm:.1f} mm, "
+        f"{elapsed_ms:.0f} ms"
+    )
+    if predict_ms is not None:
+        print(f"V_pred added, likely off by {100 * result.prediction_rms:.1f} %, {predict_ms:.0f} ms")
+    if sent is not None:
+        print(f"in use as cloud {sent}")
+    if result.corner != "given":
+        print(
+            "the corner (0, 0) was taken from the scanner's frame; if that is not the sheet's, say --corner X Y Z",
+            file=sys.stderr,
+        )
+    return 0
+
+
+def _sent(endpoint: str, path: str) -> int:
+    """Return the cloud's revision in the runtime.
+
+    Raises:
+        SkinError: The runtime does not take it; the text says that its file is there all the same.
+    """
+    try:
+        return _send(endpoint, path)
+    except (SkinError, ValueError) as error:
+        raise SkinError(f"{path} is written, but no runtime has it: {error}") from error
+
+
+def _send(endpoint: str, path: str) -> int:
+    """Give the cloud's file to the runtime and return the cloud's revision; what is doubtful goes to stderr."""
+    import warnings
+
+    import eitskin
+
+    with warnings.catch_warnings(record=True) as doubts:
+        warnings.simplefilter("always")
+        revision = eitskin.send_cloud(path) if endpoint == DEFAULT else eitskin.send_cloud(endpoint, path)
+    for doubt in doubts:
+        say(f"eitskin surface: {doubt.message}", error=True)
+    return revision
+
+
+def _report(
+    arguments: argparse.Namespace,
+    result: Any,
+    points: int,
+    elapsed_ms: float,
+    predict_ms: float | None,
+    sent: int | None,
+) -> dict[str, object]:
+    return {
+        "file": str(arguments.file),
+        "out": str(arguments.out),
+        "points": points,
+        "used": result.points,
+        "outliers": result.outliers,
+        "noise_mm": result.noise_mm,
+        "size_mm": list(result.size_mm),
+        "outline_sigma_mm": result.outline_sigma_mm,
+        "prediction_rms": result.prediction_rms,
+        "largest_hole_mm": result.largest_hole_mm,
+        "corner": result.corner,
+        "rotation": result.rotation.tolist(),
+        "translation_mm": result.translation_mm.tolist(),
+        "elapsed_ms": elapsed_ms,
+        "predicted": predict_ms is not None,
+        "predict_ms": predict_ms,
+        "cloud": sent,
+    }

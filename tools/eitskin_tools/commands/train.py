@@ -1,0 +1,127 @@
+"""``eitskin train``: train VD2T and its gate on a data set, with a bar on a terminal and a line per epoch elsewhere."""
+
+import argparse
+import json
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from eitskin_tools.console.progress import ProgressBar
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the subcommand takes."""
+    parser.add_argument(
+        "--recipe", required=True, metavar="NAME", help="paper, units, free, small, small-units or tiny"
+    )
+    parser.add_argument(
+        "--data", required=True, nargs="+", metavar="DIR", help="data set of 'eitskin dataset'; several count as one"
+    )
+    parser.add_argument("--out", required=True, metavar="RUN", help="folder of the run")
+    parser.add_argument("--epochs", type=int, help="instead of the recipe's; the schedule spans them")
+    parser.add_argument("--learning-rate", type=float, help="instead of the recipe's")
+    parser.add_argument("--schedule", choices=["constant", "onecycle"], help="instead of the recipe's")
+    parser.add_argument("--seed", type=int, default=0, help="of weights, order, noise and dropout (default 0)")
+    parser.add_argument(
+        "--start-from", metavar="RUN|BUNDLE", help="begin with the best weights of a run, or with those of a bundle"
+    )
+    parser.add_argument("--resume", action="store_true", help="go on from the run's last whole epoch")
+    parser.add_argument("--threads", type=int, default=0, help="CPU threads (default: torch's choice)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Train and report."""
+    import torch
+
+    from eitskin_tools.command_line import files
+    from eitskin_tools.command_line.options import check_seed
+    from eitskin_tools.console.progress import Stages
+    from eitskin_tools.errors import UsageError
+    from eitskin_training import curves, train
+    from eitskin_training.gate import stored
+    from eitskin_training.recipes import fitted, recipe
+    from eitskin_training.samples.joined import load_all
+
+    changes = {
+        name: value
+        for name in ("epochs", "learning_rate", "schedule")
+        if (value := getattr(arguments, name)) is not None
+    }
+    try:
+        chosen = replace(recipe(arguments.recipe), **changes)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    check_seed(arguments.seed)
+    if arguments.threads < 0:
+        raise UsageError(f"--threads is {arguments.threads}; expected 1 or more, or 0 for torch's choice")
+    if arguments.threads:
+        torch.set_num_threads(arguments.threads)
+    out = files.folder(arguments.out)
+    for folder in arguments.data:
+        files.find(folder, files.DATA_SET)
+    start = _start(arguments.start_from)
+    data = load_all(arguments.data)
+    chosen = fitted(chosen, data.skin)
+    with ProgressBar("training", lines=False) as bar:
+        done = train.train(
+            data,
+            chosen,
+            out,
+            seed=arguments.seed,
+            resume=arguments.resume,
+            start=start,
+            sources=tuple(str(Path(folder).resolve()) for folder in arguments.data),
+            progress=partial(_shown, bar),
+        )
+    with Stages() as tell:
+        own = stored.gate_of_run(out, data, arguments.seed, tell=tell)
+    drawn = curves.draw(done.history, out / "curves.png", title=f"recipe {chosen.name}, seed {arguments.seed}")
+    best = done.best
+    assert best is not None
+    result: dict[str, Any] = {
+        "run": str(out),
+        "recipe": chosen.name,
+        "epochs": len(done.history),
+        "best": asdict(best),
+        "seconds": round(sum(epoch.seconds for epoch in done.history), 1),
+        "parameters": done.model.parameter_count(),
+        "streamed_weights": done.model.streamed_weights(),
+        "device": str(train.device()),
+        "curves": str(out / "curves.png") if drawn else None,
+        "gate": own.gate.facts(),
+    }
+    if arguments.json:
+        print(json.dumps(result))
+    else:
+        print(f"best epoch {best.number}: validation loss {best.validation_loss:.5f}, CC {best.validation_cc:.4f}")
+        print(f"next: eitskin export {out} --out {out}.eitskin")
+    return 0
+
+
+def _start(path: str | None) -> Any:
+    if path is None:
+        return None
+    from eitskin_tools.command_line import files
+
+    found = files.find(path, files.START)
+    if found.is_file():
+        from eitskin_export.unfold import start_of_bundle
+
+        return start_of_bundle(found)
+    from eitskin_training.start import Start
+
+    return Start.of_run(found)
+
+
+def _shown(bar: ProgressBar, now: Any) -> None:
+    """Show a step of training, and an epoch that has ended in a line."""
+    bar.show(now.step, now.steps)
+    if (epoch := now.finished) is not None:
+        left_min = (now.epochs - epoch.number) * epoch.seconds / 60
+        bar.report(
+            f"epoch {epoch.number}/{now.epochs} loss {epoch.training_loss:.5f} "
+            f"validation {epoch.validation_loss:.5f} CC {epoch.validation_cc:.4f}",
+            f"{epoch.seconds:.1f} s, {left_min:.0f} min left",
+        )

@@ -1,0 +1,133 @@
+"""``eitskin view``: a live page in the browser."""
+
+import argparse
+import contextlib
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+from eitskin_tools.command_line import files, options
+from eitskin_tools.console.terminal import say
+from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.signals import endings
+
+PORT = 8416
+"""Unless another one is named."""
+
+LOOK_S = 1.0
+"""How soon Ctrl-C is heard at the latest."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("file", nargs="?", type=Path, metavar="FILE.mcap", help="look at a recording: any moment of it")
+    parser.add_argument("--endpoint", metavar="E", help="where the runtime publishes (default: its default)")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="ROBOT.toml",
+        help="all skins of a robot, or of 'eitskin run --config' in a folder",
+    )
+    parser.add_argument(
+        "--bundle",
+        type=files.bundle,
+        metavar="FILE",
+        help=f"{files.A_BUNDLE}, that computes a recording's maps (default: the one that was running)",
+    )
+    parser.add_argument("--port", type=int, default=PORT, metavar="N", help=f"of the page, 0 for any ({PORT})")
+    parser.add_argument(
+        "--host",
+        default="127.0.0.1",
+        metavar="A",
+        help="address to serve on (127.0.0.1); any other than this machine's own asks for a token",
+    )
+    parser.add_argument("--token", action="store_true", help="ask for a token on this machine too")
+    parser.add_argument("--recordings", type=Path, metavar="DIR", help="where the page's recordings go (default: here)")
+    parser.add_argument("--no-open", action="store_true", help="do not open a browser")
+    options.add_skin(parser, "the sheet's size, so that places are in mm")
+    options.add_client_keys(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serve the page until Ctrl-C and return 0."""
+    _check(arguments)
+    from eitskin_tools.view.server import is_loopback, new_token
+
+    token = new_token() if arguments.token or not is_loopback(arguments.host) else ""
+    for number in endings():
+        signal.signal(number, signal.default_int_handler)  # a script's "&" has it ignore Ctrl-C, which ends it
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.suppress(KeyboardInterrupt))
+        where = {"host": arguments.host, "port": arguments.port, "token": token}
+        what, address = _recorded(arguments, where, stack) if arguments.file else _live(arguments, where, stack)
+        say(f"viewing {what} at {address} until Ctrl-C")
+        sys.stdout.flush()
+        if not arguments.no_open and _has_display():
+            import webbrowser
+
+            webbrowser.open(address)
+        ended = threading.Event()
+        while not ended.wait(LOOK_S):  # a signal that comes just before a wait does not end that one
+            pass
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    options.check_client_keys(arguments)
+    if not 0 <= arguments.port <= 65535:
+        raise UsageError(f"--port is {arguments.port}, expected 0 to 65535")
+    live = {"--endpoint": arguments.endpoint, "--config": arguments.config, "--server-key": arguments.server_key}
+    stated = [name for name, value in live.items() if value is not None]
+    if arguments.file is not None and stated:
+        raise UsageError(f"a recording is read by the viewer itself: leave {' and '.join(stated)} out")
+    if arguments.file is None and arguments.bundle is not None:
+        raise UsageError("--bundle computes a recording's maps; the maps of a runtime are its own: leave it out")
+    if arguments.endpoint is not None and arguments.config is not None:
+        raise UsageError("--config names the endpoints of all skins: leave --endpoint out")
+    if arguments.recordings is not None and not arguments.recordings.is_dir():
+        raise UsageError(f"--recordings is {arguments.recordings}, expected a folder that is there")
+    if arguments.recordings is not None and _writable(arguments.recordings) is None:
+        raise UsageError(
+            f"--recordings is {arguments.recordings}, which takes no files of this user; name another folder"
+        )
+
+
+def _recorded(arguments: argparse.Namespace, where: dict[str, Any], stack: contextlib.ExitStack) -> tuple[str, str]:
+    """Serve a recording; return what and where."""
+    from eitskin_tools.view.film import Film, Projector
+
+    film = Film(arguments.file, arguments.bundle)
+    page = stack.enter_context(Projector(film, **where))
+    return str(arguments.file), page.address
+
+
+def _live(arguments: argparse.Namespace, where: dict[str, Any], stack: contextlib.ExitStack) -> tuple[str, str]:
+    """Serve one runtime or several; return what and where."""
+    from eitskin_tools.view.source import Source, sources_of
+    from eitskin_tools.view.viewer import Viewer
+
+    keys = options.client_keys(arguments)
+    key_options = tuple(f"--{name}={value}" for name, value in (("server-key", arguments.server_key),
+                    ("client-key", arguments.client_key)) if value is not None)  # fmt: skip
+    skin, config = options.chosen_skin(arguments), arguments.config
+    if config is None:
+        sources: tuple[Source, ...] = (Source(skin, arguments.endpoint, keys=keys, record_options=key_options),)
+    else:
+        sources = sources_of(config, skin, keys=keys, record_options=key_options)
+    recordings = _writable(arguments.recordings or Path())
+    viewer = stack.enter_context(Viewer(sources, recordings=recordings, **where))
+    names = f"{', '.join(one.name for one in sources)} of {config}" if config else viewer.feeds[0].endpoint
+    return names, viewer.address
+
+
+def _writable(folder: Path) -> Path | None:
+    """Return a folder for recordings, or None where they cannot be written."""
+    return folder.resolve() if os.access(folder, os.W_OK | os.X_OK) else None
+
+
+def _has_display() -> bool:
+    """Return whether somebody sits there who could see a browser."""
+    return sys.stdout.isatty() and bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

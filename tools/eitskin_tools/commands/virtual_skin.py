@@ -1,0 +1,85 @@
+"""``eitskin virtual-skin``: a virtual skin behind a pseudo-terminal."""
+
+import argparse
+import os
+from pathlib import Path
+
+from eitskin_tools.command_line import files, kinds, options
+from eitskin_tools.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (default 200)")
+    parser.add_argument(
+        "--config",
+        default="paper",
+        metavar="NAME",
+        help="configuration: a TOML file, or paper, full208, idle or fast (default paper)",
+    )
+    parser.add_argument(
+        "--scene", metavar="FILE", help="hold this scene (a file, or sample); without it a script of 20 s loops"
+    )
+    options.add_skin(parser, "sheet, electrodes, map and which way touches change conductance")
+    options.add_touches(parser, "those of the skin, else raise", "what the script's touches do")
+    parser.add_argument("--seconds", type=float, metavar="S", help="stop after so long")
+    parser.add_argument("--seed", type=int, default=0, help="of noise and faults (default 0)")
+    parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="kind of noise (default N2)")
+    parser.add_argument("--snr-db", type=float, default=50.0, metavar="DB", help="signal to noise ratio (default 50)")
+    parser.add_argument(
+        "--fault", action="append", default=[], metavar="KIND[@START][/EVERY][:AMOUNT]",
+        help="repeatable; KIND: flip drop garbage zeros stall burst unplug reset saturate foreign mute late twice "
+        "frozen stuck failing",
+    )  # fmt: skip
+    parser.add_argument("--serial-number", default="VIRTUAL-0001", help="what HELLO says (default VIRTUAL-0001)")
+    parser.add_argument(
+        "--clock-us", type=int, default=0, metavar="US", help="device clock at boot; near 2^32 it wraps soon"
+    )
+    parser.add_argument("--log", type=Path, metavar="FILE", help="write what happens there, one JSON object a line")
+    parser.add_argument("--wire-times", type=Path, metavar="FILE.npy", help="write the host time of every frame there")
+    parser.add_argument("--json", action="store_true", help="say port and clock as one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serve until stopped."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy is first imported, below
+    from eitskin_tools.virtual_skin.faults import parse
+    from eitskin_tools.virtual_skin.process import Options, serve
+
+    if not 0.0 < arguments.rate <= 1e5:
+        raise UsageError(f"--rate is {arguments.rate:g}; expected above 0 frames/s")
+    options.check_positive(arguments, "seconds")
+    if not 0 <= arguments.clock_us < 1 << 32:
+        raise UsageError(f"--clock-us is {arguments.clock_us}; expected 0 to {(1 << 32) - 1}")
+    if arguments.scene is not None and arguments.touches is not None:
+        raise UsageError("--touches is what the script's touches do; those of --scene are as it says: leave it out")
+    options.check_snr(arguments.snr_db)
+    options.check_seed(arguments.seed)
+    files.find(arguments.config, files.CONFIGURATION)
+    scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
+    for path, written in ((arguments.wire_times, kinds.ARRAY), (arguments.log, kinds.LOG)):
+        if path is not None:
+            files.writable(path, written)
+    skin, kind = options.chosen_skin(arguments), options.chosen_touches(arguments)
+    try:
+        faults = tuple(parse(text) for text in arguments.fault)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    return serve(
+        Options(
+            rate_hz=arguments.rate,
+            configuration=arguments.config,
+            scene=scene,
+            skin=skin if kind is None else skin.touched(kind),
+            seconds=arguments.seconds,
+            seed=arguments.seed,
+            noise=arguments.noise,
+            snr_db=arguments.snr_db,
+            faults=faults,
+            serial_number=arguments.serial_number,
+            first_us=arguments.clock_us,
+            json=arguments.json,
+            log=arguments.log,
+            wire_times=arguments.wire_times,
+        )
+    )

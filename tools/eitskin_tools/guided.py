@@ -1,0 +1,429 @@
+"""What a person is asked to do, step by step, and what came of it: the arrays of a recording to calibrate from.
+
+A step ends by an event: frames that are at rest, away from the reference or back again, or a word that was typed.
+"""
+
+import os
+import select
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.errors import SkinError
+from eitskin_proto.files.plain import plain
+from eitskin_tools.console.terminal import StatusLine
+
+Array = npt.NDArray[np.float64]
+
+WINDOW: Final = 20
+LEAST: Final = 0.002
+"""Rms of a row's relative change beside the common one: a light press has about 0.01."""
+
+SURE: Final = 4.0
+"""Changes are that many times what noise alone would make."""
+
+STILL: Final = 2.0
+"""Halves of a window may differ by so many times their noise; rms over a hundred rows is known to a tenth."""
+
+CREEP: Final = 0.05
+"""Of the change itself may still be on its way: soft sheets creep."""
+
+LOUD: Final = 0.05
+"""Rows with more relative noise than that tell nothing."""
+
+
+class Watch:
+    """The last frames of a skin."""
+
+    def __init__(self) -> None:
+        self._frames: list[Array] = []
+        self._reference: Array | None = None
+        self._rows: npt.NDArray[np.bool_] = np.ones((), dtype=np.bool_)  # of any number
+
+    def add(self, voltages_V: Array) -> None:
+        """Take a frame, (104,) or (208,) V, of as many rows as the others."""
+        self._frames.append(np.array(voltages_V))
+        del self._frames[:-WINDOW]
+
+    def begin(self) -> None:
+        """Forget the frames so far: something else is looked at from now on."""
+        self._frames.clear()
+
+    def refer(self, mean_V: Array, noise_V: Array) -> None:
+        """Hold frames against a reference from now on.
+
+        Args:
+            mean_V: (rows,) of it.
+            noise_V: (rows,) standard deviation of a frame.
+        """
+        self._reference, self._rows = mean_V, noise_V < LOUD * np.abs(mean_V)
+
+    @property
+    def last(self) -> Array:
+        """The newest frame, (rows,) V."""
+        return self._frames[-1]
+
+    @property
+    def full(self) -> bool:
+        """Whether there are enough frames to tell."""
+        return len(self._frames) == WINDOW
+
+    @property
+    def steady(self) -> bool:
+        """Whether the sheet is at rest."""
+        if not self.full:
+            return False
+        frames = np.array(self._frames)
+        scale = np.abs(frames.mean(axis=0))
+        rows = self._rows & (scale > 0.0)
+        halves = (frames[: WINDOW // 2].mean(axis=0) - frames[WINDOW // 2 :].mean(axis=0))[rows] / scale[rows]
+        noise = step_noise(frames)[rows] / scale[rows] * np.sqrt(4.0 / WINDOW)
+        moved, expected = _rms(halves), _rms(noise)
+        return bool(moved <= STILL * expected + (CREEP * self.away if self._reference is not None else 0.0))
+
+    @property
+    def away(self) -> float:
+        """Rms of the rows' change since the reference, beside the common one."""
+        if self._reference is None or not self._frames:
+            return 0.0
+        change = np.mean(self._frames, axis=0)[self._rows] / self._reference[self._rows] - 1.0
+        return _rms(change - np.median(change))
+
+    @property
+    def floor(self) -> float:
+        """What :attr:`away` must exceed to be more than noise."""
+        if self._reference is None or not self.full:
+            return np.inf
+        noise = step_noise(np.array(self._frames))[self._rows] / np.abs(self._reference[self._rows])
+        return max(LEAST, SURE * _rms(noise) / float(np.sqrt(len(self._frames))))
+
+
+def step_noise(frames: Array) -> Array:
+    """Return (rows,) standard deviations of a frame, from the steps between those of (n, rows)."""
+    return np.asarray(np.sqrt(np.mean(np.diff(frames, axis=0) ** 2, axis=0) / 2.0))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
+LoadScan = Callable[[str], Array]
+"""A file's name -> (3, rows, columns) mm; a SkinError or OSError says what is wrong with it."""
+
+SKIP: Final = "s"
+BACK: Final = "b"
+QUIT: Final = "q"
+WORDS: Final = f"{SKIP} skip, {BACK} back, {QUIT} quit"
+
+RETURNED: Final = 0.25
+"""Share of a press that may stay: sheets keep a few percent for a while."""
+
+
+class GuideError(SkinError):
+    """A guided calibration ended early; the text says why."""
+
+
+class Dialogue(Protocol):
+    """A person at a terminal."""
+
+    def tell(self, text: str) -> None:
+        """Say what to do."""
+
+    def show(self, text: str) -> None:
+        """Say how it is going; may be overwritten."""
+
+    def answer(self) -> str | None:
+        """Return a line that was typed, without waiting; None where there is none."""
+
+    @property
+    def left(self) -> bool:
+        """Whether nothing will be typed any more."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """What is asked for."""
+
+    places_mm: tuple[tuple[float, float], ...]
+    """Where the stamp goes."""
+    stamp_mm: tuple[float, ...]
+    """A disc's diameter, or length along x and width along y; empty for no presses."""
+    bends: int = 3
+    reference_frames: int = 100
+    frames: int = 40
+    """That a moment is the mean of."""
+    lying_mm: Array | None = None
+    """(3, rows, columns) the scan of the sheet as it lies for reference and presses; None where it lies flat."""
+
+    @property
+    def stamp(self) -> str:
+        """For people."""
+        size = " x ".join(f"{one:g}" for one in self.stamp_mm)
+        return f"disc of {size} mm" if len(self.stamp_mm) == 1 else f"stamp of {size} mm"
+
+
+@dataclass(slots=True)
+class Found:
+    """What was recorded so far."""
+
+    reference: Array | None = None
+    bents: dict[int, tuple[Array, Array]] = field(default_factory=dict)
+    presses: dict[int, Array] = field(default_factory=dict)
+
+
+class Guide:
+    """A guided recording.
+
+    Args:
+        plan: What is asked for.
+        frames: (104,) or (208,) V each, for as long as the device streams.
+        talk: The person.
+        load_scan: Reads the scan of a bend.
+    """
+
+    def __init__(self, plan: Plan, frames: Iterator[Array], talk: Dialogue, load_scan: LoadScan) -> None:
+        self._plan, self._frames, self._talk, self._load_scan = plan, frames, talk, load_scan
+        self._watch = Watch()
+        self._found = Found()
+
+    def run(self) -> dict[str, Any]:
+        """Go through all steps and return the arrays of ``docs/calibrate.md``.
+
+        Raises:
+            GuideError: The person gave up, or the frames ended.
+        """
+        steps: list[Callable[[], str | None]] = [self._reference]
+        steps += [lambda k=k: self._bend(k) for k in range(self._plan.bends)]  # type: ignore[misc]
+        if self._plan.stamp_mm:
+            steps += [lambda k=k: self._press(k) for k in range(len(self._plan.places_mm))]  # type: ignore[misc]
+        at = 0
+        while at < len(steps):
+            word = steps[at]()
+            if word == QUIT:
+                raise GuideError("stopped on request; nothing was written; the same command begins anew")
+            if word == SKIP and at:
+                self._leave_out(at - 1)
+            at = max(at - 1, 0) if word == BACK else at + (1 if word != SKIP or at else 0)
+        return self._arrays()
+
+    def _leave_out(self, number: int) -> None:
+        """Forget what came of a step that was gone back to, of those after the reference."""
+        bends, found = self._plan.bends, self._found
+        gone = found.bents.pop(number, None) if number < bends else found.presses.pop(number - bends, None)
+        if gone is not None:
+            self._talk.tell("what was recorded of it before is left out")
+
+    def _reference(self) -> str | None:
+        how = "Lay the sheet flat" if self._plan.lying_mm is None else "Leave the sheet as it was scanned"
+        self._talk.tell(f"{how} and take your hands off. ({WORDS})")
+        self._watch = Watch()
+        frames, word = self._taken(self._plan.reference_frames, lambda: True)
+        if word == SKIP:
+            self._talk.tell("the reference cannot be skipped: everything is held against it")
+        if word is None:
+            self._found.reference = frames.mean(axis=0)
+            noise = step_noise(frames)
+            self._watch.refer(self._found.reference, noise)
+            self._talk.tell(f"reference: mean of {len(frames)} frames of {frames.shape[1]} rows")
+        return word
+
+    def _bend(self, number: int) -> str | None:
+        of = f"Bend {number + 1} of {self._plan.bends}"
+        self._talk.tell(f"{of}: bend the sheet without touching its surface, hold it still, and scan it. ({WORDS})")
+        word = self._until(lambda: self._watch.steady and self._watch.away > self._watch.floor)
+        if word:
+            return word
+        self._talk.tell("it is bent and at rest. Name the scan's file (eitskin surface ... --out FILE):")
+        while True:
+            typed: list[str] = []
+            word = self._until(lambda: self._talk.left, typed)
+            if word:
+                return word
+            if not typed:
+                raise GuideError(
+                    "standard input has ended, so no scan can be named; nothing was written; run it at a terminal, or "
+                    "with --bends 0"
+                )
+            try:
+                cloud = self._load_scan(typed[0])
+                break
+            except (SkinError, OSError) as error:
+                self._talk.tell(f"{error}; name another file")
+        frames, word = self._taken(self._plan.frames, lambda: self._watch.away > self._watch.floor)
+        if word is None:
+            self._found.bents[number] = (frames.mean(axis=0), cloud)
+            self._talk.tell(f"bend {number + 1}: mean of {len(frames)} frames")
+        return word
+
+    def _press(self, number: int) -> str | None:
+        x, y = self._plan.places_mm[number]
+        of = f"Press {number + 1} of {len(self._plan.places_mm)}"
+        how = "flat" if self._plan.lying_mm is None else "as it was scanned first,"
+        self._talk.tell(f"{of}: the sheet {how} and free. ({WORDS})")
+        word = self._until(lambda: self._watch.steady and self._watch.away <= self._watch.floor)
+        if word:
+            return word
+        self._talk.tell(f"press the {self._plan.stamp} at ({x:g}, {y:g}) mm, and hold it")
+        frames, word = self._taken(self._plan.frames, lambda: self._watch.away > self._watch.floor)
+        if word:
+            return word
+        size = self._watch.away
+        self._talk.tell(f"press {number + 1}: changed by {size:.1%}. Let go")
+        word = self._until(
+            lambda: self._watch.full and self._watch.away <= max(self._watch.floor, RETURNED * size), new=True
+        )
+        if word is None:
+            self._found.presses[number] = frames.mean(axis=0)
+        return word
+
+    def _taken(self, count: int, holds: Callable[[], bool]) -> tuple[Array, str | None]:
+        """Return (count, rows) V of a sheet at rest for which something holds all the while; or a word."""
+        while True:
+            word = self._until(lambda: self._watch.steady and holds())
+            if word:
+                return np.zeros((0, 0)), word
+            frames: list[Array] = []
+
+            def over(frames: list[Array] = frames) -> bool:
+                frames.append(self._watch.last)
+                return len(frames) == count or not (self._watch.steady and holds())
+
+            word = self._until(over)
+            if word:
+                return np.zeros((0, 0)), word
+            if len(frames) == count and self._watch.steady and holds():
+                return np.array(frames), None
+            self._talk.show("it moved; hold it still")
+
+    def _until(self, reached: Callable[[], bool], typed: list[str] | None = None, *, new: bool = False) -> str | None:
+        """Take frames until something is reached, or a word was typed, which is returned.
+
+        Args:
+            reached: Asked after each frame.
+            typed: Takes a line that is no word, and ends the wait.
+            new: Look at frames from now on alone.
+        """
+        if new:
+            self._watch.begin()
+        for voltages in self._frames:
+            self._watch.add(voltages)
+            line = self._talk.answer()
+            word = (line or "").strip()
+            if word in (SKIP, BACK, QUIT):
+                self._watch.begin()
+                return word
+            if word and typed is not None:
+                typed.append(word)
+                return None
+            if word:
+                self._talk.tell(f"{word!r} is no answer here: {WORDS}")
+            if reached():
+                return None
+        raise GuideError("no more frames come from the skin; nothing was written; look at it with 'eitskin doctor'")
+
+    def _arrays(self) -> dict[str, Any]:
+        found, plan = self._found, self._plan
+        arrays: dict[str, Any] = {"reference_V": found.reference, "reference_frames": np.array(plan.reference_frames)}
+        if plan.lying_mm is not None:
+            arrays["reference_cloud_mm"] = plan.lying_mm
+        if found.bents:
+            volts, clouds = zip(*(found.bents[k] for k in sorted(found.bents)), strict=True)
+            arrays |= {"bent_V": np.array(volts), "bent_cloud_mm": np.array(clouds)}
+            arrays["bent_frames"] = np.array(plan.frames)
+        if found.presses:
+            order = sorted(found.presses)
+            arrays |= {
+                "press_V": np.array([found.presses[k] for k in order]),
+                "press_xy_mm": np.array([plan.places_mm[k] for k in order]),
+                "stamp_mm": np.array(plan.stamp_mm),
+                "press_frames": np.array(plan.frames),
+            }
+        return arrays
+
+
+LONGEST: Final = 4096
+"""Bytes of a line that are kept."""
+
+
+class Terminal:
+    """Tells on standard output, and takes typed lines from standard input; at its end, none come any more."""
+
+    def __init__(self) -> None:
+        self._line = StatusLine(sys.stdout)
+        self._input = sys.stdin.fileno()
+        self._typed = b""
+        self._open = True
+
+    def tell(self, text: str) -> None:
+        """Print a line."""
+        self._line.above(plain(text))
+
+    def show(self, text: str) -> None:
+        """Show how it is going in the last line; nothing where nobody looks on."""
+        self._line.show(text)
+
+    def answer(self) -> str | None:
+        """Return a line that was typed, or None."""
+        while self._open and select.select([self._input], [], [], 0.0)[0]:
+            more = os.read(self._input, LONGEST)
+            self._open = bool(more)
+            self._typed = (self._typed + more)[-LONGEST:]
+        line, end, rest = self._typed.partition(b"\n")
+        if not end and (self._open or not line):
+            return None
+        self._typed = rest
+        return line.decode(errors="replace").strip()
+
+    @property
+    def left(self) -> bool:
+        """Whether nothing will be typed any more: standard input is at its end, and every line was taken."""
+        return not self._open and not self._typed
+
+    def end(self) -> None:
+        """Leave the last line."""
+        self._line.end()
+
+
+PATIENCE_S: Final = 10.0
+"""Without a whole frame for so long, the line is taken for silent."""
+
+UNFIT: Final = 100
+"""Frames in a row that cannot be used: then none will come."""
+
+
+def frames_of(device: Any) -> Iterator[npt.NDArray[np.float64]]:
+    """Yield the V of every whole frame that is fit, (208,) of a device that scans all rows, else (104,).
+
+    It ends when none comes.
+
+    Args:
+        device: It streams.
+
+    Raises:
+        GuideError: ``UNFIT`` frames in a row cannot be used.
+    """
+    from eitskin.acquisition.capture import whole_frames
+    from eitskin.reference.front_end import stuck
+    from eitskin.reference.normaliser import Normaliser
+
+    normaliser = Normaliser(device.hello.volts_per_count)
+    came, unfit = True, 0
+    while came:
+        came = False
+        for view in whole_frames(device, time.perf_counter() + PATIENCE_S):
+            came = True
+            normaliser.load(view.counts)
+            reason = "rows are cut off" if view.saturation else stuck(normaliser.counts)
+            unfit = unfit + 1 if reason else 0
+            if unfit >= UNFIT:
+                raise GuideError(
+                    f"the last {unfit} frames cannot be used: {reason}; check the current and the gain of the "
+                    "configuration with 'eitskin flash'"
+                )
+            if not reason:  # not the normaliser's, which averages a row and its reciprocal
+                yield view.counts * device.hello.volts_per_count

@@ -1,0 +1,400 @@
+"""A recording in parts of a second, each made when a page asks for it: surfaces and frames as a live page gets them.
+
+Maps are computed from what was measured, by the sums that made them then (:mod:`eitskin.pipeline.maps_again`), so a
+recording without maps is looked at as well as one with them, and with another bundle too. Where only noise had changed,
+and the frame whose map stood lies before the part, its own map is computed. Touches are found anew; their numbers go on
+from part to part while a page plays on, and begin anew where it jumped.
+"""
+
+import math
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.errors import FrameError
+from eitskin.messaging.frame import COUNTS, MAX_TEXT, MAX_TEXTS, STAGES, Frame
+from eitskin.messaging.streams.measured import WireFrame
+from eitskin.model.bundle import Bundle
+from eitskin.model.engine import default_solver
+from eitskin.pipeline.maps_again import NOTHING
+from eitskin.robot.pose import Pose
+from eitskin.touches.surface import Surface
+from eitskin.touches.touch import LAYOUT, unpack_touches
+from eitskin.touches.watch import TouchWatch
+from eitskin_proto.errors import SkinError
+from eitskin_tools.recording.bundles import bundle_of
+from eitskin_tools.recording.codec import unpack_json
+from eitskin_tools.recording.layout import FRAME, WIRE, RecordingError
+from eitskin_tools.recording.reader import Entry, Recording
+from eitskin_tools.recording.reinfer.rerun import Computed, Rerun
+from eitskin_tools.recording.script import Step
+from eitskin_tools.recording.seek.moments import Moments
+from eitskin_tools.recording.told import Told
+from eitskin_tools.view.messages import frame_message, packed, skin_message, status_message, surface_message
+from eitskin_tools.view.server import PageServer
+
+PART_S: Final = 1.0
+"""Of a recording, in one answer."""
+
+MOST_BYTES: Final = 32 << 20
+"""Parts that are kept for other pages, and for one that goes back."""
+
+MOST_WATCHES: Final = 8
+"""Ends of parts at which touches are known, so that the part behind goes on with their numbers."""
+
+
+class Film:
+    """A recording that is looked at; for any number of threads.
+
+    Args:
+        path: Of the file.
+        bundle: What computes the maps; None for the one that was running, if it is a shipped one.
+
+    Raises:
+        SkinError: Recording or bundle cannot be used, with what to do.
+        OSError: The file cannot be read.
+    """
+
+    def __init__(self, path: Path, bundle: Path | None = None) -> None:
+        self._moments = Moments(path)
+        self._bundle: Bundle = bundle_of(self._moments, bundle)
+        self._rerun = Rerun(self._moments, self._bundle)
+        self.path, self.skin = path, self._bundle.skin
+        self.seconds = self._moments.seconds
+        self.ending = self._moments.ending.removeprefix("; ")
+        """What is wrong with the file, in words; "" if nothing is."""
+        self.first_ns = self._moments.first_ns
+        """Wall clock of the first frame."""
+        self.parts = math.floor(self.seconds / PART_S) + 1
+        self._lock = threading.Lock()
+        self._made: OrderedDict[int, bytes] = OrderedDict()
+        self._watches: OrderedDict[int, TouchWatch] = OrderedDict()
+        self._flat = Surface(self.skin.grid.flat_cloud_mm(), self.skin.grid)
+        self._nothing = np.zeros(self.skin.grid.shape, dtype=np.float32)
+        self._solver, self._run = default_solver(self._bundle), self._moments.told("run")
+        self._blank = blank(self._moments, self._nothing)
+
+    def part(self, number: int) -> bytes:
+        """Return the messages of a part, one behind the other.
+
+        Args:
+            number: From 0 to below ``parts``.
+
+        Raises:
+            SkinError: It cannot be computed.
+            OSError: The file cannot be read any more.
+        """
+        with self._lock:
+            if number not in self._made:
+                self._made[number] = self._make(number)
+                while len(self._made) > 1 and sum(map(len, self._made.values())) > MOST_BYTES:
+                    self._made.popitem(last=False)
+            self._made.move_to_end(number)
+            return self._made[number]
+
+    def _make(self, number: int) -> bytes:
+        span = self._moments.span(number * PART_S, (number + 1) * PART_S)
+        watch = self._watches.pop(number - 1, None) or TouchWatch(self.skin.grid)
+        messages: list[bytes] = []
+        surface, cloud = self._flat, 0
+        kept, shown = self._nothing, -1
+        for step in map(self._asked, span.steps):
+            frame = step.frame
+            if step.cloud is not None:
+                cloud, surface = step.cloud.revision, Surface(step.cloud.cloud, self.skin.grid)
+                messages.append(surface_message(cloud, step.cloud.cloud, self._run, 0, Pose()))
+            stands = self._rerun.as_recorded and frame.map_seq == shown
+            found = self._rerun.compute(step, every=not stands)
+            if found is None or frame.seq is None:
+                continue
+            has_map = found.touched and found.solver != NOTHING
+            if has_map and not stands:  # it stays while frames go out without one: a later one may have it
+                kept, shown = found.map, frame.seq if frame.map_seq is None else frame.map_seq
+            values = kept if has_map else self._nothing
+            listed = watch.look(values.ravel().astype(float) if has_map else None, shown, surface, frame.device_us or 0)
+            touches = unpack_touches(listed[0], LAYOUT.size, *listed[1:])
+            note = span.notes.get(-1 if frame.frame is None else frame.frame, {})
+            told = published(step, note, found, self.first_ns)
+            messages.append(
+                frame_message(replace(self._blank, **told, map=values, cloud=cloud, touch_list=touches), 0, Pose())
+            )
+        self._watches[number] = watch
+        while len(self._watches) > MOST_WATCHES:
+            self._watches.popitem(last=False)
+        return b"".join(messages)
+
+    def _asked(self, step: Step) -> Step:
+        """Return a frame as it would be had somebody asked for its map: a recorder alone need not."""
+        frame = step.frame
+        if not frame.touched or frame.solver != NOTHING:
+            return step
+        return replace(step, frame=replace(frame, solver=self._solver, map_seq=frame.seq))
+
+
+LONGEST: Final = 10**300
+"""Of a number: a whole one may be larger than any that a page understands."""
+
+LARGEST: Final = 1 << 53
+"""Of a count that a page understands."""
+
+
+def blank(told: Told, nothing: npt.NDArray[np.float32]) -> Frame:
+    """Return a frame of which only that is known which all of a recording have.
+
+    Args:
+        told: The recording.
+        nothing: The map of an untouched sheet.
+    """
+    return Frame(
+        map=nothing, touched=False, sequence=0, number=0, device_us=0, host_ns=dict.fromkeys(STAGES, 0), received_ns=0,
+        age_us=0, solver="none", skipped=(), events=(), electrodes=(), drift_percent=None, drift_sd_percent=None,
+        drift_uneven_percent=None, gate_logit=0.0, cloud=0, weak_rows=0, map_sequence=0, regions=(),
+        counts=dict.fromkeys(COUNTS, 0), configuration=told.told("configuration"), bundle=told.told("bundle"),
+        serial_number=told.told("serial"), run=told.told("run"), same_host=True,
+    )  # fmt: skip
+
+
+def published(step: Step, note: Mapping[str, Any], found: Computed, first_ns: int) -> dict[str, Any]:
+    """Return the fields of a frame.
+
+    Args:
+        step: As it was measured.
+        note: What was noted of it; empty where nothing was.
+        found: As it was computed now.
+        first_ns: Wall clock of the recording's first frame, from which time is counted.
+    """
+    frame = step.frame
+    stamps = note.get("host_ns")
+    stamps = stamps if isinstance(stamps, dict) else {}
+    counts = note.get("counts")
+    counts = counts if isinstance(counts, dict) else {}
+    return {
+        "touched": found.touched,
+        "solver": found.solver,
+        "sequence": frame.seq or 0,
+        "number": frame.n if frame.frame is None else frame.frame,
+        "device_us": frame.device_us or 0,
+        "received_ns": step.log_ns - first_ns,
+        "host_ns": {stage: count(stamps.get(stage)) or frame.read_ns for stage in STAGES},
+        "age_us": count(note.get("age_us")),
+        "skipped": texts(note.get("skipped")),
+        "events": texts(note.get("events")),
+        "electrodes": texts(note.get("electrodes")),
+        "drift_percent": number(note.get("drift")),
+        "drift_sd_percent": number(note.get("drift_sd")),
+        "drift_uneven_percent": number(note.get("drift_uneven")),
+        "counts": {name: count(counts.get(name)) for name in COUNTS},
+    }
+
+
+def count(value: Any) -> int:
+    """Return a count; 0 for what is none."""
+    return value if type(value) is int and 0 <= value <= LARGEST else 0
+
+
+def number(value: Any) -> float | None:
+    """Return a finite number; None for what is none."""
+    return float(value) if isinstance(value, int | float) and abs(value) <= LONGEST else None
+
+
+def texts(value: Any) -> tuple[str, ...]:
+    """Return short texts; those that are none are left out."""
+    found = value if isinstance(value, list) else []
+    return tuple(text[:MAX_TEXT] for text in found[:MAX_TEXTS] if isinstance(text, str))
+
+
+class Projector(PageServer):
+    """Serves the page of a recording.
+
+    Args:
+        film: The recording.
+        host: Address to serve on.
+        port: 0 for any that is free.
+        token: What a page must know; empty only on loopback.
+
+    Raises:
+        PortTaken: The address cannot be bound.
+        ValueError: It can be reached from other machines, and there is no token.
+    """
+
+    def __init__(self, film: Film, *, host: str = "127.0.0.1", port: int = 0, token: str = "") -> None:
+        super().__init__()
+        self._film = film
+        about = {
+            "name": "", "skins": 1, "file": film.path.name, "seconds": film.seconds, "parts": film.parts,
+            "part_s": PART_S, "begin_ms": film.first_ns / 1e6,
+        }  # fmt: skip
+        self.board.post("skin", skin_message(film.skin, 0, Pose(), about))
+        self.board.post("status", status_message("live", film.ending))
+        self.serve(host, port, token, film=film)
+
+    def __enter__(self) -> Self:
+        overview = Overview(self._film.seconds, self._film.first_ns)
+        self.stack.enter_context(
+            OverviewThread(self._film.path, overview, lambda message: self.board.post("overview", message))
+        )
+        return super().__enter__()
+
+
+ROWS: Final = 600
+"""Spans of a recording: some pixels each."""
+
+APART_S: Final = 0.5
+"""Touches that are nearer to each other are one mark; the same event again within it is none."""
+
+MOST_MARKS: Final = 2000
+"""Of a kind, that a page is sent."""
+
+TELL_S: Final = 0.5
+"""Between two messages while it is being made."""
+
+NOT_MARKED: Final = ("lost", "overrun", "cloud")
+"""Events that are counted, or seen on the surface."""
+
+Row = dict[str, Any]
+
+
+class Overview:
+    """What happened when, as far as the file was gone through.
+
+    Args:
+        seconds: From the first frame to the last.
+        first_ns: Wall clock of the first.
+    """
+
+    def __init__(self, seconds: float, first_ns: int) -> None:
+        self._seconds, self._first_ns = seconds, first_ns
+        self._rows: dict[int, Row] = {}
+        self._touched: list[list[float]] = []
+        self._events: list[tuple[float, str]] = []
+        self._last: dict[str, float] = {}
+        self._before: dict[str, int] = {}
+        self._sequence: int | None = None
+        self.at_s = 0.0
+        """How far it is."""
+
+    def add(self, entry: Entry) -> None:
+        """Take a message of the recording."""
+        at_s = max((entry.log_ns - self._first_ns) * 1e-9, 0.0)
+        self.at_s = max(self.at_s, at_s)
+        try:
+            if entry.topic == WIRE.topic:
+                self._wire(at_s, WireFrame.of(entry.data, n=entry.sequence))
+            else:
+                self._note(at_s, unpack_json(entry.data))
+        except (FrameError, RecordingError):
+            return
+
+    def _row(self, at_s: float) -> Row:
+        k = min(int(at_s / max(self._seconds, 1e-9) * ROWS), ROWS - 1)
+        return self._rows.setdefault(k, {"frames": 0, "peak": 0.0, "stages": [0.0] * (len(STAGES) - 1), "noted": 0,
+                                         "drift": None, "drift_sd": None, "lost": {}})  # fmt: skip
+
+    def _wire(self, at_s: float, frame: WireFrame) -> None:
+        row = self._row(at_s)
+        row["frames"] += 1
+        if frame.touched:
+            if self._touched and at_s - self._touched[-1][1] < APART_S:
+                self._touched[-1][1] = at_s
+            elif len(self._touched) < MOST_MARKS:
+                self._touched.append([at_s, at_s])
+        if frame.seq is not None:
+            if self._sequence is not None and frame.seq > self._sequence + 1:
+                self._count(row, "lost", frame.seq - self._sequence - 1)
+            self._sequence = frame.seq
+        if frame.withheld:
+            self._count(row, "withheld", 1)
+
+    def _note(self, at_s: float, note: dict[str, Any]) -> None:
+        row = self._row(at_s)
+        row["peak"] = max(row["peak"], number(note.get("peak")) or 0.0)
+        row["drift"], row["drift_sd"] = number(note.get("drift")), number(note.get("drift_sd"))
+        stamps, counts = note.get("host_ns"), note.get("counts")
+        if isinstance(stamps, dict):
+            ends = [count(stamps.get(stage)) for stage in STAGES]
+            row["stages"] = [a + max(y - x, 0) / 1000 for a, x, y in zip(row["stages"], ends, ends[1:], strict=False)]
+            row["noted"] += 1
+        if isinstance(counts, dict):
+            for name in ("corrupt", "overrun"):
+                now = count(counts.get(name))
+                if (more := now - self._before.get(name, now)) > 0:
+                    self._count(row, name, more)
+                self._before[name] = now
+        for code in texts(note.get("events")):
+            if code not in NOT_MARKED:
+                self._event(at_s, code)
+
+    def _event(self, at_s: float, code: str) -> None:
+        if at_s - self._last.get(code, -APART_S) >= APART_S and len(self._events) < MOST_MARKS:
+            self._events.append((round(at_s, 3), code))
+        self._last[code] = at_s
+
+    def _count(self, row: Row, name: str, more: int) -> None:
+        row["lost"][name] = row["lost"].get(name, 0) + more
+
+    def message(self, *, done: bool) -> bytes:
+        """Return what a page is sent: times in s, rows by the middle of their spans, losses by row.
+
+        Args:
+            done: Whether the whole file was gone through.
+        """
+        rows = [
+            {
+                "t": (k + 0.5) * self._seconds / ROWS,
+                "peak": round(row["peak"], 3),
+                "stages_us": [round(value / max(row["noted"], 1), 1) for value in row["stages"]],
+                "drift": [row["drift"], row["drift_sd"], None],
+                "losses": {name: row["lost"].get(name, 0) for name in COUNTS},
+            }
+            for k, row in sorted(self._rows.items())
+        ]
+        share = 1.0 if done else min(self.at_s / max(self._seconds, 1e-9), 1.0)
+        touched = [[round(begin, 3), round(end, 3)] for begin, end in self._touched]
+        head = {
+            "kind": "overview", "of": 0, "share": share, "seconds": self._seconds, "touched": touched,
+            "events": self._events, "rows": rows, "row_s": self._seconds / ROWS,
+        }  # fmt: skip
+        return packed(head)
+
+
+class OverviewThread:
+    """A thread that makes the overview; a context.
+
+    Args:
+        path: Of the recording.
+        overview: What is made.
+        tell: Takes its messages.
+    """
+
+    def __init__(self, path: Path, overview: Overview, tell: Callable[[bytes], None]) -> None:
+        self._path, self._overview, self._tell = path, overview, tell
+        self._left = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="view-overview", daemon=True)
+
+    def _run(self) -> None:
+        told_s = time.monotonic()
+        try:
+            for entry in Recording(self._path).entries({WIRE.topic, FRAME.topic}):
+                self._overview.add(entry)
+                if self._left.is_set():
+                    return
+                if (now_s := time.monotonic()) - told_s > TELL_S:
+                    told_s = now_s
+                    self._tell(self._overview.message(done=False))
+        except (OSError, SkinError):
+            pass  # a page that asks for a part is told why
+        self._tell(self._overview.message(done=True))
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._left.set()
+        self._thread.join()
