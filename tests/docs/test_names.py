@@ -47,4 +47,4 @@ def test_what_a_page_names_is_there(page, name):
 
 def test_what_is_not_there_is_found_out():
     with pytest.raises(AttributeError):
-        find("eitskin_sim.reduced.model.save")
+        find("eitskin_sim.verification.residual.save")

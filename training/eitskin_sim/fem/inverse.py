@@ -2,8 +2,8 @@
 
 The whole one, dense, is a thirtieth of a general inverse's work.
 
-Unknowns are numbered along upright lines, or strips of units (:mod:`eitskin_sim.unit_grid.strips`), electrodes among
-the nodes that they lie on, so the stiffness is block tridiagonal:
+Unknowns are numbered along upright lines, electrodes among the nodes that they lie on, so the stiffness is block
+tridiagonal:
 
     D_i = A_ii - A_i,i-1 D_i-1^-1 A_i-1,i       U_i = D_i^-1 A_i,i+1
     B_ii = D_i^-1 + U_i B_i+1,i+1 U_i^T         B_ij = -U_i B_i+1,j      for j > i

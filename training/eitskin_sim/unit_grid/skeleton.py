@@ -15,7 +15,7 @@ unit's S_u.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -29,7 +29,7 @@ from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.devices.loose_contacts import system_on
 from eitskin_sim.fem.contacts import Contacts
 from eitskin_sim.fem.forward import System
-from eitskin_sim.fem.mesh import Array, Index, Metric
+from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.scene.bend import metric
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.unit_grid.unit_mesh import UnitMesh, unit_mesh
@@ -53,8 +53,8 @@ class Condensed:
 
 
 @lru_cache(maxsize=8)
-def _nominal_mesh(skin: Skin, refine: int, coarse: bool = False) -> UnitMesh:
-    return unit_mesh(ideal(skin).sheet, ideal(skin).electrodes, skin.grid.units, refine, coarse=coarse)
+def _nominal_mesh(skin: Skin, refine: int) -> UnitMesh:
+    return unit_mesh(ideal(skin).sheet, ideal(skin).electrodes, skin.grid.units, refine)
 
 
 def unit_system(
@@ -63,17 +63,6 @@ def unit_system(
     """Return a skin's mesh, whatever the device, and a device's system at one bend; None is what the skin states."""
     parts, true, nominal = _nominal_mesh(skin, refine), device or ideal(skin), ideal(skin).electrodes
     return parts, system_on(parts.mesh, true.sheet, true.electrodes, lambda xy: metric(bend, true.sheet, xy), nominal)
-
-
-def unit_system_of(first: Metric, skin: Skin, *, coarse: bool = False, gauge: float = 0.0) -> tuple[UnitMesh, System]:
-    """Return a skin's mesh and the system of the sheet that it states, scaled to 1 S/m, at any metric.
-
-    A ``gauge`` is added to the skin's gauge factor.
-    """
-    parts, true = _nominal_mesh(skin, 1, coarse), ideal(skin)
-    if gauge:
-        true = replace(true, sheet=replace(true.sheet, gauge_factor=true.sheet.gauge_factor + gauge))
-    return parts, system_on(parts.mesh, true.sheet, true.electrodes, first, true.electrodes)
 
 
 def condense_units(parts: UnitMesh, system: System, conductivities: Sequence[float]) -> list[Condensed]:

@@ -37,9 +37,7 @@ class UnitMesh:
         return self.shape[0] * self.shape[1]
 
 
-def unit_lines(
-    extent_mm: float, count: int, edges_mm: Sequence[float], refine: int = 1, *, coarse: bool = False
-) -> Array:
+def unit_lines(extent_mm: float, count: int, edges_mm: Sequence[float], refine: int = 1) -> Array:
     """Return mesh lines across ``count`` units, on their borders and on contacts' edges.
 
     Args:
@@ -47,7 +45,6 @@ def unit_lines(
         count: Units side by side.
         edges_mm: Where lines must be.
         refine: Each element is cut into so many.
-        coarse: Whether lines close to a unit's border are left out, but for those on contacts' edges.
     """
     side = extent_mm / count
     found: list[float] = []
@@ -63,17 +60,13 @@ def unit_lines(
                 free.remove(nearest)
             else:
                 lines = np.append(lines, edge)
-        if coarse:
-            lines = np.delete(lines, [i for i in free if min(i, len(UNIT_STEPS) - i) == 2])
         found += np.sort(lines).tolist()
     whole = np.unique(np.round(found, 9))
     parts = np.linspace(whole[:-1], whole[1:], refine, endpoint=False, axis=-1)
     return np.append(parts.ravel(), extent_mm)
 
 
-def unit_mesh(
-    sheet: Sheet, electrodes: Electrodes, shape: tuple[int, int], refine: int = 1, *, coarse: bool = False
-) -> UnitMesh:
+def unit_mesh(sheet: Sheet, electrodes: Electrodes, shape: tuple[int, int], refine: int = 1) -> UnitMesh:
     """Return the mesh that rows and columns of units need.
 
     Args:
@@ -81,14 +74,13 @@ def unit_mesh(
         electrodes: On its border.
         shape: Rows and columns of units.
         refine: Multiplies the elements along each direction.
-        coarse: Whether it has three elements across a unit instead of five; its lines are among those of the other.
     """
     rows, columns = shape
     x, y = electrode_lines(sheet, electrodes)
     between = lines_between(sheet, electrodes)
     mesh = TensorMesh(
-        unit_lines(sheet.size_mm[0], columns, sorted({*(at for at, _ in x), *between[0]}), refine, coarse=coarse),
-        unit_lines(sheet.size_mm[1], rows, sorted({*(at for at, _ in y), *between[1]}), refine, coarse=coarse),
+        unit_lines(sheet.size_mm[0], columns, sorted({*(at for at, _ in x), *between[0]}), refine),
+        unit_lines(sheet.size_mm[1], rows, sorted({*(at for at, _ in y), *between[1]}), refine),
     )
     x_borders = np.linspace(0.0, sheet.size_mm[0], columns + 1)
     y_borders = np.linspace(0.0, sheet.size_mm[1], rows + 1)
