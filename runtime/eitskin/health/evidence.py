@@ -47,8 +47,8 @@ OWN_ROWS: Final = 26
 
 _SCALE: Final = FREEDOM + N_ROWS - OWN_ROWS
 
-SURPRISING, PAIR_WRONG, JUMPING, WHOLE = slice(0, 16), slice(16, 32), slice(32, 48), 48
-"""Columns of the votes: electrodes, pairs (e, e + 1), electrodes, and the whole frame."""
+PAIR_WRONG, JUMPING, WHOLE = slice(16, 32), slice(32, 48), 48
+"""Columns of the votes behind those of 16 surprising electrodes: pairs (e, e + 1), electrodes, and the whole frame."""
 
 N_VOTES: Final = 3 * N_ELECTRODES + 1
 

@@ -4,6 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from tests.sim.shared_system import shared_system
 
 from eitskin_proto.skin.parts import Ring
 from eitskin_proto.skin.quantity import Quantity
@@ -17,7 +18,7 @@ from eitskin_sim.devices.loose_contacts import loose_contacts
 from eitskin_sim.devices.readings import corrected, drive_differences, readings, sheet_differences
 from eitskin_sim.fem.forward import Factor, flat_metric
 from eitskin_sim.fem.solve import solve_scene
-from eitskin_sim.freeform.mesh import shared_mesh, shared_system
+from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet, sheet_blocks
 from eitskin_sim.freeform.voltages import set_responses, set_voltages
 from eitskin_sim.scene.bend import bend_metric

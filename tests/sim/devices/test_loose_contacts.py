@@ -4,6 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from tests.sim.shared_system import shared_system
 
 from eitskin_proto.skin.parts import Map, Outline, Ring
 from eitskin_proto.skin.quantity import Quantity
@@ -13,7 +14,7 @@ from eitskin_sim.devices.loose_contacts import loose_contacts
 from eitskin_sim.devices.readings import readings, sheet_differences
 from eitskin_sim.fem.forward import flat_metric
 from eitskin_sim.fem.mesh import TensorMesh
-from eitskin_sim.freeform.mesh import shared_mesh, shared_system
+from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Bend, Electrodes, Sheet
 from eitskin_sim.unit_grid.skeleton import unit_system

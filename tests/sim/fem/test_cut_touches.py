@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from tests.sim.shared_system import shared_system
 
 from eitskin_sim.fem.borders.cut_blocks import cut_blocks
 from eitskin_sim.fem.borders.cut_elements import factorise
 from eitskin_sim.fem.borders.cut_touches import find_cuts
 from eitskin_sim.fem.forward import Factor, System
-from eitskin_sim.freeform.mesh import shared_mesh, shared_system
+from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.patterns import touch_pool
 from eitskin_sim.freeform.sheet import _tensors, inverted_sheet, sheet_blocks
 from eitskin_sim.scene.bend import metric

@@ -10,11 +10,9 @@ from eitskin_sim.fem.jacobian import (
     flat_jacobian,
     jacobian,
     relative_jacobian,
-    scene_jacobian,
 )
 from eitskin_sim.scene.bend import bend_metric
-from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
-from eitskin_sim.scene.shapes import Rect
+from eitskin_sim.scene.parts import Bend, Electrodes, Sheet
 
 BEND = Bend(angle_deg=120, axis_deg=30, twist_deg=20, stretch_along=1.1)
 
@@ -60,17 +58,6 @@ def test_coarse_jacobian_is_within_its_stated_error() -> None:
         for size_mm in (COARSE_MM, 1.5)
     )
     assert np.linalg.norm(coarse - fine) < 1.5e-3 * np.linalg.norm(fine)
-
-
-def test_scene_with_touches_and_current_has_its_own_jacobian() -> None:
-    touch = (Touch((Rect(60.0, 40.0, 78.0, 60.0),)),)
-    voltages, found = scene_jacobian(Scene(touches=touch, current_A=2.0), PAPER.grid.units, 6.0)
-    other, base = scene_jacobian(Scene(touches=touch), PAPER.grid.units, 6.0)
-    np.testing.assert_allclose(voltages, 2.0 * other)
-    np.testing.assert_allclose(found, 2.0 * base)
-    untouched = scene_jacobian(Scene(), PAPER.grid.units, 6.0)[1]
-    inside = 4 * PAPER.grid.units[1] + 6
-    assert np.abs(base[:, inside]).max() < 0.05 * np.abs(untouched[:, inside]).max()
 
 
 def test_mesh_without_the_grid_is_refused() -> None:

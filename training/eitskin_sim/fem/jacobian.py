@@ -9,7 +9,6 @@ impedance changes with the conductivity under it. By reciprocity the 16 drive fi
 are, so the cost is one factorisation. A cell's derivative adds the same conductivity at every point of the cell.
 """
 
-from collections.abc import Sequence
 from functools import lru_cache
 from typing import Final
 
@@ -19,13 +18,11 @@ from scipy.sparse import csr_array
 
 from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_sim.fem.borders.cut_elements import touch
 from eitskin_sim.fem.forward import Factor, assemble, flat_metric
 from eitskin_sim.fem.mesh import MERGE_MM, Metric, TensorMesh, graded_lines
-from eitskin_sim.fem.meshing import CAP_MM, REFERENCE_MM, electrode_lines, on_sheet, touch_lines
-from eitskin_sim.scene.bend import bend_metric
+from eitskin_sim.fem.meshing import CAP_MM, REFERENCE_MM, electrode_lines, on_sheet
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_electrodes, nominal_sheet
-from eitskin_sim.scene.parts import Electrodes, Scene, Sheet, Touch
+from eitskin_sim.scene.parts import Electrodes, Sheet
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -39,7 +36,6 @@ def cell_mesh(
     electrodes: Electrodes,
     shape: tuple[int, int] = PAPER.grid.shape,
     element_size_mm: float = COARSE_MM,
-    touches: Sequence[Touch] = (),
 ) -> TensorMesh:
     """Return a mesh whose lines hold a grid of cells, as well as the electrodes.
 
@@ -48,15 +44,12 @@ def cell_mesh(
         electrodes: On its border.
         shape: Rows along y and columns along x of the grid: those of a map's pixels or units.
         element_size_mm: As in a scene.
-        touches: Whose borders the mesh follows too.
     """
     density = REFERENCE_MM / element_size_mm
     lines = []
-    for fixed, touched, extent, count in zip(
-        electrode_lines(sheet, electrodes), touch_lines(touches), sheet.size_mm, shape[::-1], strict=True
-    ):
+    for fixed, extent, count in zip(electrode_lines(sheet, electrodes), sheet.size_mm, shape[::-1], strict=True):
         grid = [(float(at), CAP_MM) for at in np.linspace(0.0, extent, count + 1)]
-        lines.append(graded_lines(on_sheet(fixed + touched + grid, extent), CAP_MM, density))
+        lines.append(graded_lines(on_sheet(fixed + grid, extent), CAP_MM, density))
     return TensorMesh(*lines)
 
 
@@ -100,41 +93,6 @@ def jacobian(factor: Factor, sigma: Array, cells: Index, n_cells: int, table: np
     return np.asarray(-(gather @ rows).T)
 
 
-def cell_jacobian(
-    sheet: Sheet,
-    electrodes: Electrodes,
-    metric: Metric,
-    touches: Sequence[Touch] = (),
-    *,
-    shape: tuple[int, int],
-    element_size_mm: float = COARSE_MM,
-) -> tuple[Array, Array]:
-    """Return the voltages (104,) in V and their Jacobian (104, cells) in V / (S/m) under 1 A.
-
-    Args:
-        sheet: The flat layer.
-        electrodes: On its border.
-        metric: The bent surface's first fundamental form.
-        touches: What touches the sheet.
-        shape: Rows and columns of the cells: of a map's pixels or units.
-        element_size_mm: As in a scene.
-    """
-    mesh = cell_mesh(sheet, electrodes, shape, element_size_mm, touches)
-    touched = touch(assemble(mesh, sheet, electrodes, metric), touches)
-    factor = Factor(touched.system, touched.blocks, touched.density)
-    cells = cell_of_element(mesh, shape)
-    return factor.voltages(), jacobian(factor, touched.sigma, cells, shape[0] * shape[1])
-
-
-def scene_jacobian(scene: Scene, shape: tuple[int, int], element_size_mm: float) -> tuple[Array, Array]:
-    """Return a scene's voltages (104,) in V and their Jacobian (104, cells) in V / (S/m), under its current."""
-    metric = bend_metric(scene.bend, scene.sheet, scene.touches)
-    voltages, found = cell_jacobian(
-        scene.sheet, scene.electrodes, metric, scene.touches, shape=shape, element_size_mm=element_size_mm
-    )
-    return scene.current_A * voltages, scene.current_A * found
-
-
 def relative_jacobian(
     sheet: Sheet,
     electrodes: Electrodes,
@@ -149,10 +107,13 @@ def relative_jacobian(
         sheet: The flat layer.
         electrodes: On its border.
         metric: The bent surface's first fundamental form.
-        shape: Rows and columns of the cells.
+        shape: Rows and columns of the cells: of a map's pixels or units.
         element_size_mm: As in a scene.
     """
-    voltages, found = cell_jacobian(sheet, electrodes, metric, shape=shape, element_size_mm=element_size_mm)
+    mesh = cell_mesh(sheet, electrodes, shape, element_size_mm)
+    factor = assemble(mesh, sheet, electrodes, metric).factorise()
+    sigma, voltages = np.full(mesh.n_elements, sheet.conductivity_S_per_m), factor.voltages()
+    found = jacobian(factor, sigma, cell_of_element(mesh, shape), shape[0] * shape[1])
     return voltages, sheet.conductivity_S_per_m * found / voltages[:, None]
 
 

@@ -20,15 +20,14 @@ import numpy as np
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_sim.devices.device import Device, ideal
+from eitskin_sim.devices.device import ideal
 from eitskin_sim.devices.loose_contacts import check_apart, system_on
 from eitskin_sim.fem.contacts import Contacts
-from eitskin_sim.fem.forward import System, flat_metric
+from eitskin_sim.fem.forward import flat_metric
 from eitskin_sim.fem.inverse import Lines, make_lines
 from eitskin_sim.fem.mesh import Array, Index, TensorMesh
 from eitskin_sim.fem.meshing import electrode_lines, lines_between
-from eitskin_sim.scene.bend import metric
-from eitskin_sim.scene.parts import Bend, Electrodes
+from eitskin_sim.scene.parts import Electrodes
 
 ELEMENT_MM: Final = 3.5
 """The largest element."""
@@ -112,13 +111,6 @@ def _spans(contacts: Contacts, columns: int) -> tuple[Index, Index]:
     np.minimum.at(low, contacts.electrode, contacts.element % columns)
     np.maximum.at(high, contacts.electrode, contacts.element % columns + 1)
     return low, high
-
-
-def shared_system(bend: Bend, size_mm: float = ELEMENT_MM, device: Device | None = None, skin: Skin = PAPER) -> System:
-    """Return the system of a skin's device at one bend; None is the device that the skin states."""
-    true = device or ideal(skin)
-    mesh, nominal = shared_mesh(size_mm, true.electrodes, skin).mesh, ideal(skin).electrodes
-    return system_on(mesh, true.sheet, true.electrodes, lambda xy: metric(bend, true.sheet, xy), nominal)
 
 
 def with_contacts(blocks: Array, elements: Index, density: Array, contacts: Contacts) -> Array:

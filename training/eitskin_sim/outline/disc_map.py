@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
-from scipy.special import ellipj, ellipk, ellipkinc, ellipkm1, elliprf
+from scipy.special import ellipj, ellipk, ellipkinc, ellipkm1
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
@@ -71,15 +71,6 @@ class DiscMap:
         _, z, slope = self._plane(np.asarray(xy_mm, dtype=np.float64))
         rate = 2.0 * abs(self._middle) * np.abs(slope) / np.abs(z + self._middle) ** 2
         return np.asarray(self.radius_mm * rate * 2.0 * ellipk(self.modulus) / self.size_mm[0])
-
-    def to_rectangle(self, xy_mm: npt.ArrayLike) -> Array:
-        """Return the (n, 2) mm in the rectangle of points (n, 2) inside the disc."""
-        points = np.asarray(xy_mm, dtype=np.float64) / self.radius_mm
-        lower = points[:, 1] <= 0.0
-        turned = -1j * (points[:, 0] - 1j * np.abs(points[:, 1]))
-        z = self._middle * (1.0 + turned) / (1.0 - turned)
-        w = z * elliprf(1.0 - z**2, 1.0 - self.modulus * z**2, np.ones_like(z))
-        return self._millimetres(w, lower)
 
     def rim_to_arc_mm(self, angle_deg: npt.ArrayLike) -> Array:
         """Return the (n,) mm along the rectangle's border, from its corner (0, 0), where angles (n,) of the rim lie."""

@@ -29,13 +29,6 @@ def p_value(chi_squared: float, degrees_of_freedom: int) -> float:
     return float(special.chdtrc(degrees_of_freedom, max(chi_squared, 0.0)))
 
 
-def least_chi_squared(p: float, degrees_of_freedom: int) -> float:
-    """Return the chi-squared whose p-value is p: above it, it is lower."""
-    if not 0.0 < p < 1.0:
-        raise ValueError(f"p is {p:g}; it must be between 0 and 1")
-    return float(special.chdtri(degrees_of_freedom, p))
-
-
 @dataclass(frozen=True, slots=True)
 class Found:
     """How often p was below a level."""
