@@ -45,14 +45,12 @@ class Fields:
         joint: What stands between ``where`` and a key in messages.
 
     Raises:
-        ValueError: ``content`` is neither a table nor a list; here and below it is of class ``error``.
+        ValueError: ``content`` is no table; here and below it is of class ``error``.
     """
 
     __slots__ = ("_content", "_error", "_joint", "_read", "where")
 
     def __init__(self, content: object, where: str, *, error: type[Exception] = ValueError, joint: str = " ") -> None:
-        if isinstance(content, list | tuple):
-            content = dict(enumerate(content))
         if not isinstance(content, dict):
             raise error(f"{where or 'the file'} is {quoted(content)}, expected a table")
         self._content: dict[Any, Any] = content
@@ -199,7 +197,7 @@ class Fields:
         value = self.value(key, [])
         if not isinstance(value, list | tuple) or not least <= len(value) <= most:
             raise self.wrong(key, f"a list of {_count(least, most)}{of}")
-        return Fields(value, self.path(key), error=self._error, joint=self._joint)
+        return Fields(dict(enumerate(value)), self.path(key), error=self._error, joint=self._joint)
 
     def numbers(
         self, key: Key, count: int, default: Default = REQUIRED, *, low: float = -math.inf, high: float = math.inf

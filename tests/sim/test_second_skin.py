@@ -1,5 +1,6 @@
 """A skin that is not the paper's, from its scene to its score: what is forgotten of the paper's would show here."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -22,11 +23,10 @@ from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.bend import metric, surface
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_electrodes, nominal_scene, nominal_sheet
-from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
+from eitskin_sim.scene.parts import Bend, Electrodes, Scene, SceneError, Sheet, Touch
 from eitskin_sim.scene.phantoms.published import is_published
 from eitskin_sim.scene.scene import parse_scene, scene_json
 from eitskin_sim.scene.shapes import Rect
-from eitskin_sim.scene.strict_json import SceneError, loads
 from eitskin_sim.scene.touch_table import RECTANGLE, gather
 from eitskin_sim.surface import predict as predicting
 from eitskin_sim.surface.measured_cloud import measured_cloud
@@ -49,7 +49,7 @@ def test_a_scene_takes_from_the_skin_what_it_does_not_say():
     assert scene.sheet.size_mm == (220.0, 90.0)
     assert scene.electrodes.arc_length_mm == tuple(SECOND.arc_length_mm.tolist())
     assert scene.touches[0].shapes[0].bounds_mm == pytest.approx(SECOND.grid.unit_rect_mm(14, 8))
-    assert parse_scene(loads(scene_json(scene), "scene")) == scene  # what is written says all
+    assert parse_scene(json.loads(scene_json(scene))) == scene  # what is written says all
     with pytest.raises(SceneError, match="column must be an integer from 0 to 13"):
         parse_scene({"touches": [{"units": [[14, 8]]}]})
     other = parse_scene({"sheet": {"size_mm": [200, 90]}}, SECOND)

@@ -120,26 +120,39 @@ def read_json(path: str | Path, largest: int = LARGEST_TEXT) -> Any:
         raise FileError(str(error) if str(path) in str(error) else f"{path} {error}") from error
 
 
-def parse_json(text: str | bytes, **hooks: Any) -> Any:
+def parse_json(text: str | bytes, *, strict: bool = False) -> Any:
     """Return what a JSON text says; the error's message goes on from the text's name.
 
     Args:
         text: Its length is the caller's to bound.
-        hooks: Of ``json.loads``.
+        strict: Refuse a key that an object has twice, NaN and Infinity too.
 
     Raises:
         FileError: It is no JSON, or nested too deeply.
     """
     try:
-        found = json.loads(text, **hooks)
-    except SkinError:
-        raise  # of a hook
+        found = json.loads(text, object_pairs_hook=_once, parse_constant=_refuse) if strict else json.loads(text)
+    except FileError:
+        raise
     except RecursionError as error:
         raise FileError(TOO_DEEP) from error
     except ValueError as error:
         raise FileError(f"is not JSON: {error}") from error
     _check_depth(found)
     return found
+
+
+def _once(items: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(items)
+    if len(found) < len(items):
+        names = [key for key, _ in items]
+        twice = next(key for key in names if names.count(key) > 1)
+        raise FileError(f"has the key {quoted(twice)} twice in one object, expected each once")
+    return found
+
+
+def _refuse(name: str) -> Any:
+    raise FileError(f"holds {name}, expected finite numbers")
 
 
 def parse_toml(text: str) -> dict[str, Any]:

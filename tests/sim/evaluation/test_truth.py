@@ -11,9 +11,8 @@ from eitskin_sim.evaluation import truth
 from eitskin_sim.evaluation.harness import Conditions, Run, evaluate_all
 from eitskin_sim.evaluation.truth import check_truths, truth_map
 from eitskin_sim.scene.area import area_map
-from eitskin_sim.scene.parts import Phantom
+from eitskin_sim.scene.parts import Phantom, SceneError
 from eitskin_sim.scene.scene import parse_phantoms
-from eitskin_sim.scene.strict_json import SceneError
 
 
 def phantoms(scene: dict[str, Any], truth: str = "area") -> tuple[Phantom, ...]:

@@ -13,7 +13,7 @@ from eitskin_sim.fem.meshing import electrode_lines, scene_mesh
 from eitskin_sim.fem.solve import Law, factorise_scene, solve_scene
 from eitskin_sim.measurement.faults import response_of
 from eitskin_sim.scene.bend import bend_metric
-from eitskin_sim.scene.device.layer import relative_conductivity
+from eitskin_sim.scene.layer import relative_conductivity
 from eitskin_sim.scene.parts import Bend, Electrodes, Late, Scene, Sheet, SmoothField, Touch
 from eitskin_sim.scene.shapes import Disc, Rect
 

@@ -10,10 +10,9 @@ from eitskin_sim.scene import folds
 from eitskin_sim.scene.bend import frame_at
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.nominal import nominal_sheet
-from eitskin_sim.scene.parts import Bend, Touch
+from eitskin_sim.scene.parts import Bend, SceneError, Touch
 from eitskin_sim.scene.scene import parse_scene
 from eitskin_sim.scene.shapes import Disc
-from eitskin_sim.scene.strict_json import SceneError
 
 SHEET = nominal_sheet(PAPER)
 

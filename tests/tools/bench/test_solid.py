@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from eitskin_sim.fem.solve import Law, solve_scene
-from eitskin_sim.scene.device.read import even_arc_length_mm
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
+from eitskin_sim.scene.scene import even_arc_length_mm
 from eitskin_sim.scene.shapes import Rect
 from eitskin_tools.bench.physics.solid import Solid, build_solid
 from eitskin_tools.bench.physics.solid_mesh import Resolution

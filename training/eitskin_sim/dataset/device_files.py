@@ -27,8 +27,7 @@ from eitskin_sim.scene.bend import Array
 from eitskin_sim.scene.family import scaled
 from eitskin_sim.scene.folds import check_bend
 from eitskin_sim.scene.nominal import nominal_sheet
-from eitskin_sim.scene.parts import Bend
-from eitskin_sim.scene.strict_json import SceneError
+from eitskin_sim.scene.parts import Bend, SceneError
 from eitskin_sim.surface.measured_cloud import measured_cloud
 
 DEVICE, MOMENT, DRIFT, SCAN = 7, 8, 9, 10

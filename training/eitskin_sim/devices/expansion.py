@@ -28,7 +28,7 @@ from eitskin_sim.fem.contacts import Contacts
 from eitskin_sim.fem.forward import Factor, assemble
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.bend import bend_metric
-from eitskin_sim.scene.device.layer import log_conductivity
+from eitskin_sim.scene.layer import log_conductivity
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet
 
 Array = npt.NDArray[np.float64]

@@ -15,8 +15,8 @@ from eitskin_sim.fem.contacts import FRINGE, Contacts, Part, elements_along, gat
 from eitskin_sim.fem.forward import System, assemble
 from eitskin_sim.fem.mesh import MM, Array, Index, Metric, TensorMesh
 from eitskin_sim.fem.q2 import GAUSS, LINE_POINTS, LINE_WEIGHTS, WEIGHTS, values
-from eitskin_sim.scene.device.layer import is_uneven, relative_conductivity
 from eitskin_sim.scene.electrodes import Piece, place
+from eitskin_sim.scene.layer import is_uneven, relative_conductivity
 from eitskin_sim.scene.parts import Electrodes, Sheet
 
 LEAST_MM = 1e-6

@@ -11,7 +11,7 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_sim.devices.draws import draw_device
 from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
-from eitskin_sim.scene.strict_json import SceneError
+from eitskin_sim.scene.parts import SceneError
 
 TRIED: Final = 40
 """Random devices whose electrodes are placed."""

@@ -16,8 +16,7 @@ from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.evaluation.metrics import touched_units
 from eitskin_sim.scene.area import area_map
-from eitskin_sim.scene.parts import Phantom
-from eitskin_sim.scene.strict_json import SceneError
+from eitskin_sim.scene.parts import Phantom, SceneError
 
 Array = npt.NDArray[np.float64]
 

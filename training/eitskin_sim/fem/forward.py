@@ -9,7 +9,7 @@ t0 / sqrt(det g) and the rest of the surface measure cancels. Electrode l at pot
 where a patch has z_eff = z + FRINGE * t / sigma: current leaves a face contact through the layer's own thickness, which
 a sheet has lost. Stiffness is linear in sigma, so a :class:`System` keeps the element blocks at sigma = 1 and solves
 for any conductivity. Where the layer is uneven, or conducts otherwise where it is stretched, sigma is multiplied by
-:func:`eitskin_sim.scene.device.layer.relative_conductivity` at every point, under touches too.
+:func:`eitskin_sim.scene.layer.relative_conductivity` at every point, under touches too.
 """
 
 from collections.abc import Sequence
@@ -24,8 +24,8 @@ from eitskin_proto.sensor.table import FULL_TABLE, N_ELECTRODES, RECIPROCAL_IN_F
 from eitskin_sim.fem.contacts import Contacts, contacts_of
 from eitskin_sim.fem.mesh import MM, Metric, TensorMesh
 from eitskin_sim.fem.q2 import GAUSS, WEIGHTS, gradients
-from eitskin_sim.scene.device.layer import is_uneven, relative_conductivity
 from eitskin_sim.scene.electrodes import Piece, place
+from eitskin_sim.scene.layer import is_uneven, relative_conductivity
 from eitskin_sim.scene.parts import Electrodes, Sheet
 
 Array = npt.NDArray[np.float64]

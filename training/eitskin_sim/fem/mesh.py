@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.scene.strict_json import SceneError
+from eitskin_sim.scene.parts import SceneError
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -12,9 +12,8 @@ import numpy as np
 
 from eitskin_sim.fem.mesh import TensorMesh, graded_lines
 from eitskin_sim.scene.electrodes import place
-from eitskin_sim.scene.parts import Electrodes, Scene, Sheet, Touch
+from eitskin_sim.scene.parts import Electrodes, Scene, SceneError, Sheet, Touch
 from eitskin_sim.scene.shapes import Rect, Shape
-from eitskin_sim.scene.strict_json import SceneError
 
 REFERENCE_MM: Final = 1.5
 """The element size at which the sizes below hold."""

@@ -12,9 +12,8 @@ from eitskin_sim.fem.depth import plates
 from eitskin_sim.fem.forward import Factor, assemble
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.bend import bend_metric
-from eitskin_sim.scene.parts import Scene
+from eitskin_sim.scene.parts import Scene, SceneError
 from eitskin_sim.scene.soft_touch import check_touches
-from eitskin_sim.scene.strict_json import SceneError
 
 Array = npt.NDArray[np.float64]
 Law = Literal["constant", "modes"]

@@ -16,7 +16,7 @@ from eitskin_sim.fem.inverse import dense_inverse
 from eitskin_sim.fem.mesh import MM, Metric
 from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh, with_contacts, without_middle
 from eitskin_sim.scene.bend import metric
-from eitskin_sim.scene.device.layer import is_uneven, relative_conductivity
+from eitskin_sim.scene.layer import is_uneven, relative_conductivity
 from eitskin_sim.scene.parts import Bend, Sheet
 from eitskin_sim.scene.touch_table import Array, TouchTable
 from eitskin_sim.unit_grid.units import to_voltages

@@ -18,8 +18,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from eitskin_sim.scene.parts import Electrodes, Sheet
-from eitskin_sim.scene.strict_json import SceneError
+from eitskin_sim.scene.parts import Electrodes, SceneError, Sheet
 
 ROUNDING_MM = 1e-9
 """Electrodes that touch at a point are apart; this much overlap is rounding."""

@@ -23,8 +23,7 @@ from eitskin_proto.skin.parts import Deformations
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.scene.folds import check_bend
 from eitskin_sim.scene.nominal import nominal_sheet
-from eitskin_sim.scene.parts import Bend
-from eitskin_sim.scene.strict_json import SceneError
+from eitskin_sim.scene.parts import Bend, SceneError
 
 Family = Literal["A", "B"]
 """Which family to draw from."""

@@ -20,9 +20,8 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from eitskin_sim.scene.bend import RollFrame, first_form, frame_at, heights, second_form, surface
-from eitskin_sim.scene.parts import Bend, Sheet, Touch
+from eitskin_sim.scene.parts import Bend, SceneError, Sheet, Touch
 from eitskin_sim.scene.soft_touch import dents_of
-from eitskin_sim.scene.strict_json import SceneError
 
 Array = npt.NDArray[np.float64]
 

@@ -12,8 +12,7 @@ import numpy.typing as npt
 
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
-from eitskin_sim.scene.strict_json import SceneError
+from eitskin_sim.scene.parts import Bend, Electrodes, Scene, SceneError, Sheet, Touch
 
 Array = npt.NDArray[np.float64]
 

@@ -12,6 +12,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.touch_kind import TouchKind
@@ -23,9 +24,13 @@ LEAST_LOG_CONTRAST: Final = 1e-6
 """A touch whose contrast is nearer to 1 than this changes nothing of the sheet that anybody could measure."""
 
 
+class SceneError(SkinError, ValueError):
+    """A scene that is no scene, or cannot be solved: what was found, what was expected, and where."""
+
+
 @dataclass(frozen=True, slots=True)
 class SmoothField:
-    """A smooth random field over the flat sheet; :func:`eitskin_sim.scene.device.layer.smooth_field` evaluates it.
+    """A smooth random field over the flat sheet; :func:`eitskin_sim.scene.layer.smooth_field` evaluates it.
 
     Equal fields are equal everywhere: whatever mesh asks, and whatever they are used for.
     """

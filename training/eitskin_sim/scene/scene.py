@@ -9,17 +9,28 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final, Literal, cast
 
+from eitskin_proto.fields import Fields
 from eitskin_proto.files.plain import quoted
-from eitskin_proto.files.reading import FileError, read_text
+from eitskin_proto.files.reading import FileError, parse_json, read_text
+from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.scene import limits
-from eitskin_sim.scene.device.read import read_electrodes, read_sheet, sheet_json
 from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.folds import check_bend
-from eitskin_sim.scene.parts import Bend, Electrodes, Phantom, Scene, Sheet, Touch
-from eitskin_sim.scene.shapes import Disc, Polygon, Rect, Shape
-from eitskin_sim.scene.soft_touch import check_touch, ellipse, shape_json, soft_fields, soft_json
-from eitskin_sim.scene.strict_json import Fields, SceneError, loads, number, numbers, sequence
+from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
+from eitskin_sim.scene.parts import (
+    Bend,
+    Electrodes,
+    Late,
+    Phantom,
+    Scene,
+    SceneError,
+    Sheet,
+    SmoothField,
+    Touch,
+)
+from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
+from eitskin_sim.scene.soft_touch import check_touch, shape_json, soft_fields, soft_json
 
 __all__ = [
     "Bend",
@@ -36,6 +47,9 @@ __all__ = [
     "parse_scene",
     "scene_json",
 ]
+
+NOT_IDEAL: Final = ("gauge_factor", "field", "late")
+"""Keys of a sheet that an ideal one lacks."""
 
 SHAPES: Final = ("rect_mm", "disc_mm", "ellipse_mm", "polygon_mm", "units")
 """Keys of a touch's shape, of which it has one."""
@@ -87,7 +101,15 @@ def _read(path: str | Path) -> object:
         text = read_text(path, limits.LARGEST_FILE)
     except FileError as error:
         raise SceneError(str(error)) from error
-    return loads(text, str(path))
+    return parse_text(text, str(path))
+
+
+def parse_text(text: str, where: str) -> object:
+    """Return what a JSON text says; a repeated key, NaN or Infinity is a SceneError."""
+    try:
+        return parse_json(text, strict=True)
+    except FileError as error:
+        raise SceneError(f"{where} {error}") from error
 
 
 def parse_phantoms(value: object, skin: Skin = PAPER) -> tuple[Phantom, ...]:
@@ -96,23 +118,24 @@ def parse_phantoms(value: object, skin: Skin = PAPER) -> tuple[Phantom, ...]:
     Raises:
         SceneError: An entry is no phantom.
     """
+    listed = fields_of({"phantoms": value}).entries("phantoms", most=limits.MOST_PHANTOMS, of="phantoms")
     found = []
-    for index, item in enumerate(sequence(value, "phantoms", limits.MOST_PHANTOMS)):
-        fields = Fields(item, f"phantoms[{index}]")
-        name, truth = fields.take("name", str(index + 1)), fields.take("truth", "area")
-        scene = fields.take("scene", {})
+    for index in listed:
+        fields = listed.table(index)
+        name = fields.text("name", str(index + 1), least=0)
+        truth = cast(Literal["units", "area"], fields.choice("truth", ("units", "area"), "area"))
+        scene = fields.value("scene", {})
         fields.close()
-        if not isinstance(name, str) or not isinstance(truth, str) or truth not in ("units", "area"):
-            raise SceneError(
-                f"phantoms[{index}]: found name {quoted(name)}, truth {quoted(truth)}; expected a string, and "
-                "'units' or 'area'"
-            )
         try:
-            parsed = parse_scene(scene, skin)
+            found.append(Phantom(name, parse_scene(scene, skin), truth))
         except SceneError as error:
-            raise SceneError(f"phantoms[{index}] {quoted(name)}: {str(error).removeprefix('scene.')}") from error
-        found.append(Phantom(name, parsed, cast(Literal["units", "area"], truth)))
+            raise SceneError(f"{fields.where} {quoted(name)}: {str(error).removeprefix('scene.')}") from error
     return tuple(found)
+
+
+def fields_of(content: object, where: str = "") -> Fields:
+    """Return what reads an object of a scene's JSON; its errors are SceneErrors and give paths with dots."""
+    return Fields(content, where, error=SceneError, joint=".")
 
 
 def parse_scene(value: object, skin: Skin = PAPER) -> Scene:
@@ -121,17 +144,15 @@ def parse_scene(value: object, skin: Skin = PAPER) -> Scene:
     Raises:
         SceneError: A key is unknown, or a value is outside its bounds; the message has both.
     """
-    fields = Fields(value, "scene")
-    sheet = read_sheet(fields.take("sheet", {}), skin)
+    fields = fields_of(value, "scene")
+    sheet = _sheet(fields.table("sheet"), skin)
+    touches = fields.entries("touches", most=limits.MOST_SHAPES, of="touches")
     scene = Scene(
         sheet=sheet,
-        electrodes=read_electrodes(fields.take("electrodes", {}), sheet, skin),
-        bend=_bend(fields.take("bend", {}), sheet),
-        touches=tuple(
-            _touch(item, sheet, skin.grid.units, f"scene.touches[{i}]")
-            for i, item in enumerate(sequence(fields.take("touches", []), "scene.touches", limits.MOST_SHAPES))
-        ),
-        current_A=fields.number("current_A", 1.0, above=0.0, low=1e-9, high=1e6),
+        electrodes=_electrodes(fields.table("electrodes"), sheet, skin),
+        bend=_bend(fields.table("bend"), sheet),
+        touches=tuple(_touch(touches.table(index), sheet, skin.grid.units) for index in touches),
+        current_A=fields.number("current_A", 1.0, low=1e-9, high=1e6),
         element_size_mm=fields.number("element_size_mm", 1.5, above=0.0),
     )
     fields.close()
@@ -147,7 +168,11 @@ def check_scene(scene: Scene) -> None:
             f"scene.touches has {count} shapes, units counted singly; expected at most {limits.MOST_SHAPES}"
         )
     length, width = scene.sheet.size_mm
-    number(scene.element_size_mm, "scene.element_size_mm", low=min(length, width) / 1000, high=min(length, width) / 8)
+    low, high = min(length, width) / 1000, min(length, width) / 8
+    if not low <= scene.element_size_mm <= high:
+        raise SceneError(
+            f"scene.element_size_mm is {scene.element_size_mm:g}, expected a number from {low:g} to {high:g}"
+        )
     place(scene.sheet, scene.electrodes)
     for index, touch in enumerate(scene.touches):
         check_touch(touch, scene.sheet, f"scene.touches[{index}]", scene.touches[:index])
@@ -169,24 +194,118 @@ def _check_shape(shape: Shape, scene: Scene, where: str) -> None:
         )
 
 
-def _bend(value: object, sheet: Sheet) -> Bend:
-    where = "scene.bend"
-    fields = Fields(value, where)
+def _sheet(fields: Fields, skin: Skin) -> Sheet:
+    """Return the sheet of ``scene.sheet``; what it does not say is as the skin states it."""
+    stated = nominal_sheet(skin)
+    length, width = fields.numbers("size_mm", 2, stated.size_mm, low=1.0, high=10_000.0)
+    if max(length, width) > limits.MOST_ASPECT * min(length, width):
+        raise SceneError(
+            f"{fields.where}.size_mm is {length:g} x {width:g}; one side must be at most {limits.MOST_ASPECT:g} others"
+        )
+    sheet = Sheet(
+        size_mm=(length, width),
+        thickness_mm=fields.number(
+            "thickness_mm", stated.thickness_mm, low=limits.LEAST_THICKNESS_MM, high=limits.MOST_THICKNESS_MM
+        ),
+        conductivity_S_per_m=fields.number("conductivity_S_per_m", stated.conductivity_S_per_m, low=1e-6, high=1e8),
+        gauge_factor=fields.number("gauge_factor", stated.gauge_factor, low=-limits.MOST_GAUGE, high=limits.MOST_GAUGE),
+        field=_field(fields),
+        late=_late(fields),
+    )
+    fields.close()
+    return sheet
+
+
+def _field(sheet: Fields) -> SmoothField | None:
+    if sheet.value("field", None) is None:
+        return None
+    fields = sheet.table("field")
+    field = SmoothField(
+        rms=fields.number("rms", low=0.0, high=limits.MOST_UNEVEN),
+        correlation_mm=fields.number("correlation_mm", low=limits.LEAST_CORRELATION_MM, high=limits.FARTHEST),
+        seed=_seed(fields),
+    )
+    fields.close()
+    return field
+
+
+def _late(sheet: Fields) -> Late | None:
+    if sheet.value("late", None) is None:
+        return None
+    fields = sheet.table("late")
+    late = Late(
+        factor=fields.number("factor", 1.0, low=1.0 / limits.MOST_DRIFT, high=limits.MOST_DRIFT),
+        gradient_rms=fields.number("gradient_rms", 0.0, low=0.0, high=limits.MOST_UNEVEN),
+        field=_field(fields),
+        seed=_seed(fields),
+    )
+    fields.close()
+    return late
+
+
+def _seed(fields: Fields) -> int:
+    found = fields.number("seed", 0, low=0, high=limits.MOST_SEED)
+    if found != int(found):
+        raise fields.wrong("seed", "a whole number")
+    return int(found)
+
+
+def even_arc_length_mm(size_mm: tuple[float, float]) -> tuple[float, ...]:
+    """Return sixteen even positions on the border of a sheet, as the paper's are on its own."""
+    perimeter = 2.0 * (size_mm[0] + size_mm[1])
+    return tuple(perimeter * (0.4 + k) / 16 for k in range(16))
+
+
+def _electrodes(fields: Fields, sheet: Sheet, skin: Skin) -> Electrodes:
+    """Return the electrodes of ``scene.electrodes``; what it does not say is as the skin states it.
+
+    On a sheet of another size than the skin's they are even by default.
+    """
+    stated = nominal_electrodes(skin)
+    own = sheet.size_mm == skin.outline.size_mm
+    arc = stated.arc_length_mm if own else even_arc_length_mm(sheet.size_mm)
+    electrodes = Electrodes(
+        contact=cast(Literal["patch", "edge"], fields.choice("contact", ("patch", "edge"), stated.contact)),
+        size_mm=_each(fields, "size_mm", stated.size_mm, low=0.01, high=limits.FARTHEST),
+        contact_impedance_ohm_m2=_each(
+            fields, "contact_impedance_ohm_m2", stated.contact_impedance_ohm_m2, low=1e-9, high=1e6
+        ),
+        arc_length_mm=fields.numbers("arc_length_mm", N_ELECTRODES, arc),
+    )
+    fields.close()
+    return electrodes
+
+
+def _each(
+    fields: Fields, key: str, default: float | tuple[float, ...], *, low: float, high: float
+) -> float | tuple[float, ...]:
+    """Return a number of all electrodes, or one of each."""
+    if isinstance(fields.value(key, default), list | tuple):
+        return fields.numbers(key, N_ELECTRODES, default, low=low, high=high)
+    return fields.number(key, default, low=low, high=high)
+
+
+def sheet_json(sheet: Sheet) -> dict[str, Any]:
+    """Return the JSON of a sheet; what an ideal one lacks is there only where it is not ideal."""
+    return {key: value for key, value in asdict(sheet).items() if key not in NOT_IDEAL or value}
+
+
+def _bend(fields: Fields, sheet: Sheet) -> Bend:
     bumps = []
-    for index, item in enumerate(sequence(fields.take("bumps_mm", []), f"{where}.bumps_mm", limits.MOST_BUMPS)):
-        at = f"{where}.bumps_mm[{index}]"
-        x, y, height, sigma = numbers(item, at, 4)
-        number(sigma, f"{at}[3] (sigma)", above=0.0, low=min(sheet.size_mm) / 1000, high=limits.FARTHEST)
-        for part, name in ((x, "x"), (y, "y"), (height, "height")):
-            number(part, f"{at} ({name})", low=-limits.FARTHEST, high=limits.FARTHEST)
-        bumps.append((x, y, height, sigma))
+    listed = fields.entries("bumps_mm", most=limits.MOST_BUMPS, of="bumps")
+    for index in listed:
+        bump = listed.entries(index, least=4, most=4, of="numbers")
+        x, y, height = (bump.number(k, low=-limits.FARTHEST, high=limits.FARTHEST) for k in range(3))
+        bumps.append((x, y, height, bump.number(3, low=min(sheet.size_mm) / 1000, high=limits.FARTHEST)))
+    turn = {"low": -limits.MOST_TURN_DEG, "high": limits.MOST_TURN_DEG}
+    stretch = {"low": 1.0 / limits.MOST_STRETCH, "high": limits.MOST_STRETCH}
     bend = Bend(
-        angle_deg=fields.number("angle_deg", 0.0, low=-limits.MOST_TURN_DEG, high=limits.MOST_TURN_DEG),
-        axis_deg=fields.number("axis_deg", 0.0, low=-limits.MOST_TURN_DEG, high=limits.MOST_TURN_DEG),
+        angle_deg=fields.number("angle_deg", 0.0, **turn),
+        axis_deg=fields.number("axis_deg", 0.0, **turn),
         skew=fields.number("skew", 0.0, low=-1.0, high=1.0),
-        twist_deg=fields.number("twist_deg", 0.0, low=-limits.MOST_TURN_DEG, high=limits.MOST_TURN_DEG),
-        stretch_along=fields.number("stretch_along", 1.0, low=1.0 / limits.MOST_STRETCH, high=limits.MOST_STRETCH),
-        stretch_across=fields.number("stretch_across", 1.0, low=1.0 / limits.MOST_STRETCH, high=limits.MOST_STRETCH),
+        twist_deg=fields.number("twist_deg", 0.0, **turn),
+        stretch_along=fields.number("stretch_along", 1.0, **stretch),
+        stretch_across=fields.number("stretch_across", 1.0, **stretch),
         nonuniformity=fields.number("nonuniformity", 0.0, low=-limits.MOST_STRETCH, high=limits.MOST_STRETCH),
         bumps_mm=tuple(bumps),
     )
@@ -194,44 +313,44 @@ def _bend(value: object, sheet: Sheet) -> Bend:
     ratio = bend.stretch_along / bend.stretch_across
     if not 1.0 / limits.MOST_STRETCH <= ratio <= limits.MOST_STRETCH:
         raise SceneError(
-            f"{where}.stretch_along is {bend.stretch_along:g} and stretch_across {bend.stretch_across:g}; their ratio "
-            f"is {ratio:g}, it must be from {1.0 / limits.MOST_STRETCH:g} to {limits.MOST_STRETCH:g}"
+            f"{fields.where}.stretch_along is {bend.stretch_along:g} and stretch_across {bend.stretch_across:g}; their "
+            f"ratio is {ratio:g}, it must be from {1.0 / limits.MOST_STRETCH:g} to {limits.MOST_STRETCH:g}"
         )
     return bend
 
 
-def _touch(value: object, sheet: Sheet, units: tuple[int, int], where: str) -> Touch:
-    fields = Fields(value, where)
+def _touch(fields: Fields, sheet: Sheet, units: tuple[int, int]) -> Touch:
     kinds = [kind for kind in SHAPES if kind in fields]
     if len(kinds) != 1:
-        raise SceneError(f"{where}: found {kinds or 'no shape'}, expected one of {', '.join(SHAPES)}")
+        raise SceneError(f"{fields.where}: found {kinds or 'no shape'}, expected one of {', '.join(SHAPES)}")
     soft = soft_fields(fields, 0 if kinds[0] == "units" else 1)
-    conductivity = fields.number("conductivity_S_per_m", 50.0, above=0.0, low=1e-9, high=1e9)
-    shape = fields.take(kinds[0], None)
+    conductivity = fields.number("conductivity_S_per_m", 50.0, low=1e-9, high=1e9)
+    shapes = _units(fields, sheet, units) if kinds[0] == "units" else (_shape(fields, kinds[0]),)
     fields.close()
-    readers = {"rect_mm": _rect, "disc_mm": _disc, "ellipse_mm": ellipse, "polygon_mm": _polygon}
-    at = f"{where}.{kinds[0]}"
-    if kinds[0] == "units":
-        return Touch(_units(shape, sheet, units, at), conductivity, **soft)
-    return Touch((readers[kinds[0]](shape, at),), conductivity, **soft)
+    return Touch(shapes, conductivity, **soft)
 
 
-def _rect(value: object, where: str) -> Shape:
-    x0, y0, x1, y1 = numbers(value, where, 4)
-    if x1 <= x0 or y1 <= y0:
-        raise SceneError(f"{where} is [{x0:g}, {y0:g}, {x1:g}, {y1:g}]; x1 must be above x0, and y1 above y0")
-    return Rect(x0, y0, x1, y1)
+def _shape(fields: Fields, key: str) -> Shape:
+    """Return the rectangle, disc, ellipse or polygon of a touch."""
+    where = fields.path(key)
+    if key == "polygon_mm":
+        return _polygon(fields.entries(key, least=3, most=limits.MOST_CORNERS, of="corners"), where)
+    if key == "rect_mm":
+        x0, y0, x1, y1 = fields.numbers(key, 4)
+        if x1 <= x0 or y1 <= y0:
+            raise SceneError(f"{where} is [{x0:g}, {y0:g}, {x1:g}, {y1:g}]; x1 must be above x0, and y1 above y0")
+        return Rect(x0, y0, x1, y1)
+    count = 3 if key == "disc_mm" else 5
+    found = fields.entries(key, least=count, most=count, of="numbers")
+    x, y = found.number(0), found.number(1)
+    if key == "disc_mm":
+        return Disc(x, y, found.number(2, above=0.0))
+    return Ellipse(x, y, found.number(2, above=0.0), found.number(3, above=0.0), found.number(4))
 
 
-def _disc(value: object, where: str) -> Shape:
-    x, y, radius = numbers(value, where, 3)
-    return Disc(x, y, number(radius, f"{where}[2] (radius)", above=0.0))
-
-
-def _polygon(value: object, where: str) -> Shape:
-    listed = sequence(value, where, limits.MOST_CORNERS)
-    corners = [numbers(item, f"{where}[{i}]", 2) for i, item in enumerate(listed)]
-    if len(corners) > 1 and corners[0] == corners[-1]:
+def _polygon(listed: Fields, where: str) -> Shape:
+    corners = [listed.numbers(index, 2) for index in listed]
+    if corners[0] == corners[-1]:
         corners.pop()
     if len(corners) < 3:
         raise SceneError(f"{where} has {len(corners)} corners; it must have at least 3")
@@ -243,20 +362,19 @@ def _polygon(value: object, where: str) -> Shape:
     return polygon
 
 
-def _units(value: object, sheet: Sheet, units: tuple[int, int], where: str) -> tuple[Shape, ...]:
+def _units(fields: Fields, sheet: Sheet, units: tuple[int, int]) -> tuple[Shape, ...]:
     rows, columns = units
     dx, dy = sheet.size_mm[0] / columns, sheet.size_mm[1] / rows
     shapes: list[Shape] = []
-    for index, item in enumerate(sequence(value, where, rows * columns)):
-        column, row = numbers(item, f"{where}[{index}]", 2)
+    listed = fields.entries("units", least=1, most=rows * columns, of="units [column, row]")
+    for index in listed:
+        column, row = listed.numbers(index, 2)
         if column != int(column) or row != int(row) or not (0 <= column < columns and 0 <= row < rows):
             raise SceneError(
-                f"{where}[{index}] is [{column:g}, {row:g}]; column must be an integer from 0 to {columns - 1}, "
+                f"{listed.path(index)} is [{column:g}, {row:g}]; column must be an integer from 0 to {columns - 1}, "
                 f"row from 0 to {rows - 1}"
             )
         shapes.append(Rect(column * dx, row * dy, (column + 1) * dx, (row + 1) * dy))
-    if not shapes:
-        raise SceneError(f"{where} is empty; name at least one unit")
     return tuple(shapes)
 
 

@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
-from eitskin_sim.scene.parts import LEAST_LOG_CONTRAST, Scene, Sheet, Touch
+from eitskin_proto.fields import Fields
+from eitskin_sim.scene.parts import LEAST_LOG_CONTRAST, Scene, SceneError, Sheet, Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
-from eitskin_sim.scene.strict_json import Fields, SceneError, number, numbers
 
 Array = npt.NDArray[np.float64]
 
@@ -37,7 +37,7 @@ OVERLAP_POINTS: Final = 64
 
 
 def soft_fields(fields: Fields, shapes: int) -> dict[str, Any]:
-    """Take ``contrast``, ``border_mm`` and ``dent_mm`` of a touch from its JSON.
+    """Return ``contrast``, ``border_mm`` and ``dent_mm`` of a touch's JSON.
 
     Args:
         fields: The touch's keys.
@@ -50,7 +50,7 @@ def soft_fields(fields: Fields, shapes: int) -> dict[str, Any]:
     if "contrast" in fields:
         if "conductivity_S_per_m" in fields:
             raise SceneError(f"{fields.where}: found contrast and conductivity_S_per_m; give one of them")
-        contrast = fields.number("contrast", 1.0, above=0.0, low=1e-9, high=1e9)
+        contrast = fields.number("contrast", low=1e-9, high=1e9)
     border = fields.number("border_mm", 0.0, low=0.0)
     dent = fields.number("dent_mm", 0.0, low=0.0, high=DEEPEST_MM)
     if shapes != 1 and (border or dent):
@@ -143,18 +143,6 @@ def shape_json(shape: Shape) -> tuple[str, Any]:
             return "ellipse_mm", [shape.x_mm, shape.y_mm, shape.along_mm, shape.across_mm, shape.angle_deg]
         case Polygon():
             return "polygon_mm", [list(corner) for corner in shape.corners_mm]
-
-
-def ellipse(value: object, where: str) -> Shape:
-    """Return the ellipse of JSON's [x, y, length, width, angle_deg].
-
-    Raises:
-        SceneError: It is none.
-    """
-    x, y, length, width, angle = numbers(value, where, 5)
-    for index, axis in ((2, length), (3, width)):
-        number(axis, f"{where}[{index}] (axis)", above=0.0)
-    return Ellipse(x, y, length, width, angle)
 
 
 def dents_of(touches: Sequence[Touch]) -> tuple[Touch, ...]:

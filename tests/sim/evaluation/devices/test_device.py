@@ -176,7 +176,7 @@ def test_rows_come_from_json(tmp_path):
         ([{"border_mm": 0.2}], "devices[0].border_mm is 0.2"),
         ([{"field_mm": 30}], "devices[0].field_mm does nothing without field_rms"),
         ([{"stray_spread": 0.5}], "devices[0].stray_spread does nothing without stray_pF"),
-        ([], "no mismatch"),
+        ([], "list of 1 to 200 mismatches"),
         ({}, "list"),
     ],
 )

@@ -10,14 +10,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from eitskin_proto.files.plain import plain, quoted
+from eitskin_proto.fields import Fields
 from eitskin_proto.files.reading import FileError, read_json
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_sim.scene.parts import Sheet, Touch
+from eitskin_sim.scene.parts import SceneError, Sheet, Touch
+from eitskin_sim.scene.scene import fields_of
 from eitskin_sim.scene.shapes import Disc
 from eitskin_sim.scene.soft_touch import check_touch
-from eitskin_sim.scene.strict_json import Fields, SceneError, number, sequence
 
 LARGEST_FILE: Final = 1 << 20
 MOST_ROWS: Final = 200
@@ -195,31 +195,24 @@ def load_rows(path: str | Path) -> list[Row]:
     except FileError as error:
         raise SceneError(str(error)) from error
     try:
-        found = [_row(item, f"devices[{index}]") for index, item in enumerate(sequence(value, "devices", MOST_ROWS))]
+        listed = fields_of({"devices": value}).entries("devices", least=1, most=MOST_ROWS, of="mismatches")
+        return [_row(listed.table(place)) for place in listed]
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from error
-    if not found:
-        raise SceneError(f"{path} holds no mismatch; expected a list of at least one")
-    return found
 
 
-def _row(item: object, where: str) -> Row:
-    given = Fields(item, where)
-    name = given.take("name", where)
-    if not isinstance(name, str) or not name:
-        raise SceneError(f"{where}.name is {quoted(name)}, expected a text")
+def _row(given: Fields) -> Row:
+    where = given.where
+    name = given.text("name", where)
     values: dict[str, Any] = {}
     for one in fields(Mismatch):
-        value = given.take(one.name, None)
-        if value is None:
+        if given.value(one.name, None) is None:
             continue
         if one.name in ("scan", "reference_scan"):
-            if not isinstance(value, bool):
-                raise SceneError(f"{where}.{one.name} is {quoted(value)}, expected true or false")
-            values[one.name] = value
+            values[one.name] = given.truth(one.name)
         else:
             low, high = BOUNDS[one.name]
-            values[one.name] = number(value, f"{where}.{one.name}", low=low, high=high)
+            values[one.name] = given.number(one.name, low=low, high=high)
     given.close()
     for name_of_shape, size in SHAPES.items():
         if name_of_shape in values and size not in values:
@@ -227,7 +220,7 @@ def _row(item: object, where: str) -> Row:
     found = Mismatch(**values)
     touch = Touch((Disc(20.0, 20.0, 20.0),), 50.0, found.contrast, found.border_mm, found.dent_mm)
     check_touch(touch, Sheet(), where)
-    return plain(name), found
+    return name, found
 
 
 def deviations(mismatch: Mismatch) -> dict[str, Any]:
