@@ -33,6 +33,7 @@ from eitskin.reference import captured as references
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference
 from eitskin.status import status_of
 from eitskin.stream_source import with_streams
+from eitskin_proto.skin.touch_kind import TouchKind
 
 
 class Skin:
@@ -40,7 +41,7 @@ class Skin:
 
     Args:
         port: A serial port's path, ``usb:SERIAL``, or an open transport, which is closed with the skin.
-        bundle: A bundle, or its path; None takes the shipped one.
+        bundle: A bundle, its path, or the name of a shipped one; None takes the shipped one that knows the touches.
         reference: A reference, or its path; None if it will be captured.
         budget_ms: From read to publish; None for no budget.
         baud: Bits per second on a real UART.
@@ -53,6 +54,8 @@ class Skin:
         exclude: Electrodes to go on without; what fails while the stream goes on is found by itself.
         compensate_drift: Whether frames are freed of drift (:mod:`eitskin.health.drift`); None if the bundle can.
         skin: Its description, or that file's path, which the bundle must fit; None takes the bundle's.
+        touches: Which way touches change conductance, ``lower``, ``raise`` or ``both``: the bundle must know them. None
+            for what the skin's description says, or any that the bundle knows.
 
     Raises:
         BundleError: The bundle cannot be used, or has no idle gate where one is asked for.
@@ -78,9 +81,10 @@ class Skin:
         exclude: tuple[int, ...] = (),
         compensate_drift: bool | None = None,
         skin: Given = None,
+        touches: TouchKind | None = None,
     ) -> None:
         budget_ns = in_ns(budget_ms)
-        self.bundle, self.description = bundle_and_skin(bundle, skin)
+        self.bundle, self.description = bundle_and_skin(bundle, skin, touches)
         loaded = references.taken(reference, self.description)
         self.transport = open_line(port, baud) if isinstance(port, str) else port
         try:

@@ -38,7 +38,7 @@ def made(tmp_path_factory):
 def test_the_bundle_is_of_this_sheet(made):
     bundle, skin = load_bundle(made / "forearm.eitskin"), load(made / "skin.toml")
     assert bundle.skin.digest == skin.digest
-    assert bundle.touch_kind == "lowering"
+    assert bundle.touch_kind == "lower"
     assert bundle.skin.outline.size_mm == (220.0, 90.0)
     assert bundle.tikhonov().shape == (18 * 45, 104)
     assert bundle.manifest["metrics"]["card"]["by_contrast"]

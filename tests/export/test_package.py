@@ -67,7 +67,7 @@ def test_the_manifest_says_how_the_bundle_was_made(exported: tuple[Path, dict[st
     manifest = load_bundle(exported[0]).manifest
     assert manifest["seeds"] == {"training": 3, "data": data.seed}
     assert manifest["data_digest"] == data.digest
-    assert manifest["touches"] == "raising"
+    assert manifest["touches"] == "raise"
     assert manifest["recipe"]["name"] == "tiny"
     assert manifest["training"]["seconds"] > 0
     assert set(manifest["metrics"]["held_out"]["A"]) == {"N1", "N2", "N3"}
@@ -77,14 +77,14 @@ def test_the_manifest_says_how_the_bundle_was_made(exported: tuple[Path, dict[st
 
 @pytest.mark.slow
 def test_a_bundle_of_another_skin_carries_it_and_runs(toy_data: Any, tmp_path: Path) -> None:
-    data = replace(toy_data("area", bends=12, samples=1200, skin=SECOND), touch_kind="lowering")
+    data = replace(toy_data("area", bends=12, samples=1200, skin=SECOND), touch_kind="lower")
     train.train(data, replace(recipe("tiny"), epochs=1), tmp_path / "run")
     out = tmp_path / "second.eitskin"
     found = run_files.trained(tmp_path / "run")
     result = package.export(found, data, out, bends=bends_of, gate_steps=50)
     loaded = load_bundle(out)
     assert loaded.skin == SECOND
-    assert loaded.touch_kind == result["touches"] == "lowering"
+    assert loaded.touch_kind == result["touches"] == "lower"
     assert (loaded.manifest["grid_id"], loaded.manifest["skin_digest"]) == (SECOND.grid_id, SECOND.digest)
     assert loaded.tikhonov().shape == (SECOND.grid.n_pixels, 104)
     assert result["parity"]["map through the runtime"] < parity.TOLERANCE

@@ -133,7 +133,7 @@ def test_another_one_takes_its_place(large: Path, small: Path, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("facts", "skin", "what"),
     [({}, SECOND, "skin found"), ({"labels": "units"}, PAPER, "labels found units, expected area"),
-     ({"touches": "lowering"}, PAPER, "touches found lowering, expected raising"),
+     ({"touches": "lower"}, PAPER, "touches found lower, expected raise"),
      ({"head": {"inputs": ["dv", "bias"], "bias": 4}}, PAPER, "head.inputs found")],
 )  # fmt: skip
 def test_what_does_not_go_together_is_refused(

@@ -45,7 +45,7 @@ SEED: Final = 1901
 STAMP_MM: Final = 16.0
 """Diameter of the stamp."""
 
-PRESSED: Final = {"lowering": (0.5, 4.0), "raising": (10.0, 2.0)}
+PRESSED: Final = {"lower": (0.5, 4.0), "raise": (10.0, 2.0)}
 """Contrast and border of the stamp's presses, mm: between the two presses of trials, and as the lab mix's touches."""
 
 STATED: Final = "lab"
@@ -117,7 +117,7 @@ def _calibrated(
     from eitskin_sim.evaluation.devices.device import draw_device
     from eitskin_sim.evaluation.devices.mismatch import LAB
 
-    way: TouchKind = "lowering" if touches == "lowering" else "raising"
+    way: TouchKind = "lower" if touches == "lower" else "raise"
     bends, presses = arguments.bends, arguments.presses
     name = f"{way}-{bends}-bends-{presses}-presses"
     described, said = folder / f"{name}.toml", folder / f"{name}.json"
@@ -161,7 +161,7 @@ def _tried(number: int, bundle: Any, skin: Any, arguments: argparse.Namespace, s
     from eitskin_tools.evaluation.devices import evaluate_devices, trials_of
     from eitskin_tools.evaluation.solvers import Request
 
-    kinds = ("press04", "press06") if bundle.touch_kind == "lowering" else ("mm", "single")
+    kinds = ("press04", "press06") if bundle.touch_kind == "lower" else ("mm", "single")
     trials = trials_of(kinds, arguments.deformations, arguments.each)
     plan = Plan(seed=0, first=number, snr_db=arguments.snr_db, skin=skin)
     (row,) = evaluate_devices([("lab mix", LAB)], trials, Request(solver, bundle=str(bundle.path)), plan)["rows"]
@@ -182,7 +182,7 @@ def recorded(device: Device, number: int, snr_db: float, bends: int, presses: in
         snr_db: Of one frame.
         bends: How many bends; 0 for none.
         presses: How many presses; 0 for none.
-        way: Which way they change conductance, ``lowering`` or ``raising``.
+        way: Which way they change conductance, ``lower`` or ``raise``.
     """
     rng = np.random.default_rng([SEED, number])
     sd = 10.0 ** (-snr_db / 20.0) / FRAMES**0.5

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.touch_kind import TouchKind
 
 Range = tuple[float, float]
 """From, to."""
@@ -125,15 +126,23 @@ class Deformations:
 class Touches:
     """What touches this skin, and which way it changes conductance."""
 
-    lower: bool = False
-    """Whether there are touches that lower conductance, as a press on a hydrogel does."""
+    kind: TouchKind = "raise"
+    """``lower`` where touches lower conductance, as a press on a hydrogel does; ``raise`` as the paper's do; both."""
     lowering_contrast: Range = _of((0.2, 0.85), 0.01, 0.99)
-    """Conductivity inside over the sheet's."""
-    higher: bool = True
-    """Whether there are touches that raise it, as the paper's do."""
+    """Conductivity inside over the sheet's, of touches that lower it."""
     raising_contrast: Range = _of((20.0, 200.0), 1.01, 1000.0)
     size_mm: Range = _of((5.0, 25.0), 1.0, 100.0)
     border_mm: Range = _of((0.0, 0.0), 0.0, 20.0)
+
+    @property
+    def lower(self) -> bool:
+        """Whether there are touches that lower conductance."""
+        return self.kind != "raise"
+
+    @property
+    def higher(self) -> bool:
+        """Whether there are touches that raise conductance."""
+        return self.kind != "lower"
 
 
 @dataclass(frozen=True, slots=True)

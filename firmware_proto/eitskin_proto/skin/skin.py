@@ -63,8 +63,6 @@ class Skin:
         length, width = self.outline.size_mm
         if self.outline.kind == "disc" and length != width:
             raise ValueError(f"[outline] size_mm is {length:g} x {width:g}; a disc's two sizes are alike, its diameter")
-        if not (self.touches.lower or self.touches.higher):
-            raise ValueError("[touches] has neither lower nor higher: nothing that touches this skin would be seen")
         self._check_electrodes()
 
     def _check_electrodes(self) -> None:
@@ -119,6 +117,8 @@ class Skin:
         """16 hex digits that stand for the whole description, but not for its name."""
         content = asdict(self)
         del content["name"]
+        del content["touches"]["kind"]  # digests stay what they were when two truth values said it
+        content["touches"] |= {"lower": self.touches.lower, "higher": self.touches.higher}
         if not self.stated_grid_id:  # files from before it was written have the same digest
             del content["stated_grid_id"]
         return id_of_values(content)
@@ -126,12 +126,11 @@ class Skin:
     @property
     def touch_kind(self) -> TouchKind:
         """Which way touches change this skin's conductance."""
-        return "both" if self.touches.lower and self.touches.higher else "lowering" if self.touches.lower else "raising"
+        return self.touches.kind
 
     def touched(self, kind: TouchKind) -> "Skin":
         """Return this skin, touched so that conductance changes one way, or both."""
-        ways = replace(self.touches, lower=kind != "raising", higher=kind != "lowering")
-        return replace(self, touches=ways)
+        return replace(self, touches=replace(self.touches, kind=kind))
 
     def __hash__(self) -> int:
         return hash(self.digest)

@@ -79,8 +79,10 @@ def parse(text: str) -> Skin:
     content = Fields(parse_toml(text), "")
     content.check_format(FORMAT, VERSION, "a skin's description")
     texts: dict[str, Any] = {name: content.text(name, "", least=0, longest=LONGEST_NAME) for name in TEXTS}
-    parts: dict[str, Any] = {name: _part(kind, content.table(name, f"[{name}]")) for name, kind in TABLES.items()}
+    tables = {name: content.table(name, f"[{name}]") for name in TABLES}
     content.close()
+    tables["touches"] = _with_kind(tables["touches"])
+    parts: dict[str, Any] = {name: _part(kind, tables[name]) for name, kind in TABLES.items()}
     skin = Skin(**{**texts, "name": texts["name"] or "unnamed"}, **parts)
     if not skin.calibrated_from:  # what was found is as uncertain as it was found
         check_reach(skin)
@@ -115,6 +117,18 @@ def _shown(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f'"{value}"' if isinstance(value, str) else repr(value)
+
+
+def _with_kind(touches: Fields) -> Fields:
+    """Return [touches] with ``kind``; files of earlier releases have the truth values ``lower`` and ``higher``."""
+    if not ("lower" in touches or "higher" in touches):
+        return touches
+    lower, higher = touches.truth("lower", False), touches.truth("higher", True)
+    if not (lower or higher):
+        raise ValueError("[touches] has neither lower nor higher: nothing that touches this skin would be seen")
+    rest = {key: touches.value(key) for key in touches if key not in ("lower", "higher")}
+    kind = "both" if lower and higher else "lower" if lower else "raise"
+    return Fields({"kind": kind} | rest, touches.where)
 
 
 def _part(kind: type, content: Fields) -> Any:

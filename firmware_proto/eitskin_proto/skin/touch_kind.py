@@ -1,12 +1,32 @@
-"""Which way touches change conductance: what a skin's touches do, and what a network knows."""
+"""Which way touches change conductance: what a skin's touches do, and what a network knows.
+
+The same three words stand in a skin's file, a bundle's manifest, the option ``--touches``, robot.toml and the log.
+"""
 
 from collections.abc import Iterable
 from typing import Final, Literal, get_args
 
-TouchKind = Literal["raising", "lowering", "both"]
-"""Raising as the paper's touches, lowering as a press on a hydrogel, or both ways."""
+from eitskin_proto.files.plain import quoted
+
+TouchKind = Literal["lower", "raise", "both"]
+"""``lower`` as a press on a hydrogel, ``raise`` as the paper's touches, or both ways."""
 
 TOUCH_KINDS: Final[tuple[TouchKind, ...]] = get_args(TouchKind)
+
+EARLIER_WORDS: Final[dict[object, TouchKind]] = {"lowering": "lower", "raising": "raise"}
+"""What files of earlier releases say."""
+
+
+def touch_kind_of(found: object) -> TouchKind:
+    """Return the kind that a file names, in today's words.
+
+    Raises:
+        ValueError: It names none; the text goes on from the key's name.
+    """
+    word = EARLIER_WORDS.get(found, found) if isinstance(found, str) else found
+    if word not in TOUCH_KINDS:
+        raise ValueError(f"found {quoted(found)}, expected one of {', '.join(TOUCH_KINDS)}")
+    return word
 
 
 def together(kinds: Iterable[TouchKind]) -> TouchKind:
@@ -16,5 +36,5 @@ def together(kinds: Iterable[TouchKind]) -> TouchKind:
 
 
 def knows(known: TouchKind, wanted: TouchKind) -> bool:
-    """Return whether who knows touches of one kind knows all of another."""
+    """Return whether a network that knows touches of one kind knows all of another."""
     return known in ("both", wanted)

@@ -164,7 +164,7 @@ def _usb(problems: list[str]) -> list[dict[str, Any]]:
 def _shipped() -> list[tuple[str, Path]]:
     """Labels and places of the shipped bundles: those of every installation, and those that there are besides."""
     always = [(labels, default_path(labels)) for labels in LABELS]
-    besides = [(labels, default_path(labels, "lowering")) for labels in LABELS]
+    besides = [(labels, default_path(labels, "lower")) for labels in LABELS]
     return [*always, *((labels, path) for labels, path in besides if path.exists())]
 
 
@@ -174,7 +174,7 @@ def _bundle(labels: str, path: Path, problems: list[str]) -> dict[str, Any]:
     except SkinError as error:
         problems.append(str(error))
         return {"path": str(path), "labels": labels, "touches": "", "id": "", "state": "unusable"}
-    state = f"intact, {found.labels} labels, {found.touch_kind} touches, {found.id}"
+    state = f"intact, labels {found.labels}, touches {found.touch_kind}, {found.id}"
     return {"path": str(path), "labels": labels, "touches": found.touch_kind, "id": found.id, "state": state}
 
 

@@ -35,15 +35,16 @@ from eitskin_proto.files.arrays import parse_npy, parse_npz
 from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.plain import plain, quoted, stated
 from eitskin_proto.files.reading import FileError, opened
+from eitskin_proto.files.shipped import is_name
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin as SkinDescription
-from eitskin_proto.skin.touch_kind import TOUCH_KINDS, TouchKind
+from eitskin_proto.skin.touch_kind import TOUCH_KINDS, TouchKind, touch_kind_of
 
 SHIPPED: Final = {
-    ("area", "raising"): "free",
-    ("units", "raising"): "units",
-    ("area", "lowering"): "press",
-    ("units", "lowering"): "units-press",
+    ("area", "raise"): "free",
+    ("units", "raise"): "units",
+    ("area", "lower"): "press",
+    ("units", "lower"): "units-press",
 }
 """Labels and which way touches change conductance -> the shipped bundle's name."""
 
@@ -126,8 +127,7 @@ class Bundle:
     @property
     def touch_kind(self) -> TouchKind:
         """Which touches it knows; bundles that are older than the question know those that raise conductance."""
-        kind: TouchKind = self.manifest.get("touches", "raising")
-        return kind
+        return touch_kind_of(self.manifest.get("touches", "raise"))
 
     @property
     def bias_width(self) -> int:
@@ -185,8 +185,8 @@ class Bundle:
         return arrays
 
 
-def default_path(labels: str = "area", touches: TouchKind = "raising") -> Path:
-    """Return where the shipped bundle for these labels and touches is; that for raising ones where both are met.
+def default_path(labels: str = "area", touches: TouchKind = "raise") -> Path:
+    """Return where the shipped bundle for these labels and touches is; for ``both``, that which knows ``raise``.
 
     Raises:
         ValueError: There are no such labels, or no such touches.
@@ -195,7 +195,7 @@ def default_path(labels: str = "area", touches: TouchKind = "raising") -> Path:
         raise ValueError(f"labels {labels!r} do not exist; expected one of {', '.join(LABELS)}")
     if touches not in TOUCH_KINDS:
         raise ValueError(f"touches {touches!r} do not exist; expected one of {', '.join(TOUCH_KINDS)}")
-    name = SHIPPED[labels, "lowering" if touches == "lowering" else "raising"]
+    name = SHIPPED[labels, "lower" if touches == "lower" else "raise"]
     return HOME / f"{name}.eitskin"
 
 
@@ -208,14 +208,14 @@ def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bund
     """Return a bundle whose every byte was checked.
 
     Args:
-        path: The file; None takes the shipped bundle of area labels.
+        path: The file, or the name of a shipped bundle; None takes the shipped one of area labels.
         lazily: Check each file only when it is used.
 
     Raises:
         BundleError: It cannot be read, is damaged or incomplete.
         MismatchError: It is of another format version or protocol_id, or its ids are not those of its skin.
     """
-    where = default_path() if path is None else Path(path)
+    where = default_path() if path is None else HOME / f"{path}.eitskin" if is_name(path, shipped()) else Path(path)
     with _Opened(where) as archive:
         raw = _member(archive.members, "manifest.json", LARGEST_MANIFEST, where)
         sizes = {name: member.entry.file_size for name, member in archive.members.items()}
@@ -250,7 +250,7 @@ class _Opened:
                 self.members = members(stream)
             except FileNotFoundError as error:
                 raise BundleError(
-                    f"no bundle {where}; expected a file, or with --bundle one of the shipped: {', '.join(shipped())}; "
+                    f"no bundle {where}; expected a file, or one of the shipped: {', '.join(shipped())}; "
                     "'eitskin build' makes one for another sheet"
                 ) from error
             except OSError as error:

@@ -6,7 +6,7 @@ from typing import Any, Final
 from eitskin.errors import BundleError, MismatchError
 from eitskin_proto.files.plain import quoted, stated
 from eitskin_proto.files.reading import FileError, parse_json
-from eitskin_proto.skin.touch_kind import TOUCH_KINDS
+from eitskin_proto.skin.touch_kind import touch_kind_of
 
 FORMAT: Final = "eitskin-bundle"
 VERSION: Final = 1
@@ -60,9 +60,10 @@ def _shape_problem(manifest: dict[str, Any]) -> str | None:
     files, head, labels = manifest.get("files"), manifest.get("head"), manifest.get("labels")
     if not isinstance(labels, str) or labels not in LABELS:
         return f"labels found {quoted(labels)}, expected one of {', '.join(LABELS)}"
-    touches = manifest.get("touches", "raising")
-    if not isinstance(touches, str) or touches not in TOUCH_KINDS:
-        return f"touches found {quoted(touches)}, expected one of {', '.join(TOUCH_KINDS)}"
+    try:
+        touch_kind_of(manifest.get("touches", "raise"))
+    except ValueError as error:
+        return f"touches {error}"
     for name in ("gate", "metrics", "recipe", *BESIDE):
         if not isinstance(manifest.get(name), dict | None):
             return f"{name} found {quoted(manifest[name])}, expected an object"

@@ -16,26 +16,31 @@ Given = Skin | str | Path | None
 """A description, or the path of its file; None for the bundle's."""
 
 
-def bundle_and_skin(bundle: Bundle | str | Path | None, wanted: Given) -> tuple[Bundle, Skin]:
+def bundle_and_skin(
+    bundle: Bundle | str | Path | None, wanted: Given, touches: TouchKind | None = None
+) -> tuple[Bundle, Skin]:
     """Return a bundle, read if it is a path or a shipped one, and the skin to use with it.
 
     Args:
-        bundle: The path of one, which must know the skin's touches where these lower conductance; one that was chosen
-            and read, which is taken; None takes the shipped one that knows the skin's touches.
+        bundle: The path or name of one, which must know the skin's touches where these lower conductance; one that was
+            chosen and read, which is taken; None takes the shipped one that knows the skin's touches.
         wanted: See :func:`use_skin`.
+        touches: Which touches the bundle must know, whatever the skin says; None for the skin's.
 
     Raises:
         BundleError: See :func:`eitskin.model.bundle.load_bundle`, and :func:`knowing`.
-        MismatchError: The bundle that is named knows raising touches alone, and the skin's lower conductance; see also
-            there, and :func:`use_skin`.
+        MismatchError: The bundle that is named knows only touches that raise conductance, and the skin's lower it; see
+            also there, and :func:`use_skin`.
         ValueError: The skin's file is wrong.
         OSError: There is no such file.
     """
     skin = None if wanted is None else _read(wanted)
+    if touches is not None:
+        bundle = knowing(touches, bundle)
     if isinstance(bundle, Bundle):
         return bundle, use_skin(bundle, skin)
     if bundle is None:
-        found = knowing("raising" if skin is None else skin.touch_kind)
+        found = knowing("raise" if skin is None else skin.touch_kind)
         return found, use_skin(found, skin)
     found = load_bundle(bundle, lazily=True)
     used = use_skin(found, skin)
@@ -45,39 +50,42 @@ def bundle_and_skin(bundle: Bundle | str | Path | None, wanted: Given) -> tuple[
 
 
 def check_touches(bundle: Bundle, skin: Skin) -> None:
-    """Refuse a bundle that would miss every touch of a skin; raising ones are also what a file has that says nothing.
+    """Refuse a bundle that would miss every touch of a skin; a file that says nothing has touches that raise.
 
     Raises:
         MismatchError: The skin's touches lower conductance, and the bundle does not know such.
     """
-    if skin.touch_kind != "lowering" or knows(bundle.touch_kind, "lowering"):
+    if skin.touch_kind != "lower" or knows(bundle.touch_kind, "lower"):
         return
-    expected = f"lowering, as [touches] of skin {skin.name} says"
+    expected = f"lower, as [touches] of skin {skin.name} says"
     hint = "take a bundle that knows them, or make one: eitskin build SKIN.toml --out FILE.eitskin"
     raise MismatchError(f"{bundle.path}: touches", found=bundle.touch_kind, expected=expected, hint=hint)
 
 
-def knowing(touches: TouchKind, path: str | Path | None = None) -> Bundle:
+def knowing(touches: TouchKind, bundle: Bundle | str | Path | None = None) -> Bundle:
     """Return a bundle that knows some touches.
 
     Args:
-        touches: Which way they change conductance; of touches both ways, one that knows the raising ones will do.
-        path: Its file; None takes the shipped one.
+        touches: Which way they change conductance; for both ways, a bundle that knows those that raise it will do.
+        bundle: A bundle, its file or name; None takes the shipped one.
 
     Raises:
+        ValueError: There are no such touches.
         BundleError: None that is shipped knows them, or one cannot be read.
         MismatchError: The file's bundle knows others; or see :func:`eitskin.model.bundle.load_bundle`.
     """
     own = default_path("area", touches)
-    found = load_bundle(path or (own if own.exists() else default_path()), lazily=True)
-    if knows(found.touch_kind, "raising" if touches == "both" else touches):
+    named = bundle or (own if own.exists() else default_path())
+    found = named if isinstance(named, Bundle) else load_bundle(named, lazily=True)
+    if knows(found.touch_kind, "raise" if touches == "both" else touches):
         return found
     make = "make one: eitskin build SKIN.toml --out FILE.eitskin"
-    if path is None:
+    if bundle is None:
         raise BundleError(
-            f"no shipped bundle knows {touches} touches: {own} is not there; name one with --bundle, or {make}"
+            f"no shipped bundle knows touches that {touches} conductance: {own} is not there; name one with --bundle, "
+            f"or {make}"
         )
-    hint = f"name another with --bundle, or {make}"
+    hint = f"name another, or {make}"
     raise MismatchError(f"{found.path}: touches", found=found.touch_kind, expected=touches, hint=hint)
 
 

@@ -24,7 +24,7 @@ import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from eitskin.errors import EndpointError, RobotError
 from eitskin.messaging.endpoints import CONTROL, FRAMES, needs_keys, runtime_folder
@@ -33,6 +33,7 @@ from eitskin_proto.fields import Fields
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.files.reading import parse_toml, read_text
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_proto.skin.touch_kind import TouchKind
 
 FORMAT: Final = "eitskin-robot"
 VERSION: Final = 1
@@ -111,7 +112,7 @@ class SkinSettings:
     bundle: Path | None = None
     description: Path | None = None
     """``skin`` in the file."""
-    touches: str | None = None
+    touches: TouchKind | None = None
     reference: Path | None = None
     reference_frames: int | None = None
     curve_keys: Path | None = None
@@ -193,7 +194,7 @@ def _skin(table: Fields, folder: Path, beside: Path) -> SkinSettings:
         baud=table.whole("baud", None, low=300, high=1 << 30),
         bundle=_named(table.text("bundle", None), SHIPPED_BUNDLES, beside),
         description=_named(table.text("skin", None), SHIPPED_SKINS, beside),
-        touches=table.choice("touches", ("lower", "raise"), None),
+        touches=cast(TouchKind | None, table.choice("touches", ("lower", "raise"), None)),
         reference=reference,
         reference_frames=table.whole("reference_frames", None, low=2, high=10_000),
         curve_keys=curve_keys,

@@ -201,7 +201,7 @@ def measured() -> dict[str, Any]:
         "reference_V": VOLTS, "reference_cloud_mm": flat_cloud(),
         "voltages_V": np.stack([0.9 * VOLTS, VOLTS, 1.1 * VOLTS]),
         "cloud_mm": flat_cloud()[None], "cloud_index": np.array([0, -1, 0]), "truth": truth,
-        "kind": np.array(["single", "untouched", "again"]), "touch_kind": np.array("raising"),
+        "kind": np.array(["single", "untouched", "again"]), "touch_kind": np.array("raise"),
         "protocol_id": np.array(PROTOCOL_ID), "grid_id": np.array(PAPER.grid_id), "skin_digest": np.array(PAPER.digest),
     }  # fmt: skip
 

@@ -18,7 +18,7 @@ LARGE = Skin(
 
 def test_the_paper_s_skin_has_the_id_and_the_grid_that_every_artefact_carries():
     assert PAPER.grid_id == "ef41b0aa6e17eb61"
-    assert PAPER.touch_kind == "raising"
+    assert PAPER.touch_kind == "raise"
     grid = PAPER.grid
     assert (grid.size_mm, grid.shape, grid.units, grid.quarter) == ((150.0, 100.0), (30, 45), (9, 14), (15, 23))
     assert grid.pitch_mm == 150.0 / 45
@@ -57,7 +57,7 @@ def test_the_digest_stands_for_all_but_the_name():
     assert replace(PAPER, name="other").digest == PAPER.digest
     others = [
         replace(PAPER, layer=Layer(gauge_factor=Quantity(0.0, "normal", 0.5))),
-        replace(PAPER, touches=Touches(lower=True)),
+        replace(PAPER, touches=Touches(kind="both")),
         replace(PAPER, calibrated_from=PAPER.digest),
         replace(PAPER, calibrated_from=PAPER.digest, stated_grid_id="0123456789abcdef"),
         LARGE,
@@ -71,7 +71,6 @@ def test_the_digest_stands_for_all_but_the_name():
     ("changed", "words"),
     [
         ({"outline": Outline("disc", (100.0, 90.0))}, "a disc's two sizes are alike"),
-        ({"touches": Touches(higher=False)}, "neither lower nor higher"),
         ({"electrodes": Ring(size_mm=Quantity(32.0))}, r"\[electrodes\] 0 and 1 overlap by 0.75 mm"),
         ({"electrodes": Ring(arc_length_mm=Quantity((43.75, 12.5, *PAPER.arc_length_mm[2:])))}, "counter-clockwise"),
         ({"outline": Outline(size_mm=(100.0, 100.0))}, r"arc_length_mm\[15\] is 481.25, expected below 400"),

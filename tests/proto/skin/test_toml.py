@@ -43,7 +43,9 @@ def test_the_paper_s_file_states_what_is_meant_without_one():
         (HEAD + "[outline]\nsize_mm = [1000.0, 100.0]\n", r"size_mm\[0\] is 1000.0, expected a number from 50 to 400"),
         (HEAD + "[outline]\nsize_mm = 100.0\n", "size_mm is 100.0, expected a list of 2 numbers"),
         (HEAD + "[map]\nshape = [30.0, 45.0]\n", r"shape\[0\] is 30.0, expected a whole number from 6 to 120"),
-        (HEAD + "[touches]\nlower = 1\n", "lower is 1, expected true or false"),
+        (HEAD + '[touches]\nkind = "lowering"\n', "kind is 'lowering', expected one of lower, raise, both"),
+        (HEAD + "[front_end]\nnormalised = 1\n", r"normalised is 1, expected true or false"),
+        (HEAD + "[touches]\nhigher = false\n", "neither lower nor higher"),
         (HEAD + "[touches]\nsize_mm = [20.0, 5.0]\n", "from 20 to 5; the first is the smaller one"),
         (HEAD + 'name = "a\\u001b[2J"\n', "expected a text of at most 60 printable characters"),
         ("format = ", "not a TOML file"),
@@ -52,6 +54,14 @@ def test_the_paper_s_file_states_what_is_meant_without_one():
 def test_what_is_wrong_is_named(text, words):
     with pytest.raises(ValueError, match=words):
         parse(text)
+
+
+@pytest.mark.parametrize(("lower", "higher", "kind"), [(0, 1, "raise"), (1, 0, "lower"), (1, 1, "both")])
+def test_the_truth_values_of_earlier_releases_say_which_touches_there_are(lower, higher, kind):
+    said = {0: "false", 1: "true"}
+    found = parse(f"{HEAD}[touches]\nlower = {said[lower]}\nhigher = {said[higher]}\n")
+    assert found == parse(f'{HEAD}[touches]\nkind = "{kind}"\n')
+    assert found.digest == parse(to_toml(found)).digest
 
 
 def test_an_error_names_the_file(tmp_path):

@@ -132,7 +132,7 @@ def test_a_device_that_states_another_skin_is_refused_and_one_that_states_none_i
         HELLO.check_skin(skin)
         replace(HELLO, grid_id=skin.digest).check_skin(skin)
         replace(HELLO, grid_id=skin.digest).check_skin(replace(SECOND, calibrated_from=skin.digest))
-        replace(HELLO, grid_id=skin.grid_id).check_skin(replace(skin, touches=Touches(lower=True)))
+        replace(HELLO, grid_id=skin.grid_id).check_skin(replace(skin, touches=Touches(kind="both")))
     for one, other in ((PAPER, named("lab")), (named("hydrogel"), named("lab"))):
         replace(HELLO, grid_id=one.digest).check_skin(other)  # shipped descriptions of one sheet
     with pytest.raises(MismatchError, match=named("lab").digest):

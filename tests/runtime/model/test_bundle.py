@@ -54,7 +54,7 @@ def test_a_bundle_is_read_whole_and_its_id_is_its_manifest(tiny_path, parts):
 
 
 def test_a_bundle_that_is_not_there_is_said_with_those_that_are(tmp_path):
-    with pytest.raises(BundleError, match="with --bundle one of the shipped: free, press, units; 'eitskin b"):
+    with pytest.raises(BundleError, match="one of the shipped: free, press, units; 'eitskin b"):
         load_bundle(tmp_path / "fre")
 
 

@@ -163,7 +163,7 @@ def test_filters_of_both_signs_find_presses_of_both():
 
 @pytest.fixture(scope="module")
 def shipped():
-    arrays = load_bundle(default_path(touches="lowering")).gate_arrays()
+    arrays = load_bundle(default_path(touches="lower")).gate_arrays()
     if arrays is None:
         pytest.skip("the shipped bundle has no gate; 'eitskin export' makes one")
     return arrays

@@ -12,7 +12,7 @@ from eitskin_proto.sensor.table import N_ROWS
 LOST = rows_of((2, 11))
 
 
-@pytest.fixture(scope="module", params=["raising", "lowering"])
+@pytest.fixture(scope="module", params=["raise", "lower"])
 def arrays(request):
     found = load_bundle(default_path(touches=request.param)).gate_arrays()
     if found is None:
@@ -47,7 +47,7 @@ def test_the_shipped_gates_say_what_they_are_made_of(arrays):
 
 
 def test_filters_of_presses_know_one_sign():
-    arrays = load_bundle(default_path(touches="lowering")).gate_arrays()
+    arrays = load_bundle(default_path(touches="lower")).gate_arrays()
     assert arrays is None or Filters.of(arrays).one_sign
 
 

@@ -32,35 +32,35 @@ def shipped(tiny_path, tmp_path, monkeypatch):
     def ship(name, touches):
         return saying(tiny_path, tmp_path / name, touches)
 
-    def where(labels="area", touches="raising"):
+    def where(labels="area", touches="raise"):
         return tmp_path / default_path(labels, touches).name
 
-    ship("free.eitskin", "raising")
+    ship("free.eitskin", "raise")
     monkeypatch.setattr(skin_in_use, "default_path", where)
     return ship
 
 
 def test_a_bundle_says_which_touches_it_knows_and_an_older_one_knows_raising_ones(tiny, tiny_path, tmp_path):
-    assert tiny.touch_kind == "raising"
+    assert tiny.touch_kind == "raise"
     for kind in TOUCH_KINDS:
         assert load_bundle(saying(tiny_path, tmp_path / "b.eitskin", kind)).touch_kind == kind
-    for wrong in ("press", None, ["raising"]):
-        with pytest.raises(BundleError, match=r"touches found .*, expected one of raising, lowering, both; .*export"):
+    for wrong in ("press", None, ["raise"]):
+        with pytest.raises(BundleError, match=r"touches found .*, expected one of lower, raise, both; .*export"):
             load_bundle(saying(tiny_path, tmp_path / "b.eitskin", wrong))
 
 
 def test_shipped_bundles_are_found_by_labels_and_touches():
     assert default_path().name == default_path("area", "both").name == "free.eitskin"
-    assert default_path("area", "lowering").name == "press.eitskin"
-    assert default_path("units", "lowering").name == "units-press.eitskin"
-    with pytest.raises(ValueError, match="touches 'press' do not exist; expected one of raising, lowering, both"):
+    assert default_path("area", "lower").name == "press.eitskin"
+    assert default_path("units", "lower").name == "units-press.eitskin"
+    with pytest.raises(ValueError, match="touches 'press' do not exist; expected one of lower, raise, both"):
         default_path("area", "press")
 
 
 def test_the_skin_s_touches_choose_the_shipped_bundle(shipped):
-    with pytest.raises(BundleError, match=r"no shipped bundle knows lowering touches: .*press\.eitskin .*build"):
+    with pytest.raises(BundleError, match=r"no shipped bundle knows touches that lower conductance: .*build"):
         bundle_and_skin(None, named("hydrogel"))
-    press = shipped("press.eitskin", "lowering")
+    press = shipped("press.eitskin", "lower")
     for skin, expected in ((named("hydrogel"), "press"), (named("lab"), "free"), (PAPER, "free"), (None, "free")):
         bundle, used = bundle_and_skin(None, skin)
         assert (bundle.path.stem, used.grid_id) == (expected, PAPER.grid_id)
@@ -68,10 +68,8 @@ def test_the_skin_s_touches_choose_the_shipped_bundle(shipped):
 
 
 def test_a_named_bundle_that_would_miss_the_skin_s_presses_is_refused(shipped, tmp_path):
-    shipped("press.eitskin", "lowering")
-    with pytest.raises(
-        MismatchError, match=r"free\.eitskin: touches: found raising, expected lowering, as .* hydrogel"
-    ):
+    shipped("press.eitskin", "lower")
+    with pytest.raises(MismatchError, match=r"free\.eitskin: touches: found raise, expected lower, as .* hydrogel"):
         bundle_and_skin(tmp_path / "free.eitskin", named("hydrogel"))
     free = load_bundle(tmp_path / "free.eitskin")
     assert bundle_and_skin(free, named("hydrogel"))[0] is free, "as --touches raise chose it"
@@ -83,19 +81,45 @@ def test_a_named_bundle_that_would_miss_the_skin_s_presses_is_refused(shipped, t
 
 def test_one_bundle_that_knows_both_serves_presses_too(shipped):
     shipped("free.eitskin", "both")
-    assert knowing("lowering").path.name == "free.eitskin"
+    assert knowing("lower").path.name == "free.eitskin"
+
+
+def test_touches_that_are_asked_for_choose_the_bundle_or_are_held_against_it(shipped):
+    free, press = shipped("free.eitskin", "raise"), shipped("press.eitskin", "lower")
+    assert bundle_and_skin(None, None, "lower")[0].path == press
+    assert bundle_and_skin(None, named("hydrogel"), "raise")[0].path == free, "what is asked for decides over the skin"
+    assert bundle_and_skin(load_bundle(press), None, "lower")[0].touch_kind == "lower"
+    with pytest.raises(MismatchError, match=r"free\.eitskin: touches: found raise, expected lower; name another"):
+        bundle_and_skin(load_bundle(free), None, "lower")
+    with pytest.raises(ValueError, match="touches 'press' do not exist; expected one of lower, raise, both"):
+        bundle_and_skin(None, None, "press")
+
+
+def test_a_shipped_bundle_is_found_by_its_name_unless_a_file_has_it(tmp_path, monkeypatch):
+    assert load_bundle("press", lazily=True).path == default_path("area", "lower")
+    assert bundle_and_skin("units", None)[0].labels == "units"
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "press").write_bytes(default_path().read_bytes())
+    assert load_bundle("press", lazily=True).touch_kind == load_bundle(lazily=True).touch_kind
+    with pytest.raises(BundleError, match="no bundle pres; expected a file, or one of the shipped: free, press, units"):
+        load_bundle("pres")
+
+
+@pytest.mark.parametrize(("word", "kind"), [("raising", "raise"), ("lowering", "lower")])
+def test_the_words_of_earlier_releases_are_read(tiny_path, tmp_path, word, kind):
+    assert load_bundle(saying(tiny_path, tmp_path / "b.eitskin", word)).touch_kind == kind
 
 
 def test_a_named_bundle_that_knows_other_touches_is_refused(shipped, tiny_path):
-    with pytest.raises(MismatchError, match=r"tiny\.eitskin: touches: found raising, expected lowering; .*--bundle"):
-        knowing("lowering", tiny_path)
-    press = shipped("press.eitskin", "lowering")
-    assert knowing("lowering", press).path == press
-    with pytest.raises(MismatchError, match=r"touches: found lowering, expected raising"):
-        knowing("raising", press)
+    with pytest.raises(MismatchError, match=r"tiny\.eitskin: touches: found raise, expected lower; name another"):
+        knowing("lower", tiny_path)
+    press = shipped("press.eitskin", "lower")
+    assert knowing("lower", press).path == press
+    with pytest.raises(MismatchError, match=r"touches: found lower, expected raise"):
+        knowing("raise", press)
 
 
 def test_touches_of_several_kinds():
-    assert together(["raising", "raising"]) == "raising"
-    assert together(["raising", "lowering"]) == together(["both", "raising"]) == "both"
-    assert [knows(known, "lowering") for known in TOUCH_KINDS] == [False, True, True]
+    assert together(["raise", "raise"]) == "raise"
+    assert together(["raise", "lower"]) == together(["both", "raise"]) == "both"
+    assert [knows(known, "lower") for known in TOUCH_KINDS] == [True, False, True]

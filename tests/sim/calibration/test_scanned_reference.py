@@ -32,7 +32,7 @@ STATED = replace(
     name="ours",
     electrodes=Ring(arc_length_mm=Quantity(tuple(PAPER.arc_length_mm.tolist()), "normal", SPREAD_MM)),
     front_end=Instrument(gain=Quantity(1.0, "normal", GAIN), snr_db=(50.0, 50.0)),
-    touches=Touches(lower=True, higher=False, border_mm=(0.0, 8.0)),
+    touches=Touches(kind="lower", border_mm=(0.0, 8.0)),
 )
 LYING = Bend(angle_deg=40.0, stretch_along=1.03, stretch_across=0.99, nonuniformity=0.012)
 PLACES = [(50.0, 40.0), (100.0, 55.0)]

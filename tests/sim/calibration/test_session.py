@@ -32,7 +32,7 @@ STATED = replace(
     name="ours",
     layer=replace(Layer(), gauge_factor=Quantity(0.0, "normal", 1.0)),
     front_end=replace(PAPER.front_end, snr_db=(50.0, 50.0)),
-    touches=Touches(lower=True, higher=False, border_mm=(0.0, 8.0)),
+    touches=Touches(kind="lower", border_mm=(0.0, 8.0)),
 )
 BEND = Bend(angle_deg=60.0, stretch_along=1.1, stretch_across=0.99)
 PLACES = [(50.0, 40.0), (100.0, 55.0), (75.0, 70.0)]
@@ -157,7 +157,7 @@ def test_presses_that_go_the_other_way_than_the_skin_says_are_told_so_and_do_not
     raising = tuple(press(rng, xy, contrast=3.0) for xy in PLACES[:2])
     with pytest.raises(CalibrationError, match=r"^presses raise conductance, and \[touches\] of skin ours .* lower"):
         calibrate(STATED, replace(recorded, bents=(), presses=raising), 50.0)
-    raised = replace(STATED, touches=replace(STATED.touches, lower=False, higher=True))
+    raised = replace(STATED, touches=replace(STATED.touches, kind="raise"))
     with pytest.raises(CalibrationError, match=r"^presses lower conductance, and \[touches\] of skin ours .* raise"):
         calibrate(raised, replace(recorded, bents=()), 50.0)
 
@@ -216,6 +216,6 @@ def test_drawn_errors_of_scans_without_anything_unseen_are_the_model_s_own():
 
 
 def test_ways_follow_the_skin():
-    assert stamp.ways(Touches(lower=True, higher=False)) == (-1,)
-    assert stamp.ways(Touches(lower=True, higher=True)) == (-1, 1)
+    assert stamp.ways(Touches(kind="lower")) == (-1,)
+    assert stamp.ways(Touches(kind="both")) == (-1, 1)
     assert stamp.ways(PAPER.touches) == (1,)

@@ -41,13 +41,13 @@ def test_what_no_set_has_is_refused() -> None:
         make_plan("free", touches="soft")
 
 
-@pytest.mark.parametrize(("said", "way"), [({}, "raising"), ({"touch_kind": "raise"}, "raising")])
+@pytest.mark.parametrize(("said", "way"), [({}, "raise"), ({"touch_kind": "raise"}, "raise")])
 def test_a_set_says_which_way_its_touches_go(said: dict[str, str], way: str) -> None:
     assert touch_kind_of(said) == way
-    assert touch_kind_of({"touch_kind": "press"}) == "lowering"
+    assert touch_kind_of({"touch_kind": "press"}) == "lower"
     hydrogel = named("hydrogel")
     own = {"touch_kind": "skin", "skin": to_toml(hydrogel), "skin_digest": hydrogel.digest}
-    assert touch_kind_of(own) == "lowering"
+    assert touch_kind_of(own) == "lower"
     for wrong in ("soft", 1):
         with pytest.raises(ValueError, match=r"touch_kind is .*, expected one of hard, firm, press, raise, both, skin"):
             touch_kind_of({"touch_kind": wrong})

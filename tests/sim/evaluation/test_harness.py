@@ -34,10 +34,10 @@ def test_two_separate_units_are_found_exactly(phantoms, name):
 @pytest.mark.parametrize(
     ("touch", "kind"),
     [
-        ({"contrast": 0.4}, "lowering"),
-        ({"contrast": 2.5}, "raising"),
-        ({"contrast": 1.0, "dent_mm": 8}, "lowering"),  # it stretches the sheet, and does nothing else
-        ({"contrast": 2.5, "dent_mm": 1}, "raising"),
+        ({"contrast": 0.4}, "lower"),
+        ({"contrast": 2.5}, "raise"),
+        ({"contrast": 1.0, "dent_mm": 8}, "lower"),  # it stretches the sheet, and does nothing else
+        ({"contrast": 2.5, "dent_mm": 1}, "raise"),
     ],
 )
 def test_classical_solvers_look_for_what_the_touches_do(touch, kind):

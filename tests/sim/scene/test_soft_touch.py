@@ -159,7 +159,7 @@ RING = [{"disc_mm": [75, 50, 20], "contrast": 0.4}, {"disc_mm": [75, 50, 10], "c
 
 def test_a_hole_in_a_touch_is_one_and_says_nothing_of_its_kind() -> None:
     ring = parse_scene({"touches": RING})
-    assert ring.touch_kind == "lowering"
+    assert ring.touch_kind == "lower"
     assert parse_scene(json.loads(scene_json(ring))) == ring
 
 

@@ -41,7 +41,7 @@ def snapped(
     read = 1.0 + change
     read *= 1.0 + 3e-3 * np.random.default_rng(4).standard_normal(104)
     read[rows_of(gone)] = 7.0
-    usual = usual_of("raising", PAPER)
+    usual = usual_of("raise", PAPER)
     frame = UnitFrame(model, model.flat_V * read, model.flat_V, Noise("N2"), usual, ~rows_of(gone))
     bits = np.isin(np.arange(GRID.n_units), shown)
     found = FreeVerdict((), 100.0, 100, 0.5, 0.01, 1, 0.1, pieces=shapes, likely=((1.0, shapes),))

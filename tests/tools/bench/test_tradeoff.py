@@ -91,19 +91,19 @@ def test_panels_of_devices_show_what_an_untold_solver_would_see(tmp_path: Path) 
     assert [one.name for one in panels] == [
         "soft, single", "soft, press04", "gauge, units", "gauge, single", "gauge, press04",
     ]  # fmt: skip
-    assert [one.touches for one in panels if one.name.startswith("gauge")] == ["raising", "raising", "lowering"]
+    assert [one.touches for one in panels if one.name.startswith("gauge")] == ["raise", "raise", "lower"]
     assert [len(one.cases) for one in panels] == [1, 1, 8, 1, 1]
     for one in panels:
         for case, truth in one.cases:
             assert np.isnan(case.sheet.untouched).all()
-            assert case.lowering == (one.touches == "lowering")
+            assert case.lowering == (one.touches == "lower")
             assert truth.shape == case.sheet.skin.grid.shape
             assert truth.max() > 0.5
 
 
 @pytest.mark.parametrize(
     ("labels", "touches", "noise"),
-    [("units", "lowering", "N2"), ("area", "lowering", "N1"), ("units", "raising", "none")],
+    [("units", "lower", "N2"), ("area", "lower", "N1"), ("units", "raise", "none")],
 )
 def test_every_kind_of_touch_has_its_variants_under_every_noise(labels: str, touches: TouchKind, noise: Kind) -> None:
     names = [one.name for one in variants(labels, touches, [], Conditions(noise=noise))]

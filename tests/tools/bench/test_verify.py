@@ -101,7 +101,7 @@ def test_touches_that_slide_stay_on_the_sheet_and_move_by_as_much_each_frame() -
 
 def test_what_data_allow_is_more_with_noise_and_less_for_a_known_sheet_and_nothing_of_an_l() -> None:
     touch = Touch((Rect(40.0, 40.0, 50.0, 50.0),))
-    allowed, noisier = (Allowed(Noise(law), usual_of("raising", PAPER)) for law in ("N2", "N3"))
+    allowed, noisier = (Allowed(Noise(law), usual_of("raise", PAPER)) for law in ("N2", "N3"))
     allowed.deform(PAPER.grid.flat_cloud_mm())
     noisier._models = allowed._models
     for one in (allowed, noisier):

@@ -61,21 +61,21 @@ def test_it_learns_touches_as_often_near_to_each_other_as_its_bundle_did():
     bundle = load_bundle(files.find("free", files.BUNDLE), lazily=True)
     for build in (None, {"data": []}, {"data": {"lab": {"near": "much"}}}, {"data": {"lab": {"near": 7}}}):
         facts = {**bundle.manifest, "build": build or {}}
-        (found,) = adaptation.adapted(bundle.path, TWIN, facts, "raising", Adaptation()).data.values()
+        (found,) = adaptation.adapted(bundle.path, TWIN, facts, "raise", Adaptation()).data.values()
         assert found.near is None
 
 
 def test_it_learns_the_presses_that_were_calibrated():
     bundle = load_bundle(files.find("press", files.BUNDLE), lazily=True)
 
-    def touches(twin, kind="lowering"):
+    def touches(twin, kind="lower"):
         found = adaptation.adapted(bundle.path, twin, bundle.manifest, kind, Adaptation(), bundle.skin)
         return found.data["touches"].touches
 
     stamped = replace(TWIN, touches=replace(TWIN.touches, lowering_contrast=(0.5, 0.6)))
     assert touches(TWIN) == "press"  # the file says what the bundle's own skin said
     assert touches(stamped) == "skin"
-    assert touches(stamped, "raising") == "hard"  # the bundle knows other touches than the skin has
+    assert touches(stamped, "raise") == "hard"  # the bundle knows other touches than the skin has
 
 
 @pytest.mark.parametrize(
@@ -84,14 +84,14 @@ def test_it_learns_the_presses_that_were_calibrated():
         ({"raising_contrast": (6.0, 50.0)}, "hard"),  # a stamp's: as hard as any
         ({"raising_contrast": (2.0, 8.0)}, "skin"),
         ({"raising_contrast": (6.0, 50.0), "size_mm": (8.0, 12.0)}, "skin"),
-        ({"raising_contrast": (6.0, 50.0), "lower": True}, "hard"),  # not of the bundle's kind
+        ({"raising_contrast": (6.0, 50.0), "kind": "both"}, "hard"),  # not of the bundle's kind
     ],
 )
 def test_a_stamp_that_raises_by_much_is_learned_by_the_usual_touches(said, learned):
     bundle = load_bundle(files.find("free", files.BUNDLE), lazily=True)
-    one_way = {"lower": False, "higher": True, "size_mm": bundle.skin.touches.size_mm}
+    one_way = {"kind": "raise", "size_mm": bundle.skin.touches.size_mm}
     stamped = replace(TWIN, touches=replace(TWIN.touches, **one_way | said))
-    found = adaptation.adapted(bundle.path, stamped, bundle.manifest, "raising", Adaptation(), bundle.skin)
+    found = adaptation.adapted(bundle.path, stamped, bundle.manifest, "raise", Adaptation(), bundle.skin)
     assert found.data["touches"].touches == learned
 
 
@@ -130,7 +130,7 @@ def test_of_a_bundle_with_two_networks_both_are_adapted():
     assert alone.digest not in {both.digest, small.digest}
     assert json.loads(json.dumps(both.as_dict()))["networks"]["small"]["network"] == "small"
     for damaged in (3, {}, {"recipe": 1}, {"recipe": {}}, {"recipe": {"name": "small-units"}}):
-        assert adaptation.adapted(bundle.path, TWIN, {**facts, "small": damaged}, "lowering", Adaptation()) == alone
+        assert adaptation.adapted(bundle.path, TWIN, {**facts, "small": damaged}, "lower", Adaptation()) == alone
 
 
 @pytest.mark.parametrize("name", ["free", "press"])
@@ -145,7 +145,7 @@ def test_a_network_for_faint_touches_is_handed_on_where_there_is_one(name, tmp_p
 
 def test_a_bundle_that_does_not_say_how_it_was_trained_is_refused():
     with pytest.raises(ValueError, match="does not say how it was trained"):
-        adaptation.adapted(Path("old.eitskin"), TWIN, {"labels": "area"}, "raising", Adaptation())
+        adaptation.adapted(Path("old.eitskin"), TWIN, {"labels": "area"}, "raise", Adaptation())
 
 
 @pytest.mark.slow
@@ -159,7 +159,7 @@ def test_a_bundle_of_the_twin_comes_out_and_knows_what_it_knew(tmp_path, monkeyp
     said = json.loads(capsys.readouterr().out)
     bundle = load_bundle(tmp_path / "f.eitskin")
     assert said["bundle"] == bundle.id
-    assert (bundle.touch_kind, bundle.labels, bundle.skin) == ("lowering", "area", TWIN)
+    assert (bundle.touch_kind, bundle.labels, bundle.skin) == ("lower", "area", TWIN)
     assert bundle.manifest["build"]["training"][0]["start_from"] == "press.eitskin"
     assert bundle.manifest["small"]["recipe"]["name"] == "small"
     assert "small_head.onnx" in bundle.files
@@ -205,10 +205,8 @@ def test_presses_and_a_skin_of_a_kind_that_the_bundle_does_not_know_are_refused_
         assert main(words) == 1
         return capsys.readouterr().err
 
-    assert "touches: found raising, expected lowering, as [touches] of skin forearm says" in said(
-        "free", "lowering.toml"
-    )
-    expected = "p.npz: press 0 at (30, 30) mm: touches: found lowering, expected raising, as bundle free knows"
+    assert "touches: found raise, expected lower, as [touches] of skin forearm says" in said("free", "lowering.toml")
+    expected = "p.npz: press 0 at (30, 30) mm: touches: found lower, expected raise, as bundle free knows"
     assert expected in said("free", "both.toml")
     assert not (tmp_path / "f.eitskin.build").exists()
 

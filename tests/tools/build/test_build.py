@@ -49,7 +49,7 @@ def test_a_build_that_is_killed_anywhere_goes_on(tmp_path: Path) -> None:
     said = json.loads(done.stdout)
     bundle = load_bundle(out)
     assert said["bundle"] == bundle.id
-    assert (bundle.touch_kind, bundle.labels, bundle.skin) == ("lowering", "area", named("hydrogel"))
+    assert (bundle.touch_kind, bundle.labels, bundle.skin) == ("lower", "area", named("hydrogel"))
     assert bundle.manifest["build"]["name"] == "tiny"
     assert len(bundle.manifest["recipe"]["noises"]) == 3
     card = bundle.manifest["metrics"]["card"]

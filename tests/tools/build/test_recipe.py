@@ -94,11 +94,11 @@ def test_training_has_the_noise_of_a_skin_s_own_front_end(tmp_path: Path) -> Non
 
 
 def test_a_skin_s_file_is_built_as_it_is_touched(tmp_path: Path) -> None:
-    (tmp_path / "skin.toml").write_text(to_toml(SECOND.touched("lowering")))
+    (tmp_path / "skin.toml").write_text(to_toml(SECOND.touched("lower")))
     found = recipes.load(str(tmp_path / "skin.toml"))
-    assert found.skin == SECOND.touched("lowering")
+    assert found.skin == SECOND.touched("lower")
     assert [(one.touches, one.devices) for one in found.data.values()] == [("skin", "random")]
-    assert plan_of(found, replace(found.data["touches"], deformations=1, kept=0)).skin == SECOND.touched("lowering")
+    assert plan_of(found, replace(found.data["touches"], deformations=1, kept=0)).skin == SECOND.touched("lower")
 
 
 @pytest.mark.parametrize(

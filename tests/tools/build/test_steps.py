@@ -18,7 +18,7 @@ TINY = Path(__file__).parents[2] / "golden" / "tiny.eitskin"
 def exported(tmp_path: Path) -> tuple[Path, Path, dict[str, object]]:
     bundle, said = tmp_path / "exported.eitskin", tmp_path / "exported.json"
     shutil.copyfile(TINY, bundle)
-    known = {"bundle": load_bundle(bundle).id, "labels": "area", "touches": "raising", "gate": {}}
+    known = {"bundle": load_bundle(bundle).id, "labels": "area", "touches": "raise", "gate": {}}
     said.write_text(json.dumps(known))
     return bundle, said, known
 

@@ -82,8 +82,8 @@ def test_what_is_off_is_found_and_written(recorded, device, capsys):
 @pytest.mark.parametrize(
     ("skin", "command"),
     [
-        (PAPER.touched("raising"), "adapt-skin free --skin c.toml --out BUNDLE"),
-        (PAPER.touched("lowering"), "adapt-skin press --skin c.toml --out BUNDLE"),
+        (PAPER.touched("raise"), "adapt-skin free --skin c.toml --out BUNDLE"),
+        (PAPER.touched("lower"), "adapt-skin press --skin c.toml --out BUNDLE"),
         (named("lab"), "adapt-skin free --skin c.toml --out BUNDLE"),
         (SECOND, "build c.toml --out BUNDLE"),
     ],

@@ -128,7 +128,7 @@ def test_trials_print_one_object(tiny, capsys, words, kind):
 
 def test_ghosts_are_those_of_the_network_for_the_skin_s_touches(capsys):
     words = ["evaluate", "--untouched", "--deformations", "1", "--json"]
-    for skin, touches in (("paper", "raising"), ("hydrogel", "lowering")):
+    for skin, touches in (("paper", "raise"), ("hydrogel", "lower")):
         assert cli.main([*words, "--skin", skin]) == 0
         assert json.loads(capsys.readouterr().out)["bundles"] == [load_bundle(default_path("area", touches)).id]
 

@@ -50,7 +50,7 @@ def test_what_is_shown_is_a_description_of_the_same_skin(capsys, second):
 def test_the_report_has_ids_mirrors_and_what_is_uncertain(capsys, second):
     assert cli.main(["skin", "show", second, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert (found["digest"], found["grid_id"], found["touch_kind"]) == (SECOND.digest, SECOND.grid_id, "raising")
+    assert (found["digest"], found["grid_id"], found["touch_kind"]) == (SECOND.digest, SECOND.grid_id, "raise")
     assert [(one["x"], one["y"]) for one in found["mirror_images"]] == [(False, False), (True, True)]
     assert found["not_exact"] == []
     assert cli.main(["skin", "check", "hydrogel", "--json"]) == 0
@@ -93,7 +93,7 @@ def near_a_corner(sd_mm):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("size_mm = [220.0, 90.0]", "size_mm = [2200.0, 90.0]", "[outline] size_mm is 2200"),
+        ("size_mm = [220.0, 90.0]", "size_mm = [2200.0, 90.0]", "[outline] size_mm[0] is 2200"),
         ("[map]", "[mapp]", "did you mean 'map'"),
         ("10.0, 48.75", "1.0, 48.75", "electrode 0 is a patch round a corner"),
         ('kind = "rectangle"', 'kind = "disc"', "a disc's two sizes are alike"),

@@ -25,7 +25,7 @@ def press(tmp_path):
     skin = to_toml(named("hydrogel")).encode()
     with zipfile.ZipFile(TINY) as archive:
         parts = {name: archive.read(name) for name in archive.namelist()} | {"skin.toml": skin}
-    manifest = json.loads(parts.pop("manifest.json")) | {"touches": "lowering", "skin_digest": named("hydrogel").digest}
+    manifest = json.loads(parts.pop("manifest.json")) | {"touches": "lower", "skin_digest": named("hydrogel").digest}
     from eitskin_proto.files.digest import sha256_of
 
     manifest["files"]["skin.toml"] = {"sha256": sha256_of(skin), "bytes": len(skin)}
@@ -47,32 +47,32 @@ def shipped(monkeypatch, tmp_path):
 
 
 def test_presses_are_shown_where_a_bundle_knows_them(press, shipped):
-    assert choose(None, None) == (shipped / "press.eitskin", "lowering")
-    assert choose(None, "raising") == (shipped / "free.eitskin", "raising")
-    assert choose(press, None) == (press, "lowering")
-    assert choose(TINY, None) == (TINY, "raising")
-    with pytest.raises(MismatchError, match=r"tiny\.eitskin: touches: found raising, expected lowering"):
-        choose(TINY, "lowering")
+    assert choose(None, None) == (shipped / "press.eitskin", "lower")
+    assert choose(None, "raise") == (shipped / "free.eitskin", "raise")
+    assert choose(press, None) == (press, "lower")
+    assert choose(TINY, None) == (TINY, "raise")
+    with pytest.raises(MismatchError, match=r"tiny\.eitskin: touches: found raise, expected lower"):
+        choose(TINY, "lower")
 
 
 def test_without_such_a_bundle_the_paper_s_touches_are_shown(shipped):
-    assert choose(None, None) == (None, "raising")
-    with pytest.raises(BundleError, match="no shipped bundle knows lowering touches"):
-        choose(None, "lowering")
+    assert choose(None, None) == (None, "raise")
+    with pytest.raises(BundleError, match="no shipped bundle knows touches that lower"):
+        choose(None, "lower")
 
 
 def test_any_description_of_the_paper_s_sheet_plays_on_the_ideal_one(press):
     assert skin_of(TINY) == PAPER
-    pressed = skin_of(press, "lowering")
-    assert (pressed, pressed.touch_kind) == (PAPER.touched("lowering"), "lowering")
+    pressed = skin_of(press, "lower")
+    assert (pressed, pressed.touch_kind) == (PAPER.touched("lower"), "lower")
     assert skin_of(OTHER_SHEET) == SECOND
-    with pytest.raises(MismatchError, match="touches: found lowering, expected raising"):
+    with pytest.raises(MismatchError, match="touches: found lower, expected raise"):
         skin_of(press)
 
 
 def test_the_screen_says_what_touches_do(press):
-    assert touches_in_words(script_of(None, TINY, "raising")) == ", where conductance is 50 times as high"
-    script = script_of(None, press, "lowering")
+    assert touches_in_words(script_of(None, TINY, "raise")) == ", where conductance is 50 times as high"
+    script = script_of(None, press, "lower")
     assert touches_in_words(script) == ", as of a finger: conductance falls to 40 %"
     assert {touch.factor(1.0) for touch in script.scene_at(3.0).touches} == {0.4}
-    assert touches_in_words(script_of(SAMPLE, TINY, "raising")) == ""
+    assert touches_in_words(script_of(SAMPLE, TINY, "raise")) == ""

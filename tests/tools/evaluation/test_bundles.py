@@ -18,11 +18,11 @@ TINY = Path(__file__).parents[2] / "golden" / "tiny.eitskin"
 
 
 def test_what_touches_a_phantom():
-    assert single(16.0, 1, 1, "A", Softness(0.4, 4.0))[0].scene.touch_kind == "lowering"
-    assert single(10.0, 1, 1)[0].scene.touch_kind == "raising"
-    assert untouched(1)[0].scene.touch_kind == "raising"
+    assert single(16.0, 1, 1, "A", Softness(0.4, 4.0))[0].scene.touch_kind == "lower"
+    assert single(10.0, 1, 1)[0].scene.touch_kind == "raise"
+    assert untouched(1)[0].scene.touch_kind == "raise"
     shipped = load_phantoms(files.find("paper_mm", files.PHANTOMS))
-    assert {one.scene.touch_kind for one in shipped} == {"raising"}
+    assert {one.scene.touch_kind for one in shipped} == {"raise"}
 
 
 def test_the_bundle_is_the_one_for_labels_and_touches(monkeypatch, tmp_path):
@@ -32,16 +32,16 @@ def test_the_bundle_is_the_one_for_labels_and_touches(monkeypatch, tmp_path):
         (tmp_path / f"{name}.eitskin").write_bytes(TINY.read_bytes())
     request = Request("vd2t")
     assert bundle_for(request, "area").path.stem == "free"
-    assert bundle_for(request, "area", "lowering").path.stem == "press"
+    assert bundle_for(request, "area", "lower").path.stem == "press"
     assert bundle_for(request, "units").path.stem == "units"
-    assert bundle_for(request, "units", "lowering").path.stem == "units", "there is none for presses on units"
-    assert bundle_for(Request("vd2t", bundle=TINY), "area", "lowering").path == TINY
+    assert bundle_for(request, "units", "lower").path.stem == "units", "there is none for presses on units"
+    assert bundle_for(Request("vd2t", bundle=TINY), "area", "lower").path == TINY
 
 
 def test_presses_and_touches_of_one_list_have_a_bundle_each(monkeypatch):
     asked, numbered = [], []
 
-    def noted(request, labels, skin=PAPER, touches="raising", conditions=None):
+    def noted(request, labels, skin=PAPER, touches="raise", conditions=None):
         asked.append((labels, touches))
         return named(Request("tikhonov"), labels, skin, touches)
 
@@ -53,7 +53,7 @@ def test_presses_and_touches_of_one_list_have_a_bundle_each(monkeypatch):
     monkeypatch.setattr(solvers, "evaluate_all", evaluated)
     phantoms = [*single(10.0, 1, 1), *single(16.0, 1, 1, "A", Softness(0.4, 4.0)), *single(8.0, 1, 1)]
     ((by_group, results),) = evaluate_named(phantoms, [Request("vd2t")], Conditions("none"))
-    assert asked == list(by_group) == [("area", "raising"), ("area", "lowering")]
+    assert asked == list(by_group) == [("area", "raise"), ("area", "lower")]
     assert [phantom for phantom, _ in results] == phantoms
     assert numbered == [[0, 2], [1]], "each has the noise of its own place in the file"
 

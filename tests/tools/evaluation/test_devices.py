@@ -96,7 +96,7 @@ def test_a_verifier_looks_for_the_touches_of_each_trial(tmp_path, capsys, monkey
     monkeypatch.setattr(devices, "named", seen)
     assert cli.main(words(tmp_path, "--trials", "single,press04", "--solver", "tikhonov", "--json")) == 0
     capsys.readouterr()
-    assert asked == [("area", "raising"), ("area", "lowering")]
+    assert asked == [("area", "raise"), ("area", "lower")]
 
 
 def test_classical_solvers_find_presses(tmp_path, capsys):

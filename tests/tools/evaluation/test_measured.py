@@ -58,7 +58,7 @@ def arrays():
         "cloud_index": np.array([0, 0, -1, -1, 0]),
         "truth": np.array([disc, empty, disc, empty, disc]),
         "kind": np.array(["single", "untouched", "single", "untouched", "again"]),
-        "touch_kind": "raising",
+        "touch_kind": "raise",
     }
 
 
@@ -121,8 +121,8 @@ def test_classical_solvers_look_for_what_the_touch_kind_says(tmp_path, arrays, c
         "voltages_V": volts(Scene(touches=(PRESS,)))[None],
         "truth": share(PRESS)[None],
     }
-    lowering = evaluated(tmp_path, {**pressed, "touch_kind": "lowering"}, capsys, "--solver", solver)
-    raising = evaluated(tmp_path, {**pressed, "touch_kind": "raising"}, capsys, "--solver", solver)
+    lowering = evaluated(tmp_path, {**pressed, "touch_kind": "lower"}, capsys, "--solver", solver)
+    raising = evaluated(tmp_path, {**pressed, "touch_kind": "raise"}, capsys, "--solver", solver)
     assert lowering["by_kind"]["touched"]["missed"] == 0.0
     assert lowering["by_kind"]["touched"]["cc"] > 0.5 > raising["by_kind"]["touched"]["cc"] + 0.3
 
@@ -203,7 +203,7 @@ NAN = np.full((5, 104), np.nan)
         ({"truth": np.full((5, 30, 45), 1.5)}, "from 0 to 1"),
         ({"kind": np.array(["untouched"] * 5)}, "kind[0]"),
         ({"kind": np.arange(5)}, "expected texts"),
-        ({"touch_kind": "both"}, "lowering, raising"),
+        ({"touch_kind": "both"}, "lower, raise"),
         ({"grid_id": "0123456789abcdef"}, f"expected {PAPER.grid_id}"),
         ({"protocol_id": "0123456789abcdef"}, "protocol_id: found 0123456789abcdef"),
         ({"grid_id": SECOND.grid_id, "skin_digest": PAPER.digest}, f"expected {PAPER.grid_id} (paper)"),

@@ -33,7 +33,7 @@ def evaluated(tmp_path, capsys, arrays, *words):
 @pytest.mark.parametrize("solver", ["tikhonov", "vd2t"])
 def test_a_file_that_does_not_say_is_of_the_touches_of_its_skin(tmp_path, capsys, pressed, solver):
     found, said = evaluated(tmp_path, capsys, pressed, "--skin", "hydrogel", "--solver", solver)
-    same, _ = evaluated(tmp_path, capsys, {**pressed, "touch_kind": "lowering"}, "--solver", solver)
+    same, _ = evaluated(tmp_path, capsys, {**pressed, "touch_kind": "lower"}, "--solver", solver)
     assert found["by_kind"] == same["by_kind"]
     assert found["by_kind"]["touched"]["missed"] == 0.0
     assert said == ""
@@ -43,14 +43,14 @@ def test_a_network_that_does_not_know_the_touches_is_told_of_in_one_line(tmp_pat
     said = [
         evaluated(tmp_path, capsys, {**pressed, **more}, "--bundle", *words)[1]
         for more, words in (
-            ({"touch_kind": "lowering"}, ("free",)),
+            ({"touch_kind": "lower"}, ("free",)),
             ({}, ("free", "--skin", "hydrogel")),
-            ({"touch_kind": "lowering"}, ("press",)),
+            ({"touch_kind": "lower"}, ("press",)),
             ({}, ("press",)),
-            ({"touch_kind": "lowering"}, ("free", "--solver", "tikhonov")),
+            ({"touch_kind": "lower"}, ("free", "--solver", "tikhonov")),
         )
     ]
     assert said[0] == said[1]
-    assert said[0].endswith("free.eitskin knows raising touches, and is tried on lowering ones\n")
+    assert said[0].endswith("free.eitskin knows touches = raise, and is tried on touches = lower\n")
     assert said[0].count("\n") == 1
     assert said[2:] == ["", "", ""]

@@ -97,7 +97,7 @@ def test_sheets_that_one_scan_shows_alike_are_shapes_of_their_own() -> None:
 def test_a_shape_is_seen_at_rest_once_before_its_first_touch() -> None:
     phantoms = single(10.0, 1, 2)
     truths = iter([truth_map(one) for one in phantoms])
-    verified = Verified(Run(lambda _: next(truths), "pre"), Noise("N2"), "area", "raising", PAPER, at_rest=50)
+    verified = Verified(Run(lambda _: next(truths), "pre"), Noise("N2"), "area", "raise", PAPER, at_rest=50)
     (results,) = evaluate_all(phantoms, [verified.run], Conditions("N2"))
     assert verified._shape is not None
     rest = verified._shape[1].shapes.deformation.model.rest
@@ -117,7 +117,7 @@ def test_units_of_an_independent_mesh_are_explained_and_wrong_ones_flagged() -> 
     first, second = (unit_shares(truth_map(one).reshape(PAPER.grid.shape), PAPER.grid) for one in phantoms)
     second[np.flatnonzero(second)[0]] = 0.0
     images = iter([PAPER.grid.map_from_units(one) for one in (first, second)])
-    verified = Verified(Run(lambda _: next(images), "pre"), Noise("N2"), "units", "raising", PAPER)
+    verified = Verified(Run(lambda _: next(images), "pre"), Noise("N2"), "units", "raise", PAPER)
     (results,) = evaluate_all(phantoms, [verified.run], Conditions("N2"))
     (_, (right,)), (_, (wrong,)) = results
     said, of_wrong = (one.verdict for one in verified.checked)
@@ -129,7 +129,7 @@ def test_more_than_six_shown_units_are_not_verified_and_the_network_s_map_stays(
     dense = np.asarray(PAPER.grid.map_from_units((np.arange(126) < 7).astype(float)))
     flat = solve_scene(Scene(element_size_mm=6.0)).voltages
     sheet = Sheet(measured_cloud(Bend()).astype(np.float64), np.full(104, np.nan))
-    verified = Verified(Run(lambda _: dense, "pre"), Noise("N2"), "units", "raising", PAPER)
+    verified = Verified(Run(lambda _: dense, "pre"), Noise("N2"), "units", "raise", PAPER)
     assert np.array_equal(verified.solve(Case(flat, flat, flat, sheet, "units")), dense)
     (said,) = verified.checked
     assert said.not_verified == "7 units are shown, and at most 6 are verified"

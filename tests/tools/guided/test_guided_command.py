@@ -32,7 +32,7 @@ CONTRAST = 0.4
 STATED = replace(
     PAPER,
     name="ours",
-    touches=Touches(lower=True, higher=False, border_mm=(0.0, 8.0)),
+    touches=Touches(kind="lower", border_mm=(0.0, 8.0)),
     front_end=replace(PAPER.front_end, snr_db=(50.0, 50.0)),
 )
 

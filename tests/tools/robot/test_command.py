@@ -163,5 +163,5 @@ def test_a_port_that_is_missing_ends_its_skin_with_the_reason_and_the_last_one_t
 
 def test_a_look_warns_of_touches_that_the_bundle_does_not_know_as_starting_does(robot, capsys):
     assert cli.main(["run", "--config", robot('bundle = "press"', 'skin = "lab"'), "--check"]) == 0
-    said = "eitskin run: left: lab has both touches, the bundle knows lowering ones: see --touches\n"
+    said = "eitskin run: left: touches of lab: both, of the bundle: lower; see --touches\n"
     assert capsys.readouterr().err == said

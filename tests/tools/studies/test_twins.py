@@ -21,8 +21,8 @@ SNR_DB = 50.0
 @pytest.mark.heavy
 def test_a_recording_is_of_that_device_and_noisy_as_it_says():
     device = draw_device(LAB, 0, 1)
-    found = recorded(device, 1, SNR_DB, 2, 2, "lowering")
-    again = recorded(device, 1, SNR_DB, 2, 2, "raising")
+    found = recorded(device, 1, SNR_DB, 2, 2, "lower")
+    again = recorded(device, 1, SNR_DB, 2, 2, "raise")
     true = voltages_of(device.reference(), device.front_end)
     off = found.reference_V[ROW_IN_FULL] / true - 1.0
     assert found.reference_V.shape == (208,)
@@ -38,7 +38,7 @@ def test_a_recording_is_of_that_device_and_noisy_as_it_says():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("way", "contrasts"), [("lowering", (0.4, 0.6)), ("raising", (5.0, 20.0))])
+@pytest.mark.parametrize(("way", "contrasts"), [("lower", (0.4, 0.6)), ("raise", (5.0, 20.0))])
 def test_calibration_finds_the_gauge_factor_and_what_presses_are_like(way, contrasts):
     device = draw_device(LAB, 0, 0)
     twin, said = calibrate(named("lab"), recorded(device, 0, SNR_DB, 3, 6, way), SNR_DB)
@@ -50,6 +50,6 @@ def test_calibration_finds_the_gauge_factor_and_what_presses_are_like(way, contr
     assert low < strength < high
     assert twin.touch_kind == way
     touches = twin.touches
-    ends = np.abs(np.log(touches.lowering_contrast if way == "lowering" else touches.raising_contrast))
+    ends = np.abs(np.log(touches.lowering_contrast if way == "lower" else touches.raising_contrast))
     wide = ends.max() / ends.min()
-    assert wide == pytest.approx(4.0, rel=1e-3) if way == "lowering" else 1.5 < wide < 3.5  # half to twice; its errors
+    assert wide == pytest.approx(4.0, rel=1e-3) if way == "lower" else 1.5 < wide < 3.5  # half to twice; its errors

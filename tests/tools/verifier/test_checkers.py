@@ -32,7 +32,7 @@ PATIENCE_S = 300.0
 def setup_of(skin, labels, reference_V):
     lifted = skin.grid.flat_cloud_mm() + np.array([0.0, 0.0, 7.0])[:, None, None]
     return Setup(
-        bundle="b", labels=labels, touches="raising", skin=to_toml(skin), skin_digest=skin.digest, cloud=4,
+        bundle="b", labels=labels, touches="raise", skin=to_toml(skin), skin_digest=skin.digest, cloud=4,
         cloud_mm=lifted.astype("<f4").tobytes(), reference_V=reference_V.tobytes(),
         spread_V=(NOISE * np.abs(reference_V)).tobytes(), budget_s=60.0,
     )  # fmt: skip

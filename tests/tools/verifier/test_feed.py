@@ -25,7 +25,7 @@ class Line:
         buffers = SimpleNamespace(change=self.change, map=np.zeros((1, 1350), dtype=np.float32), geometry=None)
         pipeline = SimpleNamespace(
             buffers=buffers, health=None, skin=PAPER, normaliser=SimpleNamespace(volts_per_count=0.0),
-            bundle=SimpleNamespace(id="b", labels="area", touch_kind="raising"),
+            bundle=SimpleNamespace(id="b", labels="area", touch_kind="raise"),
             intake=SimpleNamespace(tell_next=lambda event: None),
         )  # fmt: skip
         reference = Reference(np.ones(104), np.full(104, NOISE), 100, "s", 0, "c", "")

@@ -13,7 +13,7 @@ from eitskin_tools.verifier.letters import FrameLetter, RestLetter, Setup, frame
 from eitskin_tools.verifier.mailbox import FRAME, REST, SETUP, SIZES, Mailbox
 
 SETUP_OF_PAPER = Setup(
-    bundle="b", labels="units", touches="raising", skin=to_toml(PAPER), skin_digest=PAPER.digest, cloud=3,
+    bundle="b", labels="units", touches="raise", skin=to_toml(PAPER), skin_digest=PAPER.digest, cloud=3,
     cloud_mm=PAPER.grid.flat_cloud_mm().astype("<f4").tobytes(), reference_V=np.ones(104).tobytes(),
     spread_V=np.full(104, 1e-3).tobytes(), budget_s=0.0,
 )  # fmt: skip

@@ -35,7 +35,7 @@ FLAT = replace(LAB, may_be_off=replace(LAB.may_be_off, reference_stretch=Quantit
 @pytest.fixture(scope="module")
 def data(toy_data: Any) -> TrainingData:
     made: TrainingData = toy_data("area", bends=12, samples=2400)
-    return replace(made, skin=LAB, touch_kind="lowering", drift=np.ones(len(made.voltages), dtype=np.float32))
+    return replace(made, skin=LAB, touch_kind="lower", drift=np.ones(len(made.voltages), dtype=np.float32))
 
 
 @pytest.fixture(scope="module")

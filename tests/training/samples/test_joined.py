@@ -27,9 +27,9 @@ def pair(toy_data: Any) -> tuple[TrainingData, TrainingData]:
 
 def test_sets_of_other_touches_and_devices_are_both(pair: tuple[TrainingData, TrainingData]) -> None:
     one, other = pair
-    assert (join(pair).touch_kind, join(pair).drift) == ("raising", None)
+    assert (join(pair).touch_kind, join(pair).drift) == ("raise", None)
     drift = np.full(len(other.voltages), 1.1, dtype=np.float32)
-    both = join([one, replace(other, touch_kind="lowering", drift=drift)])
+    both = join([one, replace(other, touch_kind="lower", drift=drift)])
     assert both.touch_kind == "both"
     assert both.drift is not None
     np.testing.assert_array_equal(both.drift, np.concatenate([np.ones(len(one.voltages)), drift]).astype(np.float32))
@@ -97,8 +97,8 @@ def _at(data: TrainingData, *bends: int) -> Any:
 
 
 def test_a_joined_set_has_the_touches_of_all(pair: tuple[TrainingData, TrainingData]) -> None:
-    assert join(pair).touch_kind == "raising"
-    assert join((pair[0], replace(pair[1], touch_kind="lowering"))).touch_kind == "both"
+    assert join(pair).touch_kind == "raise"
+    assert join((pair[0], replace(pair[1], touch_kind="lower"))).touch_kind == "both"
 
 
 def test_sets_that_do_not_go_together_are_refused(pair: tuple[TrainingData, TrainingData]) -> None:

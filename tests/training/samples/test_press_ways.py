@@ -18,8 +18,8 @@ from eitskin_training.samples.press_ways import check_ways, ways
 from eitskin_training.samples.presses import piece
 
 PLACES = [(40.0, 30.0), (75.0, 50.0), (140.0, 8.0), (110.0, 75.0)]
-BOTH = replace(PAPER, name="ours", touches=Touches(lower=True, higher=True))
-LOWERING = replace(PAPER, name="ours", touches=Touches(lower=True, higher=False))
+BOTH = replace(PAPER, name="ours", touches=Touches(kind="both"))
+LOWERING = replace(PAPER, name="ours", touches=Touches(kind="lower"))
 
 
 @pytest.fixture(scope="module")
@@ -38,10 +38,10 @@ def recorded() -> Any:
 
 
 def test_each_goes_its_way_unless_it_was_elsewhere(recorded: Any) -> None:
-    assert ways(recorded([0.3, 0.9, 0.5, 0.6]), PAPER) == ["lowering"] * 4
-    assert ways(recorded([50.0, 1.2, 3.0, 5.0]), PAPER) == ["raising"] * 4
+    assert ways(recorded([0.3, 0.9, 0.5, 0.6]), PAPER) == ["lower"] * 4
+    assert ways(recorded([50.0, 1.2, 3.0, 5.0]), PAPER) == ["raise"] * 4
     elsewhere = [(110.0, 30.0), *PLACES[1:]]
-    assert ways(recorded([0.3, 2.0, 0.5, 0.6], elsewhere), PAPER) == [None, "raising", "lowering", "lowering"]
+    assert ways(recorded([0.3, 2.0, 0.5, 0.6], elsewhere), PAPER) == [None, "raise", "lower", "lower"]
 
 
 def test_presses_of_opposite_ways_are_named_unless_the_skin_and_the_bundle_know_both(recorded: Any) -> None:
@@ -51,17 +51,15 @@ def test_presses_of_opposite_ways_are_named_unless_the_skin_and_the_bundle_know_
         with pytest.raises(SkinError, match=said):
             check_ways(mixed, skin, "both", "bundle x")
     check_ways(mixed, BOTH, "both", "bundle x")
-    with pytest.raises(
-        MismatchError, match=r"press 1 .*: touches: found raising, expected lowering, as bundle x knows"
-    ):
-        check_ways(mixed, BOTH, "lowering", "bundle x")
+    with pytest.raises(MismatchError, match=r"press 1 .*: touches: found raise, expected lower, as bundle x knows"):
+        check_ways(mixed, BOTH, "lower", "bundle x")
 
 
 def test_presses_of_a_way_that_the_skin_or_the_bundle_does_not_know_are_refused(recorded: Any) -> None:
     lowering, raising = recorded([0.5] * 4), recorded([3.0] * 4)
-    check_ways(lowering, LOWERING, "lowering", "bundle x")
-    check_ways(lowering, PAPER, "lowering", "bundle x")  # raising is also what a file has that says nothing
-    with pytest.raises(MismatchError, match=r"press 0 .* found lowering, expected raising, as bundle x knows"):
-        check_ways(lowering, PAPER, "raising", "bundle x")
-    with pytest.raises(MismatchError, match=r"found raising, expected lowering, as \[touches\] of skin ours says"):
+    check_ways(lowering, LOWERING, "lower", "bundle x")
+    check_ways(lowering, PAPER, "lower", "bundle x")  # raising is also what a file has that says nothing
+    with pytest.raises(MismatchError, match=r"press 0 .* found lower, expected raise, as bundle x knows"):
+        check_ways(lowering, PAPER, "raise", "bundle x")
+    with pytest.raises(MismatchError, match=r"found raise, expected lower, as \[touches\] of skin ours says"):
         check_ways(raising, LOWERING, "both", "bundle x")

@@ -52,7 +52,7 @@ def adapted(
     network = facts.get("recipe", {}).get("name")
     if not isinstance(network, str):
         raise ValueError(f"{bundle} does not say how it was trained; build one anew with 'eitskin build'")
-    touches = {"raising": "hard", "lowering": "press", "both": "both"}[touch_kind]
+    touches = {"raise": "hard", "lower": "press", "both": "both"}[touch_kind]
     if own is not None and skin.touch_kind == touch_kind and _others(skin.touches, own.touches):
         touches = SKIN
     kind = "free" if facts.get("labels") == "area" else "units"

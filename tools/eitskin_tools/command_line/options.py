@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from eitskin.messaging.curve_keys import ClientKeys
     from eitskin_proto.skin.skin import Skin
 
-WAYS: Final[dict[str, TouchKind]] = {"lower": "lowering", "raise": "raising"}
-"""What ``--touches`` takes -> which way touches change conductance."""
+ONE_WAY: Final[tuple[TouchKind, ...]] = ("lower", "raise")
+"""What ``--touches`` takes."""
 
 SOLVERS: Final = ("vd2t", "vd2t-int8", "vd2t-small", "tikhonov")
 """What a stream's ``--solver`` takes, from the most accurate to the fastest."""
@@ -122,7 +122,7 @@ def add_touches(parser: argparse.ArgumentParser, default: str, what: str = "touc
     """
     parser.add_argument(
         "--touches",
-        choices=tuple(WAYS),
+        choices=ONE_WAY,
         help=f"{what}: lower conductance, as a finger's press on a hydrogel, or raise it, as the paper's touches "
         f"(default: {default})",
     )
@@ -130,7 +130,8 @@ def add_touches(parser: argparse.ArgumentParser, default: str, what: str = "touc
 
 def chosen_touches(arguments: argparse.Namespace) -> TouchKind | None:
     """Return which way the touches of ``--touches`` change conductance; None where nothing was said."""
-    return None if arguments.touches is None else WAYS[arguments.touches]
+    kind: TouchKind | None = arguments.touches
+    return kind
 
 
 def add_client_keys(parser: argparse.ArgumentParser) -> None:

@@ -76,7 +76,7 @@ def _measured(arguments: argparse.Namespace, request: Any) -> int:
     measured = load_measured(files.find(arguments.measured, files.MEASURED), options.chosen_skin(arguments))
     if measured.ending:
         print(f"eitskin evaluate: {arguments.measured}{measured.ending}", file=sys.stderr)
-    if measured.touch_kind or touches_of(measured) == "lowering":  # raising ones are also where nothing is said
+    if measured.touch_kind or touches_of(measured) == "lower":  # raising ones are also where nothing is said
         _tell_unknown(request, [("area", touches_of(measured))])
     found = evaluate_measured(measured, request, arguments.progress)
     print(json.dumps(found) if arguments.json else table(found))
@@ -97,7 +97,7 @@ def _devices(arguments: argparse.Namespace, request: Any) -> int:
     drawn = meant(skin)
     trials = trials_of(kinds, arguments.deformations, arguments.each, drawn)
     plan = runs.Plan(arguments.draws, 0, arguments.seed, arguments.noise, arguments.snr_db, skin, drawn)
-    _tell_unknown(request, [(one.labels, "lowering" if one.lowering else "raising") for one in trials])
+    _tell_unknown(request, [(one.labels, "lower" if one.lowering else "raise") for one in trials])
     found = evaluate_devices(rows, trials, request, plan, arguments.progress, arguments.drift)
     print(json.dumps(found) if arguments.json else table(found))
     return 0
@@ -180,8 +180,8 @@ def _tell_unknown(request: Any, groups: Any) -> None:
     for labels, touches in sorted(set(groups)) if request.name not in SOLVERS else ():
         bundle = bundle_for(request, labels, touches)
         if not knows(bundle.touch_kind, touches):
-            known = f"{bundle.path} knows {bundle.touch_kind} touches"
-            say(f"eitskin evaluate: {known}, and is tried on {touches} ones", error=True)
+            known = f"{bundle.path} knows touches = {bundle.touch_kind}"
+            say(f"eitskin evaluate: {known}, and is tried on touches = {touches}", error=True)
 
 
 def _softness(arguments: argparse.Namespace) -> Any:

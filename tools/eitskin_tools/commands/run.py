@@ -29,7 +29,6 @@ from eitskin_tools.verifier import options as verifier
 
 if TYPE_CHECKING:
     from eitskin.messaging.curve_keys import ServerKeys
-    from eitskin.model.bundle import Bundle
     from eitskin_tools.service.supervisor import Supervisor
     from eitskin_tools.service.watchdog import Watchdog
 
@@ -151,7 +150,8 @@ def run(arguments: argparse.Namespace) -> int:
         skin = stack.enter_context(
             Skin(
                 port,
-                bundle=_bundle(arguments),
+                bundle=arguments.bundle,
+                touches=options.chosen_touches(arguments),
                 skin=arguments.skin,
                 reference=arguments.reference,
                 budget_ms=arguments.budget_ms,
@@ -187,14 +187,6 @@ def _load_what_serves() -> None:
     """Load the modules of :func:`_serve` now, while SIGTERM still ends the process at once."""
     for name in ("eitskin.messaging.control", "eitskin.serving", "eitskin_tools.console.run_status"):
         importlib.import_module(name)
-
-
-def _bundle(arguments: argparse.Namespace) -> "Bundle | Path | None":
-    """The bundle that knows the touches that were asked for; what was named, where none were."""
-    from eitskin.model.skin_in_use import knowing
-
-    wanted = options.chosen_touches(arguments)
-    return arguments.bundle if wanted is None else knowing(wanted, arguments.bundle)
 
 
 def _leave_unfinished_work() -> None:

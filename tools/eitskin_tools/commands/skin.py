@@ -56,8 +56,7 @@ def _summary(skin: Skin) -> dict[str, str]:
         "pixels": f"{grid.shape[0]} rows x {grid.shape[1]} columns of {dx:.4g} x {dy:.4g} mm",
         "units": f"{grid.units[0]} rows x {grid.units[1]} columns",
         "mirror images": f"{len(own)} ({', '.join(map(_named, own))})",
-        "touches": {"raising": "raise", "lowering": "lower", "both": "raise or lower"}[skin.touch_kind]
-        + " conductance",
+        "touches": f"{'raise or lower' if skin.touch_kind == 'both' else skin.touch_kind} conductance",
         "not exact": ", ".join(_uncertain(skin)) or "nothing",
     }
 

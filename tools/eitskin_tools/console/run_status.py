@@ -178,7 +178,7 @@ def report(skin: Any, log: RunLog) -> None:
     )
     solvers = ", ".join(f"{name} {span / 1000:.0f} us" for name, span in skin.pipeline.maps.engine_ns.items())
     bundle = skin.bundle
-    log.say(f"bundle: {bundle.path.name} {bundle.id}, {bundle.labels} labels, {bundle.touch_kind} touches; {solvers}")
+    log.say(f"bundle: {bundle.path.name} {bundle.id}, labels {bundle.labels}, touches {bundle.touch_kind}; {solvers}")
     rows, columns = skin.description.grid.shape
     log.say(f"skin: {skin.description.name} {skin.description.digest}, map of {rows} x {columns} pixels")
     for line in doubts(bundle, skin.description):
@@ -201,7 +201,7 @@ def doubts(bundle: "Bundle", description: "Skin") -> list[str]:
     touches = description.touch_kind
     if description is bundle.skin or knows(bundle.touch_kind, touches):
         return []
-    return [f"{description.name} has {touches} touches, the bundle knows {bundle.touch_kind} ones: see --touches"]
+    return [f"touches of {description.name}: {touches}, of the bundle: {bundle.touch_kind}; see --touches"]
 
 
 def closing(summary: dict[str, Any]) -> str:

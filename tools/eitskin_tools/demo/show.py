@@ -82,8 +82,8 @@ class Options:
     """Subscribers to what was measured, beside the one to frames."""
     view: bool = False
     """Serve the page of ``eitskin view`` meanwhile, and say where."""
-    touches: TouchKind = "raising"
-    """"raising" or "lowering": what touches the sheet; the bundle must know it."""
+    touches: TouchKind = "raise"
+    """"raise" or "lower": what touches the sheet; the bundle must know it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -317,17 +317,17 @@ def choose(bundle: Path | None, touches: TouchKind | None) -> tuple[Path | None,
     if touches is not None:
         return knowing(touches, bundle).path, touches
     if bundle is None:
-        pressed = default_path("area", "lowering")
-        return (pressed, "lowering") if pressed.exists() else (None, "raising")
-    return bundle, "raising" if load_bundle(bundle, lazily=True).touch_kind == "raising" else "lowering"
+        pressed = default_path("area", "lower")
+        return (pressed, "lower") if pressed.exists() else (None, "raise")
+    return bundle, "raise" if load_bundle(bundle, lazily=True).touch_kind == "raise" else "lower"
 
 
-def skin_of(bundle: Path | None, touches: TouchKind = "raising") -> Skin:
+def skin_of(bundle: Path | None, touches: TouchKind = "raise") -> Skin:
     """Return the sheet that is played on: the paper's ideal one where the bundle is for it, else the bundle's own.
 
     Args:
         bundle: A bundle; None for the shipped one.
-        touches: "raising" or "lowering"; a bundle knows both, or these.
+        touches: "raise" or "lower"; a bundle knows both, or these.
 
     Raises:
         BundleError: It cannot be read.
@@ -362,7 +362,7 @@ def touches_in_words(script: Any) -> str:
 
     if not isfinite(script.period_s):
         return ""
-    if script.skin.touch_kind == "raising":
+    if script.skin.touch_kind == "raise":
         return f", where conductance is {RAISED:g} times as high"
     return f", as of a finger: conductance falls to {100 * LOWERED:g} %"
 
@@ -392,7 +392,7 @@ def _title(script: Any, time_s: float) -> str:
     bend, touches = scene.bend, len(scene.touches)
     turned = f"bent by {bend.angle_deg:.0f} deg, its axis at {bend.axis_deg:+.0f}"
     shape = "flat" if bend == type(bend)() else f"{turned}, stretched {100 * (bend.stretch_along - 1):.1f} %"
-    number = f"{touches} {'press' if script.skin.touch_kind == 'lowering' else 'touch'}{'' if touches == 1 else 'es'}"
+    number = f"{touches} {'press' if script.skin.touch_kind == 'lower' else 'touch'}{'' if touches == 1 else 'es'}"
     return f"eitskin demo   {time_s:5.1f} s   the sheet is {shape}; {number}{touches_in_words(script)}"
 
 

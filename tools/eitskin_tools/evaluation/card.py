@@ -105,8 +105,8 @@ def _figures(row: dict[str, Any]) -> str:
 def _contrasts(bundle: Bundle) -> tuple[float, ...]:
     if bundle.labels == "units" and bundle.skin.calibrated_from:
         return RAISING[:1]  # drawn units have the paper's contrast
-    lowering = LOWERING if bundle.touch_kind != "raising" else ()
-    return lowering + (RAISING if bundle.touch_kind != "lowering" else ())
+    lowering = LOWERING if bundle.touch_kind != "raise" else ()
+    return lowering + (RAISING if bundle.touch_kind != "lower" else ())
 
 
 def _mismatches() -> list[Row]:
@@ -118,8 +118,8 @@ def _trials(bundle: Bundle, deformations: int, each: int) -> list[runs.Trial]:
     """Return the trials of a bundle's labels and touches."""
     if bundle.labels == "units":
         return trials_of(["units"], deformations, each, bundle.skin)
-    kinds = {"raising": ["mm", "single"], "lowering": ["press04", "press06"]}
-    wanted = kinds.get(bundle.touch_kind, [*kinds["raising"], *kinds["lowering"]])
+    kinds = {"raise": ["mm", "single"], "lower": ["press04", "press06"]}
+    wanted = kinds.get(bundle.touch_kind, [*kinds["raise"], *kinds["lower"]])
     return trials_of(wanted, deformations, each, bundle.skin)
 
 

@@ -166,7 +166,7 @@ def evaluate_devices(
     judges, bundles = {}, {}
     followers: dict[str, DriftRemoved] = {}
     for kind in kinds:
-        touches: TouchKind = "lowering" if kind.lowering else "raising"
+        touches: TouchKind = "lower" if kind.lowering else "raise"
         bundle = bundle_on(request, kind.labels, touches, plan.skin)
         bundles[kind.name] = None if bundle is None else bundle.id
         one = Request(request.name, reference, None if bundle is None else bundle.path, request.prediction)

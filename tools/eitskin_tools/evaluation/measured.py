@@ -86,7 +86,7 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
             sheets[scan] = _sheet(measured, scan)
         sheet = sheets[scan]
         held = sheet.predicted() * flat / flat_voltages(skin) if reference == "predicted" else flat
-        case = Case(volts, held, flat, sheet, labels, lowering=kind == "lowering")
+        case = Case(volts, held, flat, sheet, labels, lowering=kind == "lower")
         truth = None if measured.truth is None else measured.truth[number]
         own = _score(solver.run.solver(case), truth, measured.kinds[number], judge(volts, flat), skin)
         scores.append(own if solver.verified is None else replace(own, checked=solver.verified.checked[-1]))
@@ -111,7 +111,7 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
 
 def touches_of(measured: Measured) -> TouchKind:
     """Return which way touches change conductance: as the file says, else as its skin's description does."""
-    return measured.touch_kind or ("lowering" if measured.skin.touch_kind == "lowering" else "raising")
+    return measured.touch_kind or ("lower" if measured.skin.touch_kind == "lower" else "raise")
 
 
 def _sheet(measured: Measured, scan: int) -> Sheet:

@@ -9,7 +9,7 @@
                   cloud_index (n,)             the scan of each sample, -1 for none; without scans both are left out
                   truth (n, 30, 45)            touched share of every pixel (optional)
                   kind (n,) text               "single", "untouched", anything; figures are by it (optional)
-                  touch_kind text              "lowering" or "raising": which way touches change conductance (optional)
+                  touch_kind text              "lower" or "raise": which way touches change conductance (optional)
                   protocol_id, grid_id, skin_digest text   held against this release and its sheet (optional)
 
 A recording, ``FILE.mcap``, is read too: its first reference, its frames that were published with that, its clouds.
@@ -33,9 +33,9 @@ from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
 from eitskin_proto.skin.cloud import align_cloud, check_cloud
 from eitskin_proto.skin.made_for import check_arrays_made_for
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_proto.skin.touch_kind import EARLIER_WORDS, TouchKind
 
-TOUCH_KINDS: Final[tuple[TouchKind, ...]] = ("lowering", "raising")
+ONE_WAY: Final[tuple[TouchKind, ...]] = ("lower", "raise")
 """The kinds of touch."""
 
 LARGEST_FILE: Final = 1 << 30
@@ -225,6 +225,7 @@ def _touch_kind(arrays: Arrays) -> TouchKind | None:
     if "touch_kind" not in arrays:
         return None
     found = text(arrays, "touch_kind")
-    if found not in TOUCH_KINDS:
-        raise ValueError(f"touch_kind is {quoted(found)}, expected one of {', '.join(TOUCH_KINDS)}")
-    return "lowering" if found == "lowering" else "raising"
+    kind = EARLIER_WORDS.get(found, found)
+    if kind not in ONE_WAY:
+        raise ValueError(f"touch_kind is {quoted(found)}, expected one of {', '.join(ONE_WAY)}")
+    return "lower" if kind == "lower" else "raise"

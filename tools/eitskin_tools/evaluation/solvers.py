@@ -92,7 +92,7 @@ def named(
     request: Request,
     labels: str,
     skin: Skin = PAPER,
-    touches: TouchKind = "raising",
+    touches: TouchKind = "raise",
     conditions: Conditions | None = None,
 ) -> Named:
     """Return the solver that a request means on phantoms with these labels.
@@ -121,14 +121,14 @@ def named(
     return _network(request, labels, skin, touches)
 
 
-def bundle_for(request: Request, labels: str, touch_kind: TouchKind = "raising") -> "Bundle":
+def bundle_for(request: Request, labels: str, touch_kind: TouchKind = "raise") -> "Bundle":
     """Return the bundle that a request names, or the shipped one of some labels and touches.
 
     Args:
         request: May name a file; then that serves all touches.
         labels: ``"units"`` or ``"area"``.
-        touch_kind: Which way touches change conductance. Where no shipped bundle is meant for these, that for raising
-            ones is taken: what it shows of them is then what there is to say.
+        touch_kind: Which way touches change conductance. Where no shipped bundle is meant for these, that for touches
+            that raise it is taken: what it shows of them is then what there is to say.
 
     Raises:
         BundleError: It cannot be read.
@@ -343,7 +343,7 @@ def untouched_trial(
     progress: Progress | None,
 ) -> dict[str, Any]:
     """Return how high the maps of bent sheets rise that nothing touches, of the network for the skin's touches."""
-    touches: TouchKind = "lowering" if conditions.skin.touch_kind == "lowering" else "raising"
+    touches: TouchKind = "lower" if conditions.skin.touch_kind == "lower" else "raise"
     solver = named(request, labels, conditions.skin, touches, conditions)
     peaks: list[float] = []
     run = Run(_keeping_peaks(solver.run.solver, peaks), solver.run.reference)

@@ -27,7 +27,7 @@ def bundle_of(script: Told, named: str | Path | None = None) -> Bundle:
     if named is not None:
         return for_skin(load_bundle(named), script)
     wanted = script.told("bundle")
-    kinds: tuple[TouchKind, ...] = ("raising", "lowering")
+    kinds: tuple[TouchKind, ...] = ("raise", "lower")
     paths = [default_path(labels, touches) for labels in ("area", "units") for touches in kinds]
     for path in paths:
         if path.exists() and (found := load_bundle(path, lazily=True)).id == wanted:

@@ -123,10 +123,9 @@ def check_files(robot: "Robot") -> list[tuple[str, str]]:
 
 def _check_skin(settings: "SkinSettings") -> list[str]:
     from eitskin.messaging.curve_keys import load_server_keys
-    from eitskin.model.skin_in_use import bundle_and_skin, knowing
+    from eitskin.model.skin_in_use import bundle_and_skin
     from eitskin.reference import captured
     from eitskin_proto.skin import toml
-    from eitskin_tools.command_line.options import WAYS
     from eitskin_tools.console.run_status import doubts
 
     bundle_path = _there("bundle", settings.bundle, files.BUNDLE)
@@ -134,8 +133,7 @@ def _check_skin(settings: "SkinSettings") -> list[str]:
     _there("reference", settings.reference, files.REFERENCE)
     _there("curve_keys", settings.curve_keys, files.KEYS)
     description = None if description_path is None else toml.load(description_path)
-    bundle = bundle_path if settings.touches is None else knowing(WAYS[settings.touches], bundle_path)
-    chosen, used = bundle_and_skin(bundle, description)
+    chosen, used = bundle_and_skin(bundle_path, description, settings.touches)
     captured.taken(settings.reference, used)
     if settings.curve_keys is not None:
         load_server_keys(settings.curve_keys)

@@ -219,4 +219,4 @@ def _default_signals() -> None:
 if __name__ == "__main__":
     from eitskin_proto.skin.skin import PAPER
 
-    print(*ship(demonstration(), demonstration(PAPER.touched("lowering"))), sep="\n")
+    print(*ship(demonstration(), demonstration(PAPER.touched("lower"))), sep="\n")

@@ -36,7 +36,7 @@ class Setup:
     labels: str
     """Of the bundle: "units" or "area"."""
     touches: str
-    """"raising", "lowering" or "both": which way they change conductance."""
+    """"raise", "lower" or "both": which way they change conductance."""
     skin: str
     """Its description, in TOML."""
     skin_digest: str

@@ -206,7 +206,7 @@ def check_felt(session: Session, z: Array) -> None:
         found, stated = ("raise", "lower") if session.way < 0 else ("lower", "raise")
         raise CalibrationError(
             f"presses {found} conductance, and [touches] of skin {skin.name} says that touches {stated} it: correct "
-            "lower and higher there"
+            "kind there"
         )
 
 

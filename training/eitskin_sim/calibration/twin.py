@@ -84,8 +84,7 @@ def _touches(session: Session, found: Fit) -> dict[str, Any]:
     name, low, high = ("lowering_contrast", 0.01, 0.99) if session.way < 0 else ("raising_contrast", 1.01, 1000.0)
     soft = SURE * error(BORDER)
     return {
-        "lower": session.way < 0,
-        "higher": session.way > 0,
+        "kind": "lower" if session.way < 0 else "raise",
         name: tuple(_round(min(max(one, low), high)) for one in ends),
         "border_mm": tuple(_round(min(max(one, 0.0), 20.0)) for one in (border - soft, border + soft)),
     }

@@ -81,7 +81,7 @@ class DataSet:
     """Of touches on the unit grid, where they are not the paper's of 50."""
     skin: Skin = PAPER
     """What it was made for."""
-    touch_kind: TouchKind = "raising"
+    touch_kind: TouchKind = "raise"
     """Which way its touches change conductance."""
     drift: npt.NDArray[np.float32] | None = None
     """(N,) by which each sample's resistances had changed since the reference, of random devices; None of the nominal

@@ -249,7 +249,7 @@ def evaluate_all(
             sheet = Sheet(_cloud(bare, conditions.cloud, seed, skin), _solved(bare, where), skin)
             for run, kept in zip(runs, scores, strict=True):
                 held = _reference(run.reference, sheet, flat)
-                case = Case(noisy, held, flat, sheet, phantom.truth, phantom.scene.touch_kind == "lowering")
+                case = Case(noisy, held, flat, sheet, phantom.truth, phantom.scene.touch_kind == "lower")
                 kept.append(score(run.solver(case), truth, labels=phantom.truth, grid=grid))
         for result, kept in zip(results, scores, strict=True):
             result.append((phantom, kept))

@@ -124,7 +124,7 @@ def _areas(contrast: Array, generator: np.random.Generator, sizes_mm: tuple[floa
 
 def contrasts_of(ranges: Ranges, classes: int, generator: np.random.Generator) -> Array:
     """Return (classes,) contrasts, each from its share of a range; of touches both ways every second one raises."""
-    raising = np.arange(classes) % 2 == 1 if ranges.way == "both" else np.full(classes, ranges.way == "raising")
+    raising = np.arange(classes) % 2 == 1 if ranges.way == "both" else np.full(classes, ranges.way == "raise")
     found = np.empty(classes)
     for which, bounds in ((~raising, ranges.lowering), (raising, ranges.raising)):
         number = np.count_nonzero(which)

@@ -21,10 +21,10 @@ it; both ways; as the skin says."""
 TOUCH_KINDS: Final[tuple[TouchKind, ...]] = get_args(TouchKind)
 
 WAYS: Final[dict[str, ways.TouchKind]] = {
-    "hard": "raising",
-    "firm": "raising",
-    "raise": "raising",
-    "press": "lowering",
+    "hard": "raise",
+    "firm": "raise",
+    "raise": "raise",
+    "press": "lower",
     "both": "both",
 }
 """Kind of touches that were drawn -> which way they change conductance; the skin's own go the skin's way."""
@@ -56,7 +56,7 @@ class Ranges:
     """Whether half of those that raise conductance have the sharp shapes of hard touches, of any size."""
 
 
-FIRM: Final = Ranges("raising", raising=(5.0, 200.0), borders_mm=(LEAST_BORDER_MM, 4.0))
+FIRM: Final = Ranges("raise", raising=(5.0, 200.0), borders_mm=(LEAST_BORDER_MM, 4.0))
 """Of ``firm``."""
 
 

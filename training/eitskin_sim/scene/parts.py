@@ -170,7 +170,7 @@ class Scene:
         """Which way the touches change conductance, holes in them aside; without any, as the paper's do."""
         sheet = self.sheet.conductivity_S_per_m
         lower = {touch.lowers(sheet) for touch in self.touches if not touch.is_hole(sheet)}
-        return "both" if len(lower) == 2 else "lowering" if lower == {True} else "raising"
+        return "both" if len(lower) == 2 else "lower" if lower == {True} else "raise"
 
     def reference(self) -> "Scene":
         """Return the same device when its reference was taken: flat, untouched, and without what came late."""

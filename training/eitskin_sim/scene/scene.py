@@ -122,7 +122,9 @@ def parse_phantoms(value: object, skin: Skin = PAPER) -> tuple[Phantom, ...]:
     found = []
     for index in listed:
         fields = listed.table(index)
-        name = fields.text("name", str(index + 1), least=0)
+        name = fields.value("name", str(index + 1))
+        if not isinstance(name, str):
+            raise fields.wrong("name", "a text")
         truth = cast(Literal["units", "area"], fields.choice("truth", ("units", "area"), "area"))
         scene = fields.value("scene", {})
         fields.close()

@@ -162,7 +162,7 @@ class UnitFrame:
         doubted = np.flatnonzero(in_doubt)
         doubted = doubted[np.argsort(np.abs(covered[doubted] - COVERED), kind="stable")][:MOST_IN_DOUBT]
         while best.p < SURE and len(doubted) and not effort.searched():
-            other = min((self._flipped(best, unit, found.pieces) for unit in doubted), key=lambda one: one.cost)
+            other = min((self._flipped(best, int(unit), found.pieces) for unit in doubted), key=lambda one: one.cost)
             if other.cost >= best.cost:
                 break
             best = other

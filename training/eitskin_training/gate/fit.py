@@ -158,7 +158,7 @@ def fit(data: TrainingData, bends: Bends, *, seed: int = 0, steps: int = STEPS, 
         arrays["threshold"] = np.asarray(threshold, dtype=np.float32)
         found |= {prefix + name: value for name, value in arrays.items()}
         measures[prefix] = {"target_false_alarm_rate": rate, **measured(judge, threshold, data, bends, rng)}
-        if not prefix and bends.probes and (bends.devices is not None or data.touch_kind != "raising"):
+        if not prefix and bends.probes and (bends.devices is not None or data.touch_kind != "raise"):
             measures[prefix]["found_presses"] = found_presses(judge, threshold, bends, data, rng)
             measures[prefix]["ideal_observer"] = ideal_observer(material.untouched(FRAMES, rng), rate, data.skin)
     found["idle_drives"] = np.asarray(drives, dtype=np.uint16)

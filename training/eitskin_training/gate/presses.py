@@ -47,7 +47,7 @@ def contrast_of(strength_mm2: float, diameter_mm: float) -> float:
 def drawn_presses(count: int, rng: np.random.Generator, skin: Skin) -> list[Array]:
     """Return touch sets of one faint press each, as pieces."""
     sets: list[Array] = []
-    usual = Ranges("lowering")
+    usual = Ranges("lower")
     (least, most), border_mm = usual.sizes_mm, usual.borders_mm
     while len(sets) < count:
         strength = np.exp(rng.uniform(*np.log(STRENGTHS_MM2)))

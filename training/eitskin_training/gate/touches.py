@@ -51,18 +51,18 @@ class Probe:
 
 
 @lru_cache(maxsize=KEPT)
-def small_touches(bends: int, skin: Skin, each: int = 400, kind: TouchKind = "raising") -> Array:
+def small_touches(bends: int, skin: Skin, each: int = 400, kind: TouchKind = "raise") -> Array:
     """Return (n, 104) log(V touched / V untouched) of touches of 5 to 12 mm, at the flat sheet and other bends.
 
     Args:
         bends: How many.
         skin: Of the sheet.
         each: Touches at each.
-        kind: "lowering" for faint presses instead, "both" for every second one.
+        kind: "lower" for faint presses instead, "both" for every second one.
     """
     rng = np.random.default_rng(TOUCH_SEED)
     members = [Bend(), *wide_bends(bends - 1, TOUCH_SEED, skin)]
-    hard = {"raising": each, "lowering": 0, "both": each // 2}[kind]
+    hard = {"raise": each, "lower": 0, "both": each // 2}[kind]
     found = []
     for bend in members:
         sets = [_drawn_touches(hard, rng, skin), drawn_presses(each - hard, rng, skin)]
@@ -136,10 +136,10 @@ def probe_sets(seed: int, skin: Skin, each: int = 20) -> dict[str, list[Array]]:
     return found
 
 
-def probes(bends: int, seed: int, skin: Skin, kind: TouchKind = "raising") -> tuple[Probe, ...]:
+def probes(bends: int, seed: int, skin: Skin, kind: TouchKind = "raise") -> tuple[Probe, ...]:
     """Return touches of a kind at the flat sheet, at ``bends`` bends of A and at as many of B."""
-    hard = _probes(bends, seed, skin, False) if kind != "lowering" else ()
-    return hard + (_probes(bends, seed, skin, True) if kind != "raising" else ())
+    hard = _probes(bends, seed, skin, False) if kind != "lower" else ()
+    return hard + (_probes(bends, seed, skin, True) if kind != "raise" else ())
 
 
 @lru_cache(maxsize=KEPT)

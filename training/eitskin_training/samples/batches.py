@@ -83,7 +83,7 @@ class TrainingData:
     seed: int
     protocol_id: str = PROTOCOL_ID
     skin: Skin = PAPER
-    touch_kind: TouchKind = "raising"
+    touch_kind: TouchKind = "raise"
     drift: npt.NDArray[np.float32] | None = None
     bends: tuple[Bend | None, ...] = ()
 

@@ -42,19 +42,19 @@ def check_ways(recording: Recording, skin: Skin, known: TouchKind, who: str) -> 
         MismatchError: One goes a way that the bundle, or a skin whose touches lower conductance, does not know.
     """
     found = ways(recording, skin)
-    lower, higher = ([k for k, way in enumerate(found) if way == one] for one in ("lowering", "raising"))
+    lower, higher = ([k for k, way in enumerate(found) if way == one] for one in ("lower", "raise"))
     if lower and higher and skin.touch_kind != "both":
         fewer, more = sorted((lower, higher), key=len)
         one, other = ("lowers", "raises") if fewer is lower else ("raises", "lowers")
         raise SkinError(
             f"{told(recording, fewer[0])} {one} conductance and {told(recording, more[0])} {other} it; leave out the "
-            f"one that is wrong, or say in the file of skin {skin.name} that touches do both: [touches] lower, higher"
+            f"one that is wrong, or say in the file of skin {skin.name} that touches do both: [touches] kind"
         )
     knowing: list[tuple[TouchKind, str]] = [(known, f"as {who} knows")]
-    if skin.touch_kind == "lowering":
-        knowing.insert(0, ("lowering", f"as [touches] of skin {skin.name} says"))
+    if skin.touch_kind == "lower":
+        knowing.insert(0, ("lower", f"as [touches] of skin {skin.name} says"))
     hint = "take a bundle and a skin that know such, or leave --presses out"
-    ways_of: list[tuple[list[int], TouchKind]] = [(lower, "lowering"), (higher, "raising")]
+    ways_of: list[tuple[list[int], TouchKind]] = [(lower, "lower"), (higher, "raise")]
     for numbers, way in ways_of:
         for kind, source in knowing if numbers else ():
             if not knows(kind, way):
@@ -76,4 +76,4 @@ def ways(recording: Recording, skin: Skin) -> list[TouchKind | None]:
     table = gather([piece(one, LOWERED) for one in recording.presses])
     lowered = directions(set_voltages([sheet], table, skin=skin)[0] / sheet.untouched_V)
     alike = np.sum(read * lowered, axis=1)
-    return ["lowering" if one > SURE else "raising" if one < -SURE else None for one in alike]
+    return ["lower" if one > SURE else "raise" if one < -SURE else None for one in alike]

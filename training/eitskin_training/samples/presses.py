@@ -7,7 +7,7 @@ under noise of their own each time. Every ``KEPT``-th press is kept apart, and s
 """
 
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,7 @@ from eitskin_proto.sensor.table import N_FULL_ROWS, ROW_IN_FULL
 from eitskin_proto.skin.cloud import flat_cloud, network_input
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.toml import parse, to_toml
-from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_proto.skin.touch_kind import touch_kind_of
 from eitskin_sim.calibration.recording import Later, Recording
 from eitskin_sim.scene.touch_table import DISC, RECTANGLE, gather
 from eitskin_sim.surface.predict import predicted_log
@@ -140,9 +140,7 @@ def load(folder: str | Path) -> TrainingData:
     try:
         skin, reference = parse(str(arrays["skin"])), arrays["reference_V"].astype(np.float64)
         lies = arrays["log_predicted"].astype(np.float64)
-        kind: Any = str(arrays["touch_kind"])
-        if kind not in get_args(TouchKind):
-            raise ValueError(f"touch_kind is {kind!r}")
+        kind = touch_kind_of(str(arrays["touch_kind"]))
         count = len(arrays["voltages_V"])
         rows = np.setdiff1d(np.arange(count), _kept(count))
         return TrainingData(

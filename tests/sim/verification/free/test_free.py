@@ -235,7 +235,7 @@ def test_a_touch_is_found_within_its_errors_from_a_wrong_start() -> None:
 def test_a_press_below_contrast_1_is_found_and_has_a_negative_strength() -> None:
     press = SQUARE.copy()
     press[0, 3:7] = 16.0, 16.0, 0.0, 0.4
-    own = FreeVerifier(flat_V(), Noise("N2", 50.0), "lowering")
+    own = FreeVerifier(flat_V(), Noise("N2", 50.0), "lower")
     own.deform(flat_cloud())
     found = own.verify(seen(press), share(press), budget_s=LONG_S)
     assert found.touches
@@ -267,7 +267,7 @@ def test_a_skin_whose_touches_go_one_way_gets_none_of_the_other() -> None:
     for _ in range(9):
         held = bounded(frame, held, free, np.array([-9.0]))
     assert held[0, 6] > 1.0
-    assert usual_of("lowering").sign == -1
+    assert usual_of("lower").sign == -1
     assert usual_of("both").sign == 0
 
 

@@ -68,7 +68,7 @@ def test_shapes_that_are_one_touch_of_the_map_hang_together_and_cracks_and_two_c
     assert (bodies(2, ()), bodies(2, ((1, 0),)), bodies(4, ((1, 0), (2, 1), (2, 0)))) == (2, 1, 2)
     body = together(ell, ((1, 0),), whole, grid)
     assert body[:, 6] == pytest.approx([40.0, 40.0])
-    usual, own = usual_of("raising"), own_parameters(ell, False)
+    usual, own = usual_of("raise"), own_parameters(ell, False)
     more = [
         float(np.sum(np.square(costs(one, own, usual, ((1, 0),))))) - float(np.sum(np.square(costs(one, own, usual))))
         for one in (ell, body)
@@ -116,13 +116,13 @@ def test_a_touch_that_only_physics_sees_must_answer_much(monkeypatch: pytest.Mon
 
 def test_contrast_and_size_are_what_the_skin_states() -> None:
     weak = replace(PAPER, touches=Touches(raising_contrast=(1.6, 2.5), size_mm=(8.0, 12.0)))
-    usual, plain = usual_of("raising", weak), usual_of("raising")
+    usual, plain = usual_of("raise", weak), usual_of("raise")
     assert np.exp(usual.log_contrast) == pytest.approx(2.0)
     assert usual.common_sd < 0.4 < plain.common_sd
     assert usual.touches.size_mm == pytest.approx(np.sqrt(96.0))
     assert usual.touches.size_log_sd < plain.touches.size_log_sd
-    assert usual_of("lowering").log_contrast < 0.0 < plain.log_contrast
-    assert (usual_of("lowering").sign, plain.sign, usual_of("both").sign) == (-1, 1, 0)
+    assert usual_of("lower").log_contrast < 0.0 < plain.log_contrast
+    assert (usual_of("lower").sign, plain.sign, usual_of("both").sign) == (-1, 1, 0)
 
 
 def test_a_prior_of_aspects_has_heavy_tails_and_its_slope_is_a_quotient() -> None:
@@ -137,7 +137,7 @@ def test_a_prior_of_aspects_has_heavy_tails_and_its_slope_is_a_quotient() -> Non
 def test_the_prior_s_derivatives_are_quotients() -> None:
     pieces = np.vstack([SQUARE, OTHER])
     pieces[1, 4], pieces[1, 7] = 30.0, 2.0
-    own, usual = own_parameters(pieces, False), usual_of("raising")
+    own, usual = own_parameters(pieces, False), usual_of("raise")
     agree(pieces, own, usual, ())
     apart = np.vstack([SQUARE, SQUARE + np.array([0, 13.0, 2.0, 0, 0, 0, 10.0, 0])])
     agree(apart, own_parameters(apart, False), usual, ((1, 0),))

@@ -34,7 +34,7 @@ def model() -> Model:
     return model_of_cloud(flat_cloud())
 
 
-def verified(model: Model, pieces: Array, kind: TouchKind = "raising", shown: Array | None = None) -> FreeVerdict:
+def verified(model: Model, pieces: Array, kind: TouchKind = "raise", shown: Array | None = None) -> FreeVerdict:
     flat_V = flat_model_V(PAPER)
     volts = flat_V * (1.0 + model.solve(pieces)[1]) * (1.0 + 3e-3 * np.random.default_rng(3).standard_normal(104))
     own = FreeVerifier(flat_V, Noise("N2", 50.0), kind)
@@ -100,7 +100,7 @@ def test_a_hard_touch_has_one_contrast_and_a_press_may_be_gentler(model: Model) 
     assert len(found.likely) == 1
     assert np.array_equal(found.map(), map_of(found.pieces))
     press = np.array([[2, 60.0, 45.0, 16.0, 16.0, 0.0, 0.6, 4.0]])
-    softer = verified(model, press, "lowering")
+    softer = verified(model, press, "lower")
     assert len(softer.likely) == 2
     assert cc(softer.map(), map_of(press)) > cc(map_of(softer.pieces), map_of(press))
 
@@ -145,7 +145,7 @@ def test_touches_of_another_contrast_read_alike(model: Model) -> None:
 def test_two_touches_near_each_other_are_not_one_long_weak_one(model: Model) -> None:
     """A rectangle over both, at a contrast of 2, explains the frame nearly as well; two usual touches do better."""
     true = np.array([[0, 58.0, 50.0, 10.0, 10.0, 0.0, 60.0, 0.0], [0, 78.0, 50.0, 10.0, 10.0, 0.0, 60.0, 0.0]])
-    usual = usual_of("raising", PAPER)
+    usual = usual_of("raise", PAPER)
     change = model.solve(true)[1] + 3e-3 * np.random.default_rng(4).standard_normal(104)
     white = model.whitener(change, model.flat_V, Noise("N2", 50.0))
     frame = Frame(model, white, change, usual, model.expected(model.ratio(change)), 1)

@@ -52,7 +52,7 @@ def of_phantoms(path: str, noise: Kind, seeds: int) -> Iterator[Panel]:
     kinds = dict.fromkeys((one.truth, one.scene.touch_kind) for one in phantoms)
     for labels, touches in kinds:
         group = [one for one in phantoms if (one.truth, one.scene.touch_kind) == (labels, touches)]
-        lower = ", lowering" if touches == "lowering" else ""
+        lower = ", touches lower" if touches == "lower" else ""
         yield Panel(f"{Path(path).stem}, {labels} labels{lower}", labels, touches, _ideal(group, noise, seeds))
 
 
@@ -86,7 +86,7 @@ def of_devices(name: str, kinds: Sequence[str], deformations: int, each: int, pl
         for kind in trials_of(kinds, deformations, each):
             if kind.labels == "units" and any(device.mismatch.alters_touches for _, device in drawn):
                 continue  # the grid's truth has neither soft borders nor other contrasts
-            touches: TouchKind = "lowering" if kind.lowering else "raising"
+            touches: TouchKind = "lower" if kind.lowering else "raise"
             found = [pair for number, device in drawn for pair in _of_device(number, device, kind, plan)]
             yield Panel(f"{row}, {kind.name}", kind.labels, touches, found)
 

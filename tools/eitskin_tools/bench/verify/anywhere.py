@@ -46,9 +46,9 @@ def row(condition: Anywhere, deformations: int, each: int) -> Row:
         allowed.deform(sheet.cloud_mm)
         rng = np.random.default_rng([SEED, number, 2])
         for phantom in own:
-            scene = device.scene(phantom.scene, as_it_is=kind != "raising")
+            scene = device.scene(phantom.scene, as_it_is=kind != "raise")
             noisy = add_noise(volts(scene), flat, condition.noise, 50.0, rng)
-            case = Case(noisy, flat, flat, sheet, "area", kind == "lowering")
+            case = Case(noisy, flat, flat, sheet, "area", kind == "lower")
             truth = truth_map(replace(phantom, scene=replace(phantom.scene, touches=scene.touches)))
             alone, checked = (score(solve(case), truth, labels="area") for solve in (network.solver, verified.solve))
             found.append((told(alone), told(checked), verified.checked[-1]))

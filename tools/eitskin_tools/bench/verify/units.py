@@ -53,7 +53,7 @@ class Units:
         found, grid = [], PAPER.grid
         network = Run(lambda case: self._image, "pre")
         verified = Verified(
-            network, Noise(condition.noise), "units", "raising", PAPER, self._budget_s, at_rest=condition.at_rest
+            network, Noise(condition.noise), "units", "raise", PAPER, self._budget_s, at_rest=condition.at_rest
         )
         for number, bend in enumerate(self._bends):
             device = device_of(condition.mismatch, number)

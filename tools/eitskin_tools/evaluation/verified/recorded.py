@@ -109,7 +109,7 @@ class OfPhysics:
         flat_V = np.where(missing, 0.0, reference.voltages_V)  # a row of 0 V is not looked at
         volts = flat_V * (1.0 + self._rerun.change.astype(np.float64))
         labels: Any = "units" if self._bundle.labels == "units" else "area"
-        case = Case(volts, flat_V, flat_V, sheet, labels, lowering=self._bundle.touch_kind == "lowering")
+        case = Case(volts, flat_V, flat_V, sheet, labels, lowering=self._bundle.touch_kind == "lower")
         self._image = found.map.astype(np.float64)
         try:
             image = self._verified.solve(case)

@@ -102,6 +102,6 @@ class OfSimulation:
         self._normaliser.load(self._view.counts)
         held = self._sheet.predicted() * self._flat_V / flat_voltages(skin)
         labels: Any = "units" if self._bundle.labels == "units" else "area"
-        lowering = self._bundle.touch_kind == "lowering"
+        lowering = self._bundle.touch_kind == "lower"
         case = Case(self._normaliser.voltages(), held, self._flat_V, self._sheet, labels, lowering=lowering)
         return Computed(np.asarray(self._solve(case), dtype=np.float32), True, self._name)

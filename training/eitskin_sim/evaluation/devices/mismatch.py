@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from eitskin_proto.fields import Fields
+from eitskin_proto.files.plain import plain
 from eitskin_proto.files.reading import FileError, read_json
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
@@ -203,7 +204,9 @@ def load_rows(path: str | Path) -> list[Row]:
 
 def _row(given: Fields) -> Row:
     where = given.where
-    name = given.text("name", where)
+    name = given.value("name", where)
+    if not isinstance(name, str) or not name:
+        raise given.wrong("name", "a text")
     values: dict[str, Any] = {}
     for one in fields(Mismatch):
         if given.value(one.name, None) is None:
@@ -220,7 +223,7 @@ def _row(given: Fields) -> Row:
     found = Mismatch(**values)
     touch = Touch((Disc(20.0, 20.0, 20.0),), 50.0, found.contrast, found.border_mm, found.dent_mm)
     check_touch(touch, Sheet(), where)
-    return name, found
+    return plain(name), found
 
 
 def deviations(mismatch: Mismatch) -> dict[str, Any]:

@@ -74,7 +74,7 @@ class FreeVerifier:
         self,
         reference_V: Array,
         noise: Noise,
-        touches: TouchKind = "raising",
+        touches: TouchKind = "raise",
         skin: Skin = PAPER,
         spreads: Spreads | None = None,
         clock: Callable[[], float] = time.perf_counter,

@@ -44,9 +44,9 @@ def usual_of(kind: TouchKind, skin: Skin = PAPER) -> Usual:
     touches = Prior(PLACES, EXPECTED, float(np.exp(middle)), float(np.hypot(spread, 0.1)))
     if kind == "both":
         return Usual(log_contrast=0.0, common_sd=2.0, own_sd=1.5, touches=touches)
-    stated = skin.touches.lowering_contrast if kind == "lowering" else skin.touches.raising_contrast
+    stated = skin.touches.lowering_contrast if kind == "lower" else skin.touches.raising_contrast
     middle, spread = _log_uniform(stated)
-    sign = -1 if kind == "lowering" else 1
+    sign = -1 if kind == "lower" else 1
     return Usual(log_contrast=middle, common_sd=float(np.hypot(spread, BEYOND)), sign=sign, touches=touches)
 
 
