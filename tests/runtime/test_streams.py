@@ -7,10 +7,13 @@ import time
 import numpy as np
 
 import eitskin
+from eitskin.health.imputation import Consistency
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
 from eitskin.messaging.streams.state import SkinState
 from eitskin.model.bundle import load_bundle
-from eitskin.pipeline.maps_again import MapsAgain
+from eitskin.model.geometry import GeometryGraph
+from eitskin.pipeline.frame_pipeline import Pipeline
+from eitskin.pipeline.recorded import RecordedHealth
 from eitskin.reference import captured
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire.answers import Hello
@@ -67,7 +70,9 @@ def again(bundle, items, frames):
     references = {item.reference_sha256: item.reference for item in items if isinstance(item, SkinState)}
     hello = Hello.unpack(next(item for item in items if isinstance(item, SkinState)).hello)
     wire = {item.seq: item for item in items if isinstance(item, WireFrame)}
-    made, maps, seen, now = MapsAgain(bundle, hello.volts_per_count), {}, 0, None
+    arrays = bundle.consistency_arrays()
+    health = None if arrays is None else RecordedHealth(Consistency.of(arrays))
+    made, graph, maps, seen, now = Pipeline(bundle, hello, 10**12, health=health), GeometryGraph(bundle), {}, 0, None
     for item in items:
         if not isinstance(item, WireFrame) or item.frame is None:
             continue
@@ -77,11 +82,17 @@ def again(bundle, items, frames):
             if now is None or found.reference != now.reference:
                 made.use_reference(captured.parsed(references[found.reference], "it", "none"))
             if now is None or found.cloud != now.cloud:
-                made.use_cloud(clouds[found.cloud])
-            made.use_conditions(found)
+                cloud = clouds[found.cloud]
+                given = cloud.cloud if cloud.why == "given" else None
+                made.start_with(graph.geometry(given, cloud.log_predicted, cloud.revision))
+            if health is not None and health.use_conditions(found):
+                made.maps.change_projection(health.projection)
             now = found
         if item.solver != "none" and item.map_seq == item.seq:
-            maps[item.seq, item.solver] = made.map_of(item.payload, item.solver)
+            made.decisions.touched, made.decisions.solver = True, item.solver
+            assert made.load_recorded(item.payload, item.seq)
+            assert made.compute(wanted=True)
+            maps[item.seq, item.solver] = made.maps.map.copy()
         frame = frames.get((item.run, item.frame))
         if frame is None:
             continue  # published before the listener came

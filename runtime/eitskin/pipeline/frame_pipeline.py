@@ -24,6 +24,7 @@ from eitskin.pipeline.held_prediction import HeldPrediction
 from eitskin.pipeline.idle import IdleGate
 from eitskin.pipeline.intake import Intake
 from eitskin.pipeline.map_source import MapSource
+from eitskin.pipeline.recorded import FrameDecisions
 from eitskin.reference.captured import Reference
 from eitskin.reference.normaliser import Normaliser
 from eitskin.reference.row_noise import with_rounding
@@ -50,6 +51,7 @@ class Pipeline:
         skip_unchanged: Whether a touched frame keeps the map of an earlier one if only noise lies between them.
         health: Watches over electrodes and drift; None where the bundle cannot.
         idle_gate: Judges frames of a few drives; without one they are withheld.
+        decisions: Filled in before each frame where frames are computed again as a recording says; None decides now.
         skin: The one in use, if it is known better than when the bundle was made; None for the bundle's.
 
     Raises:
@@ -68,6 +70,7 @@ class Pipeline:
         skip_unchanged: bool = False,
         health: Health | None = None,
         idle_gate: IdleGate | None = None,
+        decisions: FrameDecisions | None = None,
         skin: SkinDescription | None = None,
     ) -> None:
         self.skin = bundle.skin if skin is None else skin
@@ -78,6 +81,8 @@ class Pipeline:
         self.audit = GateAudit(audit_pixels(arrays, grid.n_pixels), grid.n_pixels)
         self.health = health
         self.idle_gate = idle_gate
+        self.decisions = FrameDecisions() if decisions is None else decisions
+        """Of the frame to come, as far as they are given."""
         self.buffers = Buffers(bundle, None if self.gate is None else self.gate.change)
         self._prediction = HeldPrediction(self.buffers, fills=health is not None)
         self._change = self.buffers.change[0]
@@ -159,6 +164,22 @@ class Pipeline:
         record.stamps[DECODE] = time.perf_counter_ns()
         return True
 
+    def load_recorded(self, payload: bytes, sequence: int) -> bool:
+        """Take a frame that was accepted when it was measured, and return whether it is a whole scan.
+
+        Args:
+            payload: Of a FRAME message.
+            sequence: Its number, unwrapped.
+
+        Raises:
+            ProtocolError: It is no FRAME.
+        """
+        if not self.intake.load(payload):
+            return False
+        self.record.sequence, self.record.events = sequence, ()
+        self.normaliser.load(self.intake.counts)
+        return True
+
     def compute(self, wanted: bool) -> bool:
         """Normalise, judge and infer the accepted frame, and return whether it is fit to publish.
 
@@ -180,21 +201,24 @@ class Pipeline:
             health.prepare(self._change)
             record.events += health.take_events()
         stamps[NORMALISE] = time.perf_counter_ns()
-        record.touched, gate = True, self.gate  # without a gate every frame is computed
+        decided, gate = self.decisions, self.gate
+        record.touched = True  # without a gate every frame is computed
         if gate is not None:
             record.touched, record.gate_logit = gate.touched(), gate.logit
+        if decided.touched is not None:
+            record.touched = decided.touched
         if health is not None:
             health.complete(self._change, self.buffers.log_predicted[0])
         stamps[GATE] = time.perf_counter_ns()
-        if not record.touched and wanted and self.audit.looks(health) and self._look():
+        if not record.touched and wanted and self._infers_untouched() and self._look():
             record.touched = True
             record.skipped = () if fresh_cloud else CLOUD_UNCHANGED
         elif not record.touched or not wanted:
             self.maps.leave()
             record.skipped = NO_SUBSCRIBER if record.touched else LOOKED if record.inferred else UNTOUCHED
-        elif self.maps.keep():
+        elif self.maps.keep(decided.keeps_map):
             record.skipped = UNCHANGED
-        elif not self.maps.infer():
+        elif not self.maps.infer(decided.solver):
             return self.intake.give_up("implausible")
         else:
             record.skipped = () if fresh_cloud else CLOUD_UNCHANGED
@@ -237,6 +261,11 @@ class Pipeline:
         self.record.cloud_sequence = self.record.sequence
         self.record.events += ("cloud",)
         return True
+
+    def _infers_untouched(self) -> bool:
+        """Return whether the map of this untouched frame is to be computed all the same; asked once for each."""
+        found, decided = self.audit.looks(self.health), self.decisions.inferred_untouched
+        return found if decided is None else decided
 
     def _look(self) -> bool:
         """Infer a frame that the gate calls untouched, and return whether its map shows a strong touch all the same."""

@@ -148,6 +148,15 @@ class Intake:
         record.stamps[READ] = read_ns
         return True
 
+    def load(self, payload: bytes) -> bool:
+        """Decode a frame without judging or counting it, and return whether all drives were scanned.
+
+        Raises:
+            ProtocolError: It is no FRAME.
+        """
+        self._view.load(payload)
+        return self._view.drives == ALL_DRIVES
+
     def _counted(self) -> Step:
         """Count the frame in hand, and let the next published one say what it shows: a reset, or lost frames."""
         step = self.counter.step(self._view.sequence, self._view.device_us)

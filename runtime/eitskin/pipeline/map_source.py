@@ -46,7 +46,7 @@ class MapSource:
     """
 
     __slots__ = (
-        "_change", "_held", "_held_sequence", "_record", "budget", "engine_ns", "engines", "map",
+        "_change", "_held", "_held_sequence", "_named", "_record", "budget", "engine_ns", "engines", "map",
         "stillness",
     )  # fmt: skip
 
@@ -65,6 +65,7 @@ class MapSource:
         self.map = buffers.map[0]
         """(pixels,) what was computed last."""
         self.engines: list[Engine] = engines(bundle, buffers, best=solver, alone=budget_ns is None)
+        self._named = {engine.name: engine for engine in self.engines}
         self.stillness = Stillness() if skip_unchanged else None
         """Judges whether only noise lies between two frames; None where no map is kept."""
         self._held = ""
@@ -137,10 +138,14 @@ class MapSource:
         if self.stillness is not None:
             self.stillness.use(voltages_V, spread_V, frames, step_V)
 
-    def infer(self) -> bool:
-        """Compute the map of the frame in hand, and return whether it is finite."""
+    def infer(self, solver: str | None = None) -> bool:
+        """Compute the map of the frame in hand, and return whether it is finite.
+
+        Args:
+            solver: Name of the engine; None for the one that the budget allows.
+        """
         record = self._record
-        engine = self.engines[self.budget.engine]
+        engine = self.engines[self.budget.engine] if solver is None else self._named[solver]
         engine.infer()
         self._held = ""
         if not math.isfinite(self.map.dot(self.map)):
@@ -152,12 +157,17 @@ class MapSource:
             self.stillness.keep(self._change)
         return True
 
-    def keep(self) -> bool:
-        """Let the frame in hand have the map that is held, and return True, if nothing but noise changed since."""
+    def keep(self, decided: bool | None = None) -> bool:
+        """Let the frame in hand have the map that is held, and return True, if nothing but noise changed since.
+
+        Args:
+            decided: Whether nothing but noise changed, where that was decided before; None judges it now.
+        """
         stillness = self.stillness
         if stillness is None or self._held != self.engines[self.budget.engine].name:
             return False
-        if not stillness.still(self._change):
+        still = stillness.still(self._change)
+        if not (still if decided is None else decided):
             return False
         self._record.solver, self._record.map_sequence = self._held, self._held_sequence
         return True

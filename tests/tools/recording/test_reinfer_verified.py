@@ -9,14 +9,13 @@ import pytest
 
 from eitskin import WireFrame
 from eitskin.model.bundle import load_bundle
-from eitskin.pipeline.maps_again import MapsAgain
 from eitskin_sim.verification.snapped_units import UnitVerdict
 from eitskin_tools import cli
 from eitskin_tools.evaluation.verified import recorded as module
 from eitskin_tools.evaluation.verified.recorded import OfPhysics
 from eitskin_tools.evaluation.verified.resting import FRAMES
 from eitskin_tools.evaluation.verified.solver import Checked, Verified
-from eitskin_tools.recording.reinfer.rerun import Computed
+from eitskin_tools.recording.reinfer.rerun import Computed, Rerun
 from eitskin_tools.recording.reinfer.results import write
 from eitskin_tools.recording.reinfer.session import reinfer
 from eitskin_tools.recording.script import Script, Step
@@ -211,8 +210,7 @@ def test_the_real_verifier_explains_a_touch_of_a_real_sheet(tmp_path: Path, monk
     monkeypatch.setattr(conftest, "scans", scans)
     recorded(tmp_path / "a.mcap", measured(6))
     image = map_of(piece).astype(np.float32)
-    own = MapsAgain.map_of
-    monkeypatch.setattr(MapsAgain, "map_of", lambda *words: own(*words) * 0.0 + image)
+    monkeypatch.setattr(Rerun, "_map", lambda self: image)
     script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
     found = reinfer(script, bundle, OfPhysics(script, bundle), keep=10)
     fields = found.fields()["verified"]

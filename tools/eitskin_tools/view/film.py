@@ -1,6 +1,6 @@
 """A recording in parts of a second, each made when a page asks for it: surfaces and frames as a live page gets them.
 
-Maps are computed from what was measured, by the sums that made them then (:mod:`eitskin.pipeline.maps_again`), so a
+Maps are computed from what was measured, by the runtime's own pipeline, so a
 recording without maps is looked at as well as one with them, and with another bundle too. Where only noise had changed,
 and the frame whose map stood lies before the part, its own map is computed. Touches are found anew; their numbers go on
 from part to part while a page plays on, and begin anew where it jumped.
@@ -23,7 +23,6 @@ from eitskin.messaging.frame import COUNTS, MAX_TEXT, MAX_TEXTS, STAGES, Frame
 from eitskin.messaging.streams.measured import WireFrame
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import default_solver
-from eitskin.pipeline.maps_again import NOTHING
 from eitskin.robot.pose import Pose
 from eitskin.touches.surface import Surface
 from eitskin.touches.touch import LAYOUT, unpack_touches
@@ -33,7 +32,7 @@ from eitskin_tools.recording.bundles import bundle_of
 from eitskin_tools.recording.codec import unpack_json
 from eitskin_tools.recording.layout import FRAME, WIRE, RecordingError
 from eitskin_tools.recording.reader import Entry, Recording
-from eitskin_tools.recording.reinfer.rerun import Computed, Rerun
+from eitskin_tools.recording.reinfer.rerun import NOTHING, Computed, Rerun
 from eitskin_tools.recording.script import Step
 from eitskin_tools.recording.seek.moments import Moments
 from eitskin_tools.recording.told import Told

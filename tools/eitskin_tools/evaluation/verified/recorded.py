@@ -12,14 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.model.bundle import Bundle
-from eitskin.pipeline.maps_again import NOTHING
 from eitskin.reference.captured import Reference
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.evaluation.harness import Case, Run, Sheet
 from eitskin_tools.evaluation.verified.resting import FRAMES, Resting
 from eitskin_tools.evaluation.verified.solver import Verified, noise_shown
 from eitskin_tools.recording.bundles import reference_of
-from eitskin_tools.recording.reinfer.rerun import Computed, Rerun
+from eitskin_tools.recording.reinfer.rerun import NOTHING, Computed, Rerun
 from eitskin_tools.recording.reinfer.verdicts import Judged, Verdicts
 from eitskin_tools.recording.script import Script, Step
 

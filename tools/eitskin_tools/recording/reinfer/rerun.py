@@ -1,25 +1,35 @@
-"""Recorded frames to maps once more, by the runtime's own sums: no line, no socket, no clock.
+"""Recorded frames to maps once more, by the runtime's own pipeline: no line, no socket, no clock.
 
-Every frame is held against the reference, computed with the cloud and under the conditions that held when it came
-(:mod:`eitskin.pipeline.maps_again`). With the bundle that was running, what was touched and which solver made each map
-is taken from the recording, and the maps come out bit by bit as they were published. Another bundle judges by its own
-gate.
+Every frame is held against the reference, computed with the cloud and under the conditions that held when it came. With
+the bundle that was running the pipeline takes its decisions from the recording (:mod:`eitskin.pipeline.recorded`), and
+the maps come out bit by bit as they were published. Another bundle judges by its own gate.
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.errors import MismatchError
+from eitskin.health.imputation import Consistency
+from eitskin.messaging.regions import whole
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import default_solver
-from eitskin.pipeline.maps_again import NOTHING, MapsAgain
-from eitskin_proto.wire.frames import FrameView
-from eitskin_proto.wire.scan_rows import ALL_DRIVES
+from eitskin.model.engine import SMALLEST_MAP, default_solver
+from eitskin.model.geometry import GeometryGraph
+from eitskin.pipeline.frame_pipeline import Pipeline
+from eitskin.pipeline.map_source import PROJECTION
+from eitskin.pipeline.recorded import RecordedHealth
 from eitskin_tools.recording.bundles import reference_of
 from eitskin_tools.recording.reinfer.verdicts import Judged
 from eitskin_tools.recording.script import Step
 from eitskin_tools.recording.told import Told
+
+NOTHING: Final = "none"
+"""The solver of a map that is 0."""
+
+ALL_SOLVERS_NS: Final = 1 << 62
+"""A latency budget that every solver meets: with one, the pipeline has all solvers of the bundle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,23 +67,35 @@ class Rerun:
         self.as_recorded = bundle.id == script.told("bundle")
         """The bundle is the one that was running."""
         self.bundle_id = bundle.id
-        self._again = MapsAgain(bundle, script.hello.volts_per_count)
-        if solver is not None and solver not in self._again.solvers:
-            raise ValueError(f"solver {solver!r} does not exist; {bundle.path} has {', '.join(self._again.solvers)}")
+        arrays = bundle.consistency_arrays()
+        self._health = None if arrays is None else RecordedHealth(Consistency.of(arrays))
+        self._pipeline = Pipeline(bundle, script.hello, ALL_SOLVERS_NS, health=self._health)
+        self._graph = GeometryGraph(bundle)
+        self._pipeline.start_with(self._graph.geometry(None, None, 0))
+        self._solvers = {NOTHING, *(engine.name for engine in self._pipeline.engines)}
+        if solver is not None:
+            self._check(solver)
         self._solver = solver if solver is not None or self.as_recorded else default_solver(bundle)
         self._nothing = np.zeros(bundle.skin.grid.shape, dtype=np.float32)
-        self._view = FrameView()
+        self._whole = whole(bundle.skin.grid.shape)
+        self._regions = self._whole
         self._ready = False
+
+    def _check(self, solver: str) -> None:
+        if solver not in self._solvers:
+            names = ", ".join(engine.name for engine in self._pipeline.engines)
+            raise ValueError(f"solver {solver!r} does not exist; {self._bundle.path} has {names}")
 
     @property
     def change(self) -> npt.NDArray[np.float32]:
         """(104,) dV of the frame whose map came last, as its solver saw it; valid until the next one."""
-        return self._again.change
+        return np.asarray(self._pipeline.buffers.change[0])
 
     @property
     def missing(self) -> npt.NDArray[np.bool_]:
         """(104,) which of its rows were filled in from the others."""
-        return self._again.missing
+        nothing = np.zeros(self._pipeline.buffers.change.size, dtype=np.bool_)
+        return nothing if self._health is None else self._health.electrodes.missing
 
     def compute(self, step: Step, *, every: bool = True) -> Computed | None:
         """Compute a frame; None where the recording does not say what it is held against, or it was withheld.
@@ -86,30 +108,53 @@ class Rerun:
             SkinError: Reference or cloud cannot be used with this bundle.
         """
         self._change(step)
-        frame = step.frame
-        if not self._ready or not step.known or frame.withheld:
+        frame, pipeline = step.frame, self._pipeline
+        record, decided = pipeline.record, pipeline.decisions
+        if not self._ready or not step.known or frame.withheld or frame.seq is None:
             return None
-        self._view.load(frame.payload)
-        if self._view.drives != ALL_DRIVES:  # of the idle mode: there is no map
+        if not pipeline.load_recorded(frame.payload, frame.seq):  # of the idle mode: there is no map
             return Computed(self._nothing, frame.touched, NOTHING)
-        logit = self._again.logit_of(frame.payload)
-        touched = frame.touched if self.as_recorded or self._again.touched is None else self._again.touched
-        if not touched:
-            return Computed(self._nothing, False, NOTHING, logit)
-        solver = self._solver or frame.solver
-        if solver == NOTHING:  # touched, but nobody asked
-            return Computed(self._nothing, True, NOTHING, logit)
-        if not every and frame.map_seq != frame.seq:
-            return Computed(self._nothing, True, solver, logit)
-        found = self._again.map_of(frame.payload, solver)
-        return Computed(found, True, solver, logit, is_whole=self._again.is_whole)
+        decided.touched = frame.touched if self.as_recorded or pipeline.gate is None else None
+        decided.inferred_untouched = decided.keeps_map = False
+        decided.solver = self._solver or frame.solver
+        self._check(decided.solver)
+        wanted = decided.solver != NOTHING and (every or frame.map_seq == frame.seq)  # else nobody asked for the map
+        if not pipeline.compute(wanted):
+            return Computed(self._nothing, False, NOTHING)
+        logit = None if pipeline.gate is None else record.gate_logit
+        if not record.touched or decided.solver == NOTHING:
+            return Computed(self._nothing, record.touched, NOTHING, logit)
+        found = self._map() if wanted else self._nothing
+        return Computed(found, True, decided.solver, logit, is_whole=self._regions == self._whole)
+
+    def _map(self) -> npt.NDArray[np.float32]:
+        """Return a copy of the map of the frame in hand, as far as the runtime computed it then."""
+        values: npt.NDArray[np.float32] = self._pipeline.buffers.map[0].reshape(self._nothing.shape)
+        if self._regions == self._whole:
+            return np.array(values)
+        kept = np.zeros_like(values)
+        for region in self._regions:
+            kept[region.slices] = values[region.slices]
+        largest = float(kept.max())
+        scaled = self._pipeline.record.solver == PROJECTION and largest > SMALLEST_MAP
+        return np.divide(kept, np.float32(largest)) if scaled else kept
 
     def _change(self, step: Step) -> None:
-        """Let hold what holds from this frame on."""
+        """Use what changed before a frame."""
+        pipeline = self._pipeline
         if step.reference is not None:
-            self._again.use_reference(reference_of(self._script, step.reference, self._bundle.skin))
+            pipeline.use_reference(reference_of(self._script, step.reference, self._bundle.skin))
             self._ready = True
-        if step.cloud is not None:
-            self._again.use_cloud(step.cloud)
-        if step.conditions is not None:
-            self._again.use_conditions(step.conditions)
+        if (cloud := step.cloud) is not None:
+            if cloud.cloud.shape != (expected := self._bundle.skin.grid.cloud_shape):
+                hint = "name a bundle of the skin that was recorded"
+                raise MismatchError("cloud: shape", found=cloud.cloud.shape, expected=expected, hint=hint)
+            given = cloud.cloud if cloud.why == "given" else None
+            pipeline.start_with(self._graph.geometry(given, cloud.log_predicted, cloud.revision))
+        if (conditions := step.conditions) is not None:
+            pipeline.normaliser.use_scale(conditions.volts_per_count)
+            self._regions = conditions.regions
+            if self._health is not None and self._health.use_conditions(conditions):
+                pipeline.maps.change_projection(self._health.projection)
+            if self.as_recorded and pipeline.gate is not None and conditions.gate_threshold is not None:
+                pipeline.gate.threshold = conditions.gate_threshold

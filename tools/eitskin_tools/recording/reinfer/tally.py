@@ -13,9 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.messaging.streams.measured import WireFrame
-from eitskin.pipeline.maps_again import NOTHING
 from eitskin_tools.recording.codec import digest_of
-from eitskin_tools.recording.reinfer.rerun import Computed
+from eitskin_tools.recording.reinfer.rerun import NOTHING, Computed
 
 REMEMBERED: Final = 256
 """Digests of maps that a later frame may have been published with: a map is made anew every 100 frames at least."""

@@ -2,28 +2,42 @@
 
 The bundle, the reference and the solver are those of the recording unless others are named. Each cloud is taken before
 the frame that met it first, and a reference that was captured anew takes effect where it did. Electrodes that were
-excluded by hand are. What else is wrong with electrodes, drift and the gate's threshold are those of the recording too
-(:mod:`eitskin_tools.recording.replay.health`), and so is what hung on the frames before, touched or not, a map that was
-kept (:mod:`eitskin_tools.recording.replay.judged`); with another bundle the runtime finds all that out by itself.
+excluded by hand are. Other failed electrodes, drift and the gate's threshold are those of the recording too, and so is
+what was decided of each frame by the frames before it (:mod:`eitskin.pipeline.recorded`); with another bundle the
+runtime finds all that out by itself.
 """
 
+import math
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Any, Final
 
 from eitskin.health.imputation import Consistency
 from eitskin.messaging.streams.measured import Conditions
 from eitskin.model.engine import solvers
+from eitskin.pipeline.recorded import Distance, RecordedHealth
 from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
 from eitskin_proto.errors import SkinError
 from eitskin_tools.recording.bundles import bundle_of, reference_of
-from eitskin_tools.recording.layout import RecordingError
-from eitskin_tools.recording.replay.health import HealthThen, Noted
-from eitskin_tools.recording.replay.judged import JudgedThen
+from eitskin_tools.recording.codec import unpack_json
+from eitskin_tools.recording.layout import FRAME, RecordingError
 from eitskin_tools.recording.replay.line import RecordedLine
 from eitskin_tools.recording.script import Script, Step
+
+OF_HEALTH: Final = ("electrode", "drift")
+"""What events of electrodes and drift begin with."""
+
+OVERRULED: Final = "gate_overruled"
+"""The event of a frame whose map showed a touch that the gate did not see."""
+
+UNKNOWN: Final = (math.nan, math.nan, math.nan)
+
+LARGEST: Final = 10**6
+"""Percent; beyond it, and where it is no number, a distance is unknown."""
 
 NEVER_S = 1e8
 """The recording says when the device idles, nobody asks it to."""
@@ -76,16 +90,16 @@ class Player:
         assert first.conditions is not None
         assert first.reference is not None
         began, reference = first.conditions, reference_of(script, first.reference, loaded.skin)
-        self._noted: Noted | None = None
+        self._notes: PublishedNotes | None = None
 
         def steps() -> Iterator[Step]:
-            self._noted = Noted(script, manner.from_s) if same else None
+            self._notes = PublishedNotes(script, manner.from_s) if same else None
             return islice(script.steps(manner.from_s, manner.to_s), left_out, None)
 
         same = loaded.id == script.told("bundle")
         arrays = loaded.consistency_arrays() if same else None
         exclude = tuple(one for one, state, _ in began.electrodes if state == "excluded")
-        self._health = None if arrays is None else HealthThen(Consistency.of(arrays), exclude)
+        self._health = None if arrays is None else RecordedHealth(Consistency.of(arrays), exclude)
 
         self.line = RecordedLine(
             str(script.path), script.hello, steps, paced=manner.paced, loop=manner.loop, speed=manner.speed
@@ -102,14 +116,13 @@ class Player:
         self._reference = began.reference
         if self._health is not None:
             self.skin.pipeline.health = self._health
-        self._judged = JudgedThen(self.skin.pipeline) if same else None
         self._use(reference)
         self.line.before = self._before
         self.line.ended = self.skin.stop
 
     def _before(self, step: Step) -> None:
         """Let hold what holds from a frame on."""
-        self._tell(step)
+        self._decide(step)
         if step.conditions is None:
             return
         self.skin.loop.source.afterwards.do()  # streams tell of the frame before, by what held for it
@@ -136,20 +149,22 @@ class Player:
         self.skin.loop.use(reference)
         self._held_against = self.skin.loop.reference
 
-    def _tell(self, step: Step) -> None:
-        """Say of a frame what was found of it then."""
-        if self._noted is None:
+    def _decide(self, step: Step) -> None:
+        """Give the pipeline what was decided of a frame, as far as it still holds."""
+        if self._notes is None:
             return
-        noted = self._noted.of(step)
+        notes, frame = self._notes.of(step), step.frame
         if self._health is not None:
-            self._health.tell(noted.of_health, noted.distance)
-        if self._judged is None:
-            return
+            self._health.report(notes.of_health, notes.distance)
+        decided = self.skin.pipeline.decisions
         by_hand = self._health is not None and self._health.by_hand is not None
-        if by_hand or self.skin.loop.reference is not self._held_against:
-            self._judged.judge()
-        else:
-            self._judged.go_on_with(step.frame, noted.events, noted.skipped)
+        if by_hand or self.skin.loop.reference is not self._held_against or frame.withheld or frame.seq is None:
+            decided.clear()
+            return
+        overruled = OVERRULED in notes.events
+        decided.touched = frame.touched and not overruled
+        decided.inferred_untouched = overruled or "map:untouched" in notes.skipped
+        decided.keeps_map = None if frame.map_seq is None or frame.solver == "none" else frame.map_seq != frame.seq
 
     def _use_conditions(self, conditions: Conditions) -> None:
         pipeline = self.skin.pipeline
@@ -157,7 +172,7 @@ class Player:
             pipeline.normaliser.use_scale(conditions.volts_per_count)
         if self._health is None:
             return
-        if self._health.go_on_with(conditions):
+        if self._health.use_conditions(conditions):
             pipeline.maps.change_projection(self._health.projection)
         threshold = conditions.gate_threshold
         if pipeline.gate is not None and threshold is not None and self._health.by_hand is None:
@@ -190,3 +205,93 @@ def _first_known(script: Script, manner: Manner) -> tuple[Step, int]:
 def _idles(script: Script) -> bool:
     """Whether the device idled at times."""
     return any(status.get("mode_changes") for state in script.states if isinstance(status := state.get("status"), dict))
+
+
+@dataclass(frozen=True, slots=True)
+class FrameNotes:
+    """What is noted of a frame."""
+
+    events: tuple[str, ...]
+    """At it: all of them where what was published was recorded, else what the states told."""
+    skipped: tuple[str, ...]
+    """What was left out for it; empty where what was published was not recorded."""
+    distance: Distance
+    """How far the sheet was from its reference."""
+
+    @property
+    def of_health(self) -> tuple[str, ...]:
+        """Events of electrodes and drift."""
+        return tuple(text for text in self.events if text.startswith(OF_HEALTH))
+
+
+class PublishedNotes:
+    """What a recording says of drift, and of what happened and was left out, frame by frame in their order.
+
+    By what was published of each frame, exactly; where that was not recorded, by the states, of which one came a
+    second, rounded as they are.
+
+    Args:
+        script: The recording.
+        from_s: Begin so long after its first frame.
+    """
+
+    def __init__(self, script: Script, from_s: float | None) -> None:
+        begin_ns = script.first_ns + int((from_s or 0.0) * 1e9)
+        self._notes = _notes(script, begin_ns)
+        self._note = next(self._notes, None)
+        offset_ns = script.recording.wall_minus_host_ns
+        made = ((state.get("made_ns"), state) for state in script.states)
+        self._states = [(at + offset_ns, _drift_of(state)) for at, state in made if isinstance(at, int)]
+        self._events: dict[int, tuple[str, ...]] = {}
+        for state in script.states:
+            events = state.get("events")
+            for event in events if isinstance(events, list) else ():
+                match event:
+                    case [int(sequence), str(text)]:
+                        self._events[sequence] = (*self._events.get(sequence, ()), text)
+
+    def of(self, step: Step) -> FrameNotes:
+        """Return what is noted of a frame."""
+        frame, skipped = step.frame, tuple[str, ...]()
+        events = self._events.get(-1 if frame.seq is None else frame.seq, ())
+        distance = self._distance_at(step.log_ns)
+        if frame.frame is not None:
+            while self._note is not None and self._note["number"] < frame.frame:
+                self._note = next(self._notes, None)
+            if (note := self._note) is not None and note["number"] == frame.frame:
+                events, skipped = _texts(note.get("events")), _texts(note.get("skipped"))
+                distance = _numbers(note.get(name) for name in ("drift", "drift_sd", "drift_uneven"))
+        return FrameNotes(events, skipped, distance)
+
+    def _distance_at(self, log_ns: int) -> Distance:
+        index = bisect_right(self._states, log_ns, key=lambda one: one[0])
+        return self._states[max(index - 1, 0)][1] if self._states else UNKNOWN
+
+
+def _notes(script: Script, begin_ns: int) -> Iterator[dict[str, Any]]:
+    for entry in script.recording.entries({FRAME.topic}, begin_ns):
+        try:
+            note = unpack_json(entry.data)
+        except RecordingError:
+            continue
+        if isinstance(note.get("number"), int):
+            yield note
+
+
+def _texts(values: Any) -> tuple[str, ...]:
+    return tuple(text for text in values if isinstance(text, str)) if isinstance(values, list | tuple) else ()
+
+
+def _drift_of(state: dict[str, Any]) -> Distance:
+    status = state.get("status")
+    drift = status.get("drift") if isinstance(status, dict) else None
+    if not isinstance(drift, dict):
+        return UNKNOWN
+    return _numbers(drift.get(name) for name in ("percent", "sd_percent", "uneven_percent"))
+
+
+def _numbers(values: Iterator[Any]) -> Distance:
+    one, two, three = (
+        float(value) if isinstance(value, int | float) and abs(value) <= LARGEST else math.nan for value in values
+    )
+    return one, two, three

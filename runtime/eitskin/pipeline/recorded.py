@@ -1,0 +1,102 @@
+"""What a recording says was decided of its frames, so that the pipeline decides the same when it computes them again.
+
+The pipeline decides by the frames before: the gate holds a frame against the untouched ones, one untouched frame in 50
+is inferred all the same, a map is kept while only noise changes, electrodes and drift are found over many frames. A
+part of a recording lacks those frames. So each decision can be given to the pipeline (:class:`FrameDecisions`), and
+electrodes and drift are taken from the recorded conditions (:class:`RecordedHealth`).
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.health.explanation import Finding
+from eitskin.health.imputation import Consistency
+from eitskin.health.monitor import Health
+from eitskin.messaging.streams.measured import Conditions
+
+Distance = tuple[float, float, float]
+"""Of a reference in percent: alike in all rows, its standard deviation, uneven; not a number while unknown."""
+
+
+@dataclass(slots=True)
+class FrameDecisions:
+    """What was decided of the frame to come; None where the pipeline decides."""
+
+    touched: bool | None = None
+    """The gate calls it touched."""
+    inferred_untouched: bool | None = None
+    """Its map is computed although the gate calls it untouched."""
+    keeps_map: bool | None = None
+    """It has the map of an earlier frame."""
+    solver: str | None = None
+    """Name of the engine that computes its map."""
+
+    def clear(self) -> None:
+        """Let the pipeline decide everything of the frame to come."""
+        self.touched = self.inferred_untouched = self.keeps_map = self.solver = None
+
+
+class RecordedHealth(Health):
+    """Takes electrodes and drift from recorded conditions, and looks at no frame.
+
+    Electrodes may still be excluded by hand, by a program that asks for it: those replace the recorded ones.
+
+    Args:
+        consistency: Of the bundle.
+        exclude: Electrodes left out by hand.
+    """
+
+    def __init__(self, consistency: Consistency, exclude: tuple[int, ...] = ()) -> None:
+        super().__init__(consistency, exclude=exclude)
+        self.by_hand: tuple[int, ...] | None = None
+        """Electrodes that a program asked to exclude; None while none did."""
+
+    def use(self, *arguments: Any, **keywords: Any) -> None:
+        """Hold frames against another reference from now on."""
+        super().use(*arguments, **keywords)
+        if self.gate_without_rows is not None:
+            self.gate_without_rows.finish()  # nothing is done while the line rests
+
+    def put_aside(self, counts: npt.NDArray[np.int32] | None = None, *, touched: bool) -> bool:
+        """Keep nothing of the frame, and return whether a program wants electrodes excluded."""
+        return self.due
+
+    @property
+    def due(self) -> bool:
+        """Whether a program wants electrodes excluded."""
+        return self._wanted is not None
+
+    def look(self, predicted: npt.NDArray[np.float32]) -> bool:
+        """Exclude the electrodes that a program named, and return whether other rows are missing from now on."""
+        if (wanted := self._wanted) is not None:
+            self.by_hand = tuple(sorted(set(wanted)))
+        changed = super().look(predicted)
+        if changed and self.gate_without_rows is not None:
+            self.gate_without_rows.finish()
+        return changed
+
+    def use_conditions(self, conditions: Conditions) -> bool:
+        """Use recorded drift and electrodes from the next frame on, and return whether other rows are missing."""
+        self.drift.go_on_with(conditions.drift)
+        findings = tuple(Finding(*finding) for finding in conditions.electrodes)
+        if (by_hand := self.by_hand) is not None:
+            recorded = (one for one in findings if one.state != "excluded" and one.electrode not in by_hand)
+            both = (*recorded, *(Finding(electrode, "excluded") for electrode in by_hand))
+            findings = tuple(sorted(both, key=lambda one: one.electrode))
+        if findings == self.electrodes.findings:
+            return False
+        self.electrodes.go_on_with(findings)
+        self._rows_before = self.electrodes.missing
+        if self.gate_without_rows is not None:
+            self.gate_without_rows.leave_out(self.electrodes.missing)
+            if by_hand is not None:
+                self.gate_without_rows.finish()  # the recorded threshold is that of other rows
+        return True
+
+    def report(self, events: tuple[str, ...], distance: Distance) -> None:
+        """Put recorded events and drift into the next frame."""
+        self._tell(events)
+        self.drift.distance = distance
