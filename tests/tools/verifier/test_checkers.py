@@ -15,8 +15,7 @@ from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.sheet.model import model_of_cloud
 from eitskin_tools.verifier.checkers import CannotVerifyError, Checker
 from eitskin_tools.verifier.child import Place, VerifierProcess
-from eitskin_tools.verifier.letters import LARGEST_ANSWER, STATE, FrameLetter, RestLetter, Setup, answered, frame_letter
-from eitskin_tools.verifier.mailbox import FRAME, SETUP
+from eitskin_tools.verifier.letters import LARGEST_PACKET, STATE, FrameLetter, RestLetter, Setup, unpack
 
 pytestmark = [pytest.mark.slow, pytest.mark.heavy]
 
@@ -59,7 +58,7 @@ def units(model):
 
 
 def letter(change, values, missing=NOTHING, setup=1):
-    return frame_letter(setup, 9, 1000, 5, 6, 4, missing, change, values)
+    return FrameLetter(setup, 9, 1000, 5, 6, 4, missing, change, values)
 
 
 def test_units_that_a_network_shows_beside_their_place_are_found_and_placed_on_the_surface(units):
@@ -67,7 +66,7 @@ def test_units_that_a_network_shows_beside_their_place_are_found_and_placed_on_t
     checker = Checker(setup)
     for missing in (NOTHING, rows_of_electrodes((3,))):
         (chi_squared, degrees, p_value, flagged), touches, why = checker.check(
-            FrameLetter.of(letter(np.where(missing, 9.0, change).astype("f4"), values, missing))
+            letter(np.where(missing, 9.0, change).astype("f4"), values, missing)
         )
         assert [one.unit for one in touches] == TOUCHED
         assert (degrees, flagged, why) == (int((~missing).sum()) - 2, False, "")
@@ -82,7 +81,7 @@ def test_units_that_a_network_shows_beside_their_place_are_found_and_placed_on_t
         assert first.strength_mm2 == pytest.approx(first.area_mm2 * np.log(first.contrast))
     dense = np.asarray(PAPER.grid.map_from_units((np.arange(126) < 7).astype(float)), dtype="f4").ravel()
     with pytest.raises(CannotVerifyError, match="7 units are shown, and at most 6 are verified"):
-        checker.check(FrameLetter.of(letter(change, dense)))
+        checker.check(letter(change, dense))
 
 
 def test_shapes_are_found_with_their_errors_and_without_rows_that_are_missing(model):
@@ -92,7 +91,7 @@ def test_shapes_are_found_with_their_errors_and_without_rows_that_are_missing(mo
     checker = Checker(setup_of(PAPER, "area", 1e-3 * model.flat_V))
     for missing in (NOTHING, rows_of_electrodes((3,))):
         read = np.where(missing, 9.0, change).astype("f4")
-        (_, degrees, p_value, flagged), (touch,), why = checker.check(FrameLetter.of(letter(read, values, missing)))
+        (_, degrees, p_value, flagged), (touch,), why = checker.check(letter(read, values, missing))
         assert (touch.shape, touch.unit, flagged, why) == ("rectangle", None, False, "")
         assert degrees < int((~missing).sum())
         assert touch.area_range_mm2[0] < touch.area_mm2 < touch.area_range_mm2[1]
@@ -103,7 +102,7 @@ def test_shapes_are_found_with_their_errors_and_without_rows_that_are_missing(mo
         assert touch.place_mm[2] == pytest.approx(7.0, abs=1e-3)
         assert 0.0 < max(touch.centre_error_mm) < 2.0
     nothing = np.zeros_like(change).astype("f4")
-    (_, _, p_value, flagged), _, why = checker.check(FrameLetter.of(letter(nothing, np.zeros_like(values))))
+    (_, _, p_value, flagged), _, why = checker.check(letter(nothing, np.zeros_like(values)))
     assert (flagged, why) == (False, "")
     assert p_value > 1e-3
 
@@ -120,19 +119,18 @@ def test_a_sheet_seen_at_rest_is_known_and_one_that_is_not_its_scans_is_said(mod
 def test_the_process_refuses_another_skin_and_answers_frames_of_the_next(units):
     setup, change, values = units
     found = []
-    with VerifierProcess(Place()) as keeper:
-        keeper.mailbox.put(SETUP, dataclasses.replace(setup, skin_digest="0123456789abcdef").packed())
-        keeper.ring()
+    with VerifierProcess(Place()) as process:
+        while process.line is None:
+            time.sleep(0.01)
+        process.line.send(dataclasses.replace(setup, skin_digest="0123456789abcdef").packed(1))
 
         def until(condition):
             end = time.monotonic() + PATIENCE_S
             while True:
                 assert time.monotonic() < end, found
                 time.sleep(0.01)
-                if keeper.answers is None:
-                    continue
                 try:
-                    found.append(answered(keeper.answers.recv(LARGEST_ANSWER)))
+                    found.append(unpack(process.line.recv(LARGEST_PACKET)))
                 except BlockingIOError:
                     continue
                 if condition(found[-1]):
@@ -140,12 +138,11 @@ def test_the_process_refuses_another_skin_and_answers_frames_of_the_next(units):
 
         *_, why, _ = until(lambda one: one[:2] == [STATE, "failed"])
         assert why.startswith("verifier: skin: found ")
-        keeper.mailbox.put(SETUP, setup.packed())
-        keeper.mailbox.put(FRAME, letter(change, values, setup=2))
-        keeper.ring()
+        process.line.send(setup.packed(2))
+        process.line.send(letter(change, values, setup=2).packed())
         assert until(lambda one: one[:2] == [STATE, "ready"])[2] == 2
-        _, number, told, flagged, spent_ms = until(lambda one: one[0] != STATE)
-    assert (number, flagged) == (1, False)
+        _, told, flagged, spent_ms = until(lambda one: one[0] != STATE)
+    assert flagged is False
     assert spent_ms > 0
     verdict = unpack_verified(head(1, "run", {"checked": 1, "flagged": 0, "skipped": 0}) + told)
     assert (verdict.sequence, verdict.cloud, verdict.device_us) == (9, 4, 1000)

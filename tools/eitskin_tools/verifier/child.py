@@ -8,15 +8,15 @@ import os
 import socket
 import sys
 import threading
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
+from struct import Struct
 from typing import Final
 
 from eitskin.messaging.verified.message import FAILED, STARTING, WAITING
 from eitskin_tools.processes.children import Backoff, ChildProcess, how_it_ended, last_line
 from eitskin_tools.processes.lookout import Lookout
-from eitskin_tools.verifier.letters import LARGEST_ANSWER
-from eitskin_tools.verifier.mailbox import FRAME, Mailbox
+from eitskin_tools.verifier.letters import LARGEST_PACKET
 
 LOOK_S: Final = 0.1
 """Between two looks."""
@@ -43,6 +43,10 @@ MAX_FAILURES: Final = 5
 
 LAST_WORDS_BYTES: Final = 4096
 """Of its standard error that are read."""
+
+
+BEAT: Final = Struct("<d")
+"""A beat in the pipe: seconds that what is computed takes beyond what it may; 0 while it is in time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,16 +86,15 @@ class VerifierProcess(Lookout):
         self._child = ChildProcess(place.program, backoff)
         self._max_looks, self._max_failures = round(still_s / LOOK_S), max_failures
         self.hangs_s = hangs_s
-        self.mailbox = Mailbox.made()
-        self.bell = os.eventfd(0, os.EFD_NONBLOCK)
-        self.answers: socket.socket | None = None
-        """Where the present process answers; another object for another process."""
+        self.line: socket.socket | None = None
+        """To the present process, for who sends frames and closes it; another object for another process."""
+        self._beats = -1
         self.state, self.why = STARTING, ""
         """``starting`` while a process is there, else ``waiting`` or ``failed``, and why."""
         self.ended = ""
         """What became of the last process that there was, for who looks only once another one runs."""
         self._errors = -1
-        self._beat = self._still_looks = self._looks = self._wait_looks = 0
+        self._still_looks = self._looks = self._wait_looks = 0
         self._hung = False
         self.is_late = False
         """Whether what it computes takes longer than it may."""
@@ -106,11 +109,6 @@ class VerifierProcess(Lookout):
         """New starts since the first."""
         return self._child.restarts
 
-    def ring(self) -> None:
-        """Tell the process that there is a letter."""
-        with suppress(BlockingIOError):
-            os.eventfd_write(self.bell, 1)
-
     def look(self) -> None:
         """See whether it lives, and start it when it is time."""
         process = self._child.process
@@ -124,55 +122,64 @@ class VerifierProcess(Lookout):
         if process.poll() is not None:
             self._ended(process.returncode)
             return
-        late_s = self.mailbox.late_s
+        late_s = self._heard()
+        self._still_looks = self._still_looks + 1 if late_s is None else 0
+        late_s = late_s or 0.0
         self.is_late = late_s > LATE_S
         self._looks += not self.is_late  # who hangs again and again never settles
-        beat = self.mailbox.beat
-        self._still_looks = self._still_looks + 1 if beat == self._beat else 0
-        self._beat = beat
         if self._still_looks >= self._max_looks or late_s > self.hangs_s:
             self._hung = True
             process.kill()  # a later look sees it ended: one that runs only while nothing else does may take a while
         elif self._looks * LOOK_S >= self._child.backoff.settled_s:
             self._child.failures = 0
 
+    def _heard(self) -> float | None:
+        """Return how late it is by the last beat since the last look; None without one."""
+        try:
+            beats = os.read(self._beats, 4096)
+        except BlockingIOError:
+            return None
+        return float(BEAT.unpack(beats[-BEAT.size :])[0]) if beats else None  # at its end there is nothing to read
+
     def _start(self) -> None:
         self._still_looks = self._looks = 0
         self._hung = self.is_late = False
-        self.mailbox.late_s = 0.0
         try:
-            self.answers = self._started()
+            self.line = self._started()
         except OSError as error:  # too few processes or descriptors: another time
             self._fail(f"cannot be started: {error.strerror or error}")
         else:
             self.state, self.why = STARTING, ""
 
     def _started(self) -> socket.socket:
-        """Start the process, and return where it answers.
+        """Start the process, and return the line to it.
 
         Raises:
             OSError: It cannot be started.
         """
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        with ExitStack() as left, theirs:
-            left.enter_context(ours)
+        with ExitStack() as failed, theirs:
+            failed.enter_context(ours)
             for end in (ours, theirs):
-                end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4 * LARGEST_ANSWER)
+                end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, LARGEST_PACKET)
             ours.setblocking(False)
             self._errors = os.memfd_create("eitskin-verifier-stderr")
-            options = {
-                "memory": self.mailbox.descriptor, "bell": self.bell, "answers": theirs.fileno(), "parent": os.getpid(),
-                "nice": self.place.nice, "idle": self.place.idle, "skip": self.mailbox.written[FRAME],
-                "cpus": list(self.place.cpus or os.sched_getaffinity(0)),
-            }  # fmt: skip
-            self._child.command = [*self.place.program, json.dumps(options)]
-            self._child.start(
-                stdout=self._errors,
-                stderr=self._errors,
-                pass_fds=(self.mailbox.descriptor, self.bell, theirs.fileno()),
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-            )
-            left.pop_all()
+            self._beats, beats = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+            try:
+                options = {
+                    "line": theirs.fileno(), "beats": beats, "parent": os.getpid(), "nice": self.place.nice,
+                    "idle": self.place.idle, "cpus": list(self.place.cpus or os.sched_getaffinity(0)),
+                }  # fmt: skip
+                self._child.command = [*self.place.program, json.dumps(options)]
+                self._child.start(
+                    stdout=self._errors,
+                    stderr=self._errors,
+                    pass_fds=(theirs.fileno(), beats),
+                    env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+                )
+            finally:
+                os.close(beats)
+            failed.pop_all()
         return ours
 
     def _ended(self, status: int) -> None:
@@ -182,9 +189,7 @@ class VerifierProcess(Lookout):
         self._fail("hung, and was ended" if self._hung else how_it_ended(status, last_line(text)))
 
     def _fail(self, why: str) -> None:
-        if self._errors >= 0:
-            os.close(self._errors)
-            self._errors = -1
+        self._close()
         pause_s, failures = self._child.next_pause_s(), self._child.failures
         if failures >= self._max_failures:
             self.state, self.why = FAILED, f"the verifier {why}; {failures} times in a row, so it is given up"
@@ -202,11 +207,15 @@ class VerifierProcess(Lookout):
             if self._child.wait(LEAVES_S) is None:
                 threading.Thread(target=process.wait, name="verifier-leaves", daemon=True).start()
             self._child.process = None
-            os.close(self._errors)
+            self._close()
+
+    def _close(self) -> None:
+        for descriptor in (self._errors, self._beats):
+            if descriptor >= 0:
+                os.close(descriptor)
+        self._errors = self._beats = -1
 
     def __exit__(self, *_: object) -> None:
         super().__exit__()
-        if self.answers is not None:
-            self.answers.close()
-        self.mailbox.close()
-        os.close(self.bell)
+        if self.line is not None:
+            self.line.close()

@@ -1,7 +1,7 @@
 """Between the frame loop and the verifier: called after each frame that has gone out, and never waits.
 
-A changed frame is put into the mailbox, over one that was not taken yet: the newest wins, and what was skipped is
-counted by the letters' numbers. What the verifier has answered meanwhile goes to the subscribers. ::
+The newest changed frame waits here until the verifier has answered the one before; those in between are skipped and
+counted. What the verifier has answered meanwhile goes to the subscribers. ::
 
     always    each frame whose map is another one
     idle      such a frame once the next shows no further change: what rests, and not what moves
@@ -16,15 +16,14 @@ import numpy as np
 
 from eitskin.messaging.frame_record import PUBLISH, READ, FrameRecord
 from eitskin.messaging.publish import Publisher
-from eitskin.messaging.verified.message import FAILED, PREPARING, STARTING, WAITING, head, rest
+from eitskin.messaging.verified.message import FAILED, PREPARING, READY, STARTING, WAITING, head, rest
 from eitskin.pipeline.stillness import Stillness
 from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
 from eitskin_proto.skin.toml import to_toml
 from eitskin_tools.evaluation.verified.resting import FRAMES, Resting
 from eitskin_tools.verifier.child import VerifierProcess
-from eitskin_tools.verifier.letters import LARGEST_ANSWER, STATE, Rows, Setup, answered, frame_letter, rest_letter
-from eitskin_tools.verifier.mailbox import FRAME, REST, SETUP
+from eitskin_tools.verifier.letters import LARGEST_PACKET, STATE, FrameLetter, RestLetter, Rows, Setup, unpack
 
 REPEAT_NS: Final = 1_000_000_000
 """After which it is said again how the verifier is."""
@@ -33,7 +32,7 @@ RECEIVE_NS: Final = 50_000_000
 """Between two looks for what a verifier says of itself, while no verdict is waited for."""
 
 REMEMBERED: Final = 2000
-"""Verdicts whose times are kept, and letters that are known to have been taken back."""
+"""Verdicts whose times are kept."""
 
 LATE: Final = "what it computes takes longer than it may; if it hangs it is ended, and started anew"
 """Said meanwhile."""
@@ -60,14 +59,18 @@ class VerifierFeed:
         self._stillness = Stillness()
         self._resting = Resting()
         self._candidate: bytes | None = None
+        self._is_due = False
+        """Whether the candidate is to be verified as soon as the verifier has no other."""
+        self._is_busy = False
+        """Whether the verifier has a frame."""
         self._setup_for: tuple[object, Reference | None] = (None, None)
         self._setup = 0
-        self._answers: socket.socket | None = None
+        self._setup_packet = b""
+        """What is still to be sent of the setup."""
+        self._line: socket.socket | None = None
         self._verifier = STARTING, ""
         self._reported = "", ""
         self._reported_ns = self._receive_ns = self._number = 0
-        self._sent = self._answered = self._withdrawn = 0
-        self._blank: deque[int] = deque(maxlen=REMEMBERED)
         self._is_wanted = False
         self.counts = {"checked": 0, "flagged": 0, "skipped": 0}
         self._spent_ms: deque[float] = deque(maxlen=REMEMBERED)
@@ -84,12 +87,13 @@ class VerifierFeed:
     def after_frame(self, record: FrameRecord) -> None:
         """Take the frame that has just gone out."""
         process, buffers = self._process, self._pipeline.buffers
-        if process.answers is not self._answers:  # another process: it knows nothing
-            if self._answers is not None:
-                self._answers.close()  # in the thread that reads it
+        if process.line is not self._line:  # another process: it knows nothing
+            if self._line is not None:
+                self._line.close()  # in the thread that reads it
                 if self._reported[0] != WAITING:  # the pause was shorter than what passed between two looks
                     self._report(record, (WAITING, process.ended))
-            self._answers, self._verifier, self._receive_ns = process.answers, (STARTING, ""), 0
+            self._line, self._verifier, self._receive_ns = process.line, (STARTING, ""), 0
+            self._is_busy, self._setup_for = False, (None, None)
             self._stillness.forget()
         if buffers.geometry is not self._setup_for[0] or self._skin.reference is not self._setup_for[1]:
             self._send_setup(record)
@@ -100,15 +104,16 @@ class VerifierFeed:
         if self._is_wanted:
             self._consider(record)
         now_ns = record.stamps[PUBLISH]
-        if self._is_waiting or now_ns >= self._receive_ns:
+        if self._is_busy or now_ns >= self._receive_ns:
             self._receive_ns = now_ns + RECEIVE_NS
             self._receive()
             self._report(record)
-
-    @property
-    def _is_waiting(self) -> bool:
-        """Whether a letter has gone out that was neither answered nor taken back."""
-        return self._sent > max(self._answered, self._withdrawn)
+        if self._setup_packet and self._send(self._setup_packet):
+            self._setup_packet = b""
+        if self._is_due and not self._is_busy and self._verifier[0] == READY and not self._setup_packet:
+            assert self._candidate is not None
+            if self._send(self._candidate):
+                self._candidate, self._is_due, self._is_busy = None, False, True
 
     def _consider(self, record: FrameRecord) -> None:
         if not record.touched or record.map_is_zero:
@@ -119,20 +124,18 @@ class VerifierFeed:
         elif record.inferred and not self._is_known():
             self._stillness.keep(self._pipeline.buffers.change[0])
             self._drop()
-            self._candidate = self._letter(record)
-            if self.mode == "always":
-                self._send_frame()
+            self._candidate = self._letter(record).packed()
+            self._is_due = self.mode == "always"
         elif self._candidate is not None:
-            self._send_frame()
+            self._is_due = True
         self._resting.forget()
 
     def _rest(self) -> None:
         """Tell what the untouched sheet reads, once it has been still for a while and that is news."""
-        if not self._setup or self._missing.any():
+        if not self._setup or self._setup_packet or self._missing.any():
             return
         if (mean := self._resting.take(self._pipeline.buffers.change[0])) is not None:
-            self._process.mailbox.put(REST, rest_letter(self._setup, FRAMES, mean))
-            self._process.ring()
+            self._send(RestLetter(self._setup, FRAMES, mean).packed())
 
     def _is_known(self) -> bool:
         """Return whether the frame in hand is the one that was handed over last, but for noise, however long ago."""
@@ -143,31 +146,29 @@ class VerifierFeed:
         """Take back what waits: it is touched no more, or otherwise known."""
         self._drop()
         self._stillness.forget()
-        if self._is_waiting:
-            self._sent = self._withdrawn = self._process.mailbox.put(FRAME)
-            self._blank.append(self._sent)
 
     @property
     def _missing(self) -> Rows:
         health = self._pipeline.health
         return self._nothing_missing if health is None else health.electrodes.missing
 
-    def _letter(self, record: FrameRecord) -> bytes:
+    def _letter(self, record: FrameRecord) -> FrameLetter:
         buffers = self._pipeline.buffers
-        return frame_letter(
+        return FrameLetter(
             self._setup, record.sequence, record.device_us, record.stamps[READ], record.stamps[PUBLISH], record.cloud,
             self._missing, buffers.change[0], buffers.map[0],
         )  # fmt: skip
 
-    def _send_frame(self) -> None:
-        assert self._candidate is not None
-        self._sent = self._process.mailbox.put(FRAME, self._candidate)
-        self._candidate = None
-        self._process.ring()
+    def _send(self, packet: bytes) -> bool:
+        """Send a packet if there is room for it; return whether it was sent."""
+        try:
+            return self._line is not None and self._line.send(packet) > 0
+        except (BlockingIOError, BrokenPipeError, ConnectionResetError):
+            return False  # it computes, or has ended, and its process says why
 
     def _drop(self) -> None:
         if self._candidate is not None:
-            self._candidate = None
+            self._candidate, self._is_due = None, False
             self.counts["skipped"] += 1
 
     def _send_setup(self, record: FrameRecord) -> None:
@@ -186,8 +187,8 @@ class VerifierFeed:
             cloud_mm=np.asarray(cloud, dtype="<f4").tobytes(), reference_V=flat.voltages_V.astype("<f8").tobytes(),
             spread_V=np.hypot(flat.spread_V, step_V / math.sqrt(12.0)).astype("<f8").tobytes(), budget_s=self._budget_s,
         )  # fmt: skip
-        self._setup = self._process.mailbox.put(SETUP, setup.packed())
-        self._process.ring()
+        self._setup += 1
+        self._setup_packet = setup.packed(self._setup)
         for one in (self._stillness, self._resting):
             one.use(flat.voltages_V, flat.spread_V, flat.frames, step_V)
         self._withdraw()
@@ -196,36 +197,31 @@ class VerifierFeed:
 
     def _receive(self) -> None:
         """Take what the verifier has answered."""
-        answers = self._answers
-        if answers is None:
-            return
-        while True:
+        while self._line is not None:
             try:
-                answer = answers.recv(LARGEST_ANSWER)
+                packet = self._line.recv(LARGEST_PACKET)
             except (BlockingIOError, ConnectionResetError):
                 return
-            if not answer:
+            if not packet:
                 return  # it has ended, and its process says why
-            self._handle(answered(answer))
+            self._handle(*unpack(packet))
 
-    def _handle(self, answer: list[Any]) -> None:
-        if answer[0] == STATE:
-            _, state, setup, why, setup_ms = answer
+    def _handle(self, kind: int, *items: Any) -> None:
+        if kind == STATE:
+            state, setup, why, setup_ms = items
             if setup == self._setup:
                 self._verifier = state, why
                 self._setup_ms = setup_ms or self._setup_ms
             return
-        _, letter, told, flagged, spent_ms = answer
-        between = letter - self._answered - 1 - sum(number < letter for number in self._blank)
-        while self._blank and self._blank[0] < letter:
-            self._blank.popleft()
-        self.counts["skipped"] += max(0, between) + (flagged is None)
-        self._answered = letter
-        if flagged is not None:
+        message, flagged, spent_ms = items
+        self._is_busy = False
+        if flagged is None:
+            self.counts["skipped"] += 1
+        else:
             self.counts["checked"] += 1
             self.counts["flagged"] += flagged
             self._spent_ms.append(spent_ms)
-        self._send(told)
+        self._publish(message)
 
     def _report(self, record: FrameRecord, was: tuple[str, str] | None = None) -> None:
         """Say how the verifier is, or was: when that changes, to who has just come, and every second."""
@@ -237,9 +233,9 @@ class VerifierFeed:
         if self._is_wanted and now_ns - self._reported_ns >= REPEAT_NS:
             self._reported_ns = now_ns
             stamps = record.stamps[READ], record.stamps[PUBLISH], 0, 0
-            self._send(rest(record.sequence, record.device_us, record.cloud, *found, stamps))
+            self._publish(rest(record.sequence, record.device_us, record.cloud, *found, stamps))
 
-    def _send(self, told: bytes) -> None:
+    def _publish(self, told: bytes) -> None:
         self._number += 1
         self._publisher.send_beside(head(self._number, self._skin.loop.run_id, self.counts) + told)
 

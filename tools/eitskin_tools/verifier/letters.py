@@ -1,6 +1,13 @@
-"""What stands in the letters to a verifier, and in its answers."""
+"""What the runtime and its verifier say to each other: packets of MessagePack over one socket, in order.
 
-import struct
+::
+
+    runtime  -> SETUP, number, fields | FRAME, fields | REST, fields
+    verifier -> STATE, state, setup, why, setup_ms | VERDICT, message, flagged, spent_ms
+
+A frame is sent only while the verifier has none, so the newest is verified and nothing queues up.
+"""
+
 from dataclasses import dataclass, fields
 from typing import Any, Final, Self
 
@@ -9,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.errors import MismatchError
-from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.toml import parse
 
@@ -17,14 +23,11 @@ Array = npt.NDArray[np.float64]
 Values = npt.NDArray[np.float32]
 Rows = npt.NDArray[np.bool_]
 
-VERDICT, STATE = 0, 1
-"""Kinds of answers."""
+SETUP, FRAME, REST, STATE, VERDICT = range(5)
+"""Kinds of packets: the first item of each."""
 
-LARGEST_ANSWER: Final = 1 << 16
-"""Bytes."""
-
-_FRAME: Final = struct.Struct("<6Q")
-_REST: Final = struct.Struct("<2Q")
+LARGEST_PACKET: Final = 1 << 18
+"""Bytes: a setup with a cloud of the largest map has 173 kB, a frame with such a map 58 kB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,15 +55,9 @@ class Setup:
     budget_s: float
     """What a frame may take; 0 for the usual."""
 
-    def packed(self) -> bytes:
-        """Return its letter."""
-        found: bytes = msgpack.packb({one.name: getattr(self, one.name) for one in fields(self)})
-        return found
-
-    @classmethod
-    def of(cls, letter: bytes) -> Self:
-        """Return the setup of a letter."""
-        return cls(**msgpack.unpackb(letter))
+    def packed(self, number: int) -> bytes:
+        """Return its packet."""
+        return pack(SETUP, number, {one.name: getattr(self, one.name) for one in fields(self)})
 
     def described(self) -> Skin:
         """Return the skin.
@@ -80,7 +77,7 @@ class FrameLetter:
     """One frame to verify."""
 
     setup: int
-    """Number of the setup letter that it belongs to."""
+    """Number of the setup that it belongs to."""
     seq: int
     device_us: int
     read_ns: int
@@ -93,15 +90,16 @@ class FrameLetter:
     map: Values
     """(pixels,) what the solver made of it."""
 
+    def packed(self) -> bytes:
+        """Return its packet."""
+        numbers = [self.setup, self.seq, self.device_us, self.read_ns, self.publish_ns, self.cloud]
+        return pack(FRAME, numbers, self.missing.tobytes(), self.change.tobytes(), self.map.tobytes())
+
     @classmethod
-    def of(cls, letter: bytes) -> Self:
-        """Return the frame of a letter."""
-        rest = letter[_FRAME.size :]
-        missing = np.frombuffer(rest, dtype=np.bool_, count=N_ROWS)
-        change = np.frombuffer(rest, dtype="<f4", count=N_ROWS, offset=N_ROWS)
-        setup, seq, device_us, read_ns, publish_ns, cloud = _FRAME.unpack_from(letter)
-        values = np.frombuffer(rest, dtype="<f4", offset=5 * N_ROWS)
-        return cls(setup, seq, device_us, read_ns, publish_ns, cloud, missing, change, values)
+    def of(cls, numbers: list[int], missing: bytes, change: bytes, values: bytes) -> Self:
+        """Return the frame of a packet's items."""
+        rows = np.frombuffer(missing, dtype=np.bool_)
+        return cls(*numbers, rows, np.frombuffer(change, dtype="<f4"), np.frombuffer(values, dtype="<f4"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,53 +107,45 @@ class RestLetter:
     """What the sheet reads while nothing touches it."""
 
     setup: int
-    """Number of the setup letter that it belongs to."""
+    """Number of the setup that it belongs to."""
     frames: int
     """That it is the mean of."""
     change: Array
     """(104,) dV."""
 
+    def packed(self) -> bytes:
+        """Return its packet."""
+        return pack(REST, self.setup, self.frames, self.change.astype("<f8").tobytes())
+
     @classmethod
-    def of(cls, letter: bytes) -> Self:
-        """Return what is in a letter."""
-        setup, frames = _REST.unpack_from(letter)
-        return cls(setup, frames, np.frombuffer(letter, dtype="<f8", offset=_REST.size))
+    def of(cls, setup: int, frames: int, change: bytes) -> Self:
+        """Return what a packet's items say."""
+        return cls(setup, frames, np.frombuffer(change, dtype="<f8"))
 
 
-def rest_letter(setup: int, frames: int, change: Array) -> bytes:
-    """Return the letter of a sheet at rest; arguments as in :class:`RestLetter`."""
-    return _REST.pack(setup, frames) + change.astype("<f8").tobytes()
+def pack(*items: Any) -> bytes:
+    """Return a packet: its kind first."""
+    found: bytes = msgpack.packb(items)
+    return found
 
 
-def frame_letter(
-    setup: int, seq: int, device_us: int, read_ns: int, publish_ns: int, cloud: int, missing: Rows, change: Values,
-    values: Values,
-) -> bytes:  # fmt: skip
-    """Return the letter of a frame; arguments as in :class:`FrameLetter`."""
-    head = _FRAME.pack(setup, seq, device_us, read_ns, publish_ns, cloud)
-    return b"".join((head, missing.tobytes(), change.tobytes(), values.tobytes()))
+def unpack(packet: bytes) -> list[Any]:
+    """Return the items of a packet: its kind first."""
+    found: list[Any] = msgpack.unpackb(packet)
+    return found
 
 
 def state_answer(state: str, setup: int, why: str = "", setup_ms: float = 0.0) -> bytes:
     """Return what a verifier says of itself: its state, and of which setup."""
-    found: bytes = msgpack.packb([STATE, state, setup, why, setup_ms])
-    return found
+    return pack(STATE, state, setup, why, setup_ms)
 
 
-def verdict_answer(letter: int, rest: bytes, flagged: bool | None, spent_ms: float) -> bytes:
-    """Return what a verifier says of a frame.
+def verdict_answer(message: bytes, flagged: bool | None, spent_ms: float) -> bytes:
+    """Return what a verifier says of the frame that it has.
 
     Args:
-        letter: Number of the frame's letter.
-        rest: The verifier's part of the message (:mod:`eitskin.messaging.verified.message`).
+        message: The verifier's part of the message (:mod:`eitskin.messaging.verified.message`).
         flagged: None where there is no verdict.
         spent_ms: What it took.
     """
-    found: bytes = msgpack.packb([VERDICT, letter, rest, flagged, spent_ms])
-    return found
-
-
-def answered(answer: bytes) -> list[Any]:
-    """Return the items of an answer: its kind first."""
-    found: list[Any] = msgpack.unpackb(answer)
-    return found
+    return pack(VERDICT, message, flagged, spent_ms)

@@ -8,7 +8,7 @@ import pytest
 from eitskin.errors import FrameError
 from eitskin.messaging.verified.message import FIRST_BYTE, TOPIC, asked_for, head, rest, unpack_verified
 from eitskin.messaging.verified.touch import ADDED, UNKNOWABLE, VerifiedTouch
-from eitskin_tools.verifier.letters import LARGEST_ANSWER, verdict_answer
+from eitskin_tools.verifier.letters import LARGEST_PACKET, verdict_answer
 
 TOUCH = VerifiedTouch(
     shape="rectangle", unit=None, centre_mm=(40.0, 30.0), centre_error_mm=(0.1, 0.2), size_mm=(12.0, 10.0),
@@ -58,7 +58,7 @@ def test_a_flagged_verdict_says_why():
 
 def test_as_many_touches_as_there_may_be_fit_into_an_answer():
     told = rest(2**63, 2**63, 2**31, "ready", "unexplained", (2**63,) * 4, (1e9, 104, 0.0, True), (TOUCH,) * 999)
-    assert len(verdict_answer(2**63, told, True, 1e9)) <= LARGEST_ANSWER
+    assert len(verdict_answer(told, True, 1e9)) <= LARGEST_PACKET
 
 
 def test_a_message_without_a_verdict_says_how_the_verifier_is():
