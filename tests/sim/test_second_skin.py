@@ -24,7 +24,7 @@ from eitskin_sim.scene.bend import metric, surface
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_electrodes, nominal_scene, nominal_sheet
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, SceneError, Sheet, Touch
-from eitskin_sim.scene.phantoms.published import is_published
+from eitskin_sim.scene.published import is_published
 from eitskin_sim.scene.scene import parse_scene, scene_json
 from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.scene.touch_table import RECTANGLE, gather

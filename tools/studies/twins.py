@@ -25,7 +25,7 @@ from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.calibration.recording import Later, Recording
 from eitskin_sim.calibration.stamp import OWN_SPREAD, PLACE_MM, places
 from eitskin_sim.devices.readings import FINE_MM, responses_of
-from eitskin_sim.evaluation.devices.device import Device
+from eitskin_sim.evaluation.device import Device
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.nominal import nominal_scene
@@ -114,8 +114,8 @@ def _calibrated(
     from eitskin_proto.files.writing import write_bytes
     from eitskin_proto.skin.toml import load, named, to_toml
     from eitskin_sim.calibration.report import calibrate
-    from eitskin_sim.evaluation.devices.device import draw_device
-    from eitskin_sim.evaluation.devices.mismatch import LAB
+    from eitskin_sim.evaluation.device import draw_device
+    from eitskin_sim.evaluation.mismatch import LAB
 
     way: TouchKind = "lower" if touches == "lower" else "raise"
     bends, presses = arguments.bends, arguments.presses
@@ -156,8 +156,8 @@ def _adapted(bundle: Any, twin: Any, folder: Path, arguments: argparse.Namespace
 
 def _tried(number: int, bundle: Any, skin: Any, arguments: argparse.Namespace, solver: str = "vd2t") -> dict[str, Any]:
     """Return what a bundle, told of a skin, scores on the true device."""
-    from eitskin_sim.evaluation.devices.mismatch import LAB
-    from eitskin_sim.evaluation.devices.runs import Plan
+    from eitskin_sim.evaluation.device_runs import Plan
+    from eitskin_sim.evaluation.mismatch import LAB
     from eitskin_tools.evaluation.devices import evaluate_devices, trials_of
     from eitskin_tools.evaluation.solvers import Request
 

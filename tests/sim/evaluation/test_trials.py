@@ -12,8 +12,8 @@ from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.evaluation import harness, trials
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Bend
-from eitskin_sim.scene.phantoms.shift import shifted
 from eitskin_sim.scene.scene import check_scene, parse_phantoms
+from eitskin_sim.scene.shift import shifted
 
 L_OF_TWO_BARS = [
     {

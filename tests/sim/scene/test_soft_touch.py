@@ -11,9 +11,9 @@ from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.bend import metric
 from eitskin_sim.scene.parts import Bend, Phantom, Scene, Sheet, Touch
-from eitskin_sim.scene.phantoms.shift import shifted
 from eitskin_sim.scene.scene import SceneError, load_scene, parse_scene, scene_json
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect
+from eitskin_sim.scene.shift import shifted
 from eitskin_sim.scene.soft_touch import DENT_WALL_MM, dent_heights
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from eitskin_proto.sensor.table import FULL_TABLE
 from eitskin_sim.fem.meshing import scene_mesh
-from eitskin_sim.outline.disc import EVEN_DEG, Disc, assemble_disc
 from eitskin_sim.scene.parts import Scene
+from eitskin_sim.tank.disc import EVEN_DEG, Disc, assemble_disc
 
 RADIUS_MM = 30.0
 AT = 0.65

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.scene.phantoms.published import PHANTOM_RECTS_MM, PHANTOM_UNITS, is_published
+from eitskin_sim.scene.published import PHANTOM_RECTS_MM, PHANTOM_UNITS, is_published
 from eitskin_sim.unit_grid.patterns import MOST_UNITS, pack, paper_touch_sets, rich_touch_sets, unpack
 
 GRID = PAPER.grid

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.evaluation.devices.runs import Plan
+from eitskin_sim.evaluation.device_runs import Plan
 from eitskin_sim.evaluation.harness import Conditions, solve_l1
 from eitskin_sim.measurement.noise import Kind
 from eitskin_tools.bench.tradeoff.front import mark_front, markdown

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin_sim.evaluation.devices import runs
+from eitskin_sim.evaluation import device_runs as runs
 from eitskin_tools import cli
 from eitskin_tools.evaluation import card
 

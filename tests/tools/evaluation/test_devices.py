@@ -8,8 +8,8 @@ import pytest
 
 from eitskin_proto.skin import toml
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.evaluation.devices import runs
-from eitskin_sim.evaluation.devices.mismatch import load_rows
+from eitskin_sim.evaluation import device_runs as runs
+from eitskin_sim.evaluation.mismatch import load_rows
 from eitskin_tools import cli
 from eitskin_tools.command_line import files
 from eitskin_tools.evaluation import devices

@@ -6,9 +6,9 @@ import pytest
 from eitskin_proto.sensor.table import ROW_IN_FULL
 from eitskin_proto.skin.toml import named
 from eitskin_sim.calibration.report import calibrate
-from eitskin_sim.evaluation.devices.device import draw_device
-from eitskin_sim.evaluation.devices.mismatch import LAB
-from eitskin_sim.evaluation.devices.runs import voltages_of
+from eitskin_sim.evaluation.device import draw_device
+from eitskin_sim.evaluation.device_runs import voltages_of
+from eitskin_sim.evaluation.mismatch import LAB
 
 from .study import study
 

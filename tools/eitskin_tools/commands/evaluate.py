@@ -84,7 +84,7 @@ def _measured(arguments: argparse.Namespace, request: Any) -> int:
 
 
 def _devices(arguments: argparse.Namespace, request: Any) -> int:
-    from eitskin_sim.evaluation.devices import runs
+    from eitskin_sim.evaluation import device_runs as runs
     from eitskin_tools.evaluation.devices import KINDS, evaluate_devices, meant, rows_of, table, trials_of
 
     if arguments.draws < 1 or arguments.seed < 0:

@@ -10,10 +10,10 @@ from typing import Any, Final
 
 from eitskin.model.bundle import Bundle, load_bundle
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.evaluation import device_runs as runs
 from eitskin_sim.evaluation import trials
-from eitskin_sim.evaluation.devices import runs
-from eitskin_sim.evaluation.devices.mismatch import IDEAL, LAB, Mismatch, Row, load_rows
 from eitskin_sim.evaluation.harness import Conditions
+from eitskin_sim.evaluation.mismatch import IDEAL, LAB, Mismatch, Row, load_rows
 from eitskin_sim.scene.parts import Phantom
 from eitskin_tools.command_line import files
 from eitskin_tools.evaluation.devices import trials_of

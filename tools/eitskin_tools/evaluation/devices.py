@@ -13,9 +13,9 @@ from eitskin.model.bundle import Bundle
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.evaluation.devices.mismatch import Row, lab_rows, load_rows, random_rows
-from eitskin_sim.evaluation.devices.runs import Plan, Trial, drawn_trials, run_rows, sets_of_touches
+from eitskin_sim.evaluation.device_runs import Plan, Trial, drawn_trials, run_rows, sets_of_touches
 from eitskin_sim.evaluation.harness import SOLVERS, Conditions
+from eitskin_sim.evaluation.mismatch import Row, lab_rows, load_rows, random_rows
 from eitskin_sim.scene.scene import SceneError, load_phantoms
 from eitskin_tools.command_line import files
 from eitskin_tools.evaluation.solvers import Named, Progress, Request, bundle_on, judge_of, named
@@ -53,7 +53,7 @@ class DriftRemoved:
         self._reference = np.ones(0)
 
     def begin(self, reference: Array, drifted: Array, noisy: Callable[[Array, int], Array]) -> None:
-        """Take a device over; see :class:`eitskin_sim.evaluation.devices.runs.Follower`."""
+        """Take a device over; see :class:`eitskin_sim.evaluation.device_runs.Follower`."""
         self._reference = reference
         spread = noisy(reference, REFERENCE_FRAMES).std(axis=0, ddof=1) / np.abs(reference)
         self._drift.restart(spread, REFERENCE_FRAMES, fresh=self._mode == "followed")

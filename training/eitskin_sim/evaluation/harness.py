@@ -27,7 +27,7 @@ from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Bend, Phantom, Scene, SceneError
-from eitskin_sim.scene.phantoms.shift import shifted
+from eitskin_sim.scene.shift import shifted
 from eitskin_sim.solvers.l1 import ITERATIONS, l1_image
 from eitskin_sim.solvers.operators import (
     SATURATED,

@@ -28,7 +28,7 @@ from eitskin_sim.fem.mesh import Index
 from eitskin_sim.freeform.patterns import CLASSES
 from eitskin_sim.freeform.sets import PartSets
 from eitskin_sim.scene.gap import gap_mm, half_extents_mm
-from eitskin_sim.scene.phantoms.published import PHANTOM_RECTS_MM
+from eitskin_sim.scene.published import PHANTOM_RECTS_MM
 from eitskin_sim.scene.touch_table import RECTANGLE, Array, TouchTable, gather
 
 COUNTS: Final = (0.02, 0.29, 0.21, 0.16, 0.11, 0.09, 0.07, 0.03, 0.02)

@@ -14,9 +14,9 @@ from eitskin_proto.sensor.table import FULL_TABLE, RECIPROCAL_IN_FULL, ROW_IN_FU
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.fem.jacobian import cell_mesh, cell_of_element, jacobian
 from eitskin_sim.fem.meshing import scene_mesh
-from eitskin_sim.outline.disc import SIDE_MM, Disc, assemble_disc
 from eitskin_sim.scene.parts import Scene
 from eitskin_sim.solvers.tikhonov import tikhonov_matrix
+from eitskin_sim.tank.disc import SIDE_MM, Disc, assemble_disc
 from eitskin_sim.tank.front_end import OffsetAndGains, best_model, fit_front_end
 from eitskin_sim.tank.recording import TankError, TankFrame
 

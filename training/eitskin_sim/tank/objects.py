@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.outline.disc import EVEN_DEG
+from eitskin_sim.tank.disc import EVEN_DEG
 from eitskin_sim.tank.model import TankModel
 from eitskin_sim.tank.recording import Material, Object, Unknown
 

@@ -8,7 +8,7 @@ networks trained on them fail. The richer sets are pieces of random kind at rand
     unit  #    bar  ####    rectangle  ###    L  #      T  ###    several pieces  #   ##
                                        ###       ###        #                        #
 
-No set of the published phantoms is ever returned (:mod:`eitskin_sim.scene.phantoms.published`).
+No set of the published phantoms is ever returned (:mod:`eitskin_sim.scene.published`).
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.scene.phantoms.published import is_published
+from eitskin_sim.scene.published import is_published
 
 N_PAPER_SETS: Final = 10_259
 """Touch sets in the paper's data: 102,590 samples at 10 bends (section V.A). What 126 units and 384 squares leave of

@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _panels(arguments: argparse.Namespace) -> "Iterator[Panel]":
-    from eitskin_sim.evaluation.devices.runs import Plan
+    from eitskin_sim.evaluation.device_runs import Plan
     from eitskin_tools.bench.tradeoff.seen import of_devices, of_phantoms
 
     for path in arguments.phantoms:

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.evaluation.devices.device import Device
-from eitskin_sim.evaluation.devices.runs import Plan, Trial, cases, devices
+from eitskin_sim.evaluation.device import Device
+from eitskin_sim.evaluation.device_runs import Plan, Trial, cases, devices
 from eitskin_sim.evaluation.harness import Case, Conditions, Run, evaluate_all
 from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.measurement.noise import Kind

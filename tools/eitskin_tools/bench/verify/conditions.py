@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from eitskin_sim.evaluation import trials
-from eitskin_sim.evaluation.devices.mismatch import IDEAL, LAB, Mismatch
+from eitskin_sim.evaluation.mismatch import IDEAL, LAB, Mismatch
 from eitskin_sim.evaluation.trials import Softness
 from eitskin_sim.measurement.noise import Kind
 from eitskin_sim.scene.family import Family

@@ -5,7 +5,7 @@ from typing import Any, Final
 import numpy as np
 
 from eitskin_sim.evaluation import trials
-from eitskin_sim.evaluation.devices.mismatch import IDEAL
+from eitskin_sim.evaluation.mismatch import IDEAL
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.scene.touch_table import RECTANGLE
 from eitskin_sim.verification.chi_squared import calibration, p_value

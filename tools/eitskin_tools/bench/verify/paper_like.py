@@ -7,8 +7,8 @@ import numpy as np
 
 from eitskin_sim.evaluation import trials
 from eitskin_sim.scene.parts import Phantom
-from eitskin_sim.scene.phantoms.shift import shifted
 from eitskin_sim.scene.scene import load_phantoms
+from eitskin_sim.scene.shift import shifted
 from eitskin_tools.command_line import files
 
 SHIFT_PX: Final = 0.5

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.evaluation.devices.device import Device, draw_device
-from eitskin_sim.evaluation.devices.mismatch import Mismatch
+from eitskin_sim.evaluation.device import Device, draw_device
+from eitskin_sim.evaluation.mismatch import Mismatch
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.parts import Bend, Scene
 

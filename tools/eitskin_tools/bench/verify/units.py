@@ -8,7 +8,7 @@ from eitskin_proto.sensor.row_gaussian import RowGaussian, rows_of
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import trials
-from eitskin_sim.evaluation.devices.device import Device
+from eitskin_sim.evaluation.device import Device
 from eitskin_sim.evaluation.harness import Case, Run, Sheet
 from eitskin_sim.evaluation.metrics import TOUCHED
 from eitskin_sim.measurement.consistency import Filler

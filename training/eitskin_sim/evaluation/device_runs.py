@@ -23,10 +23,10 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.evaluation import trials
-from eitskin_sim.evaluation.devices.device import DRAW_SEED, Device, draw_device
-from eitskin_sim.evaluation.devices.mismatch import Mismatch, Row, deviations, random_mismatch
+from eitskin_sim.evaluation.device import DRAW_SEED, Device, draw_device
 from eitskin_sim.evaluation.harness import Case, Reference, Run, Sheet
 from eitskin_sim.evaluation.metrics import correlation
+from eitskin_sim.evaluation.mismatch import Mismatch, Row, deviations, random_mismatch
 from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
 from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.fem.solve import factorise_scene, solve_scene

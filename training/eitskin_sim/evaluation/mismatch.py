@@ -1,7 +1,7 @@
 """In what a true device differs from the nominal one, in sizes of deviations; read from JSON, or drawn.
 
 A mismatch says how large deviations are; where they lie and which way they go is drawn for every device
-(:mod:`eitskin_sim.evaluation.devices.device`). The lab mix is what somebody who builds a sheet with care may have.
+(:mod:`eitskin_sim.evaluation.device`). The lab mix is what somebody who builds a sheet with care may have.
 """
 
 from dataclasses import asdict, dataclass, fields, replace

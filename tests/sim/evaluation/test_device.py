@@ -11,8 +11,8 @@ from eitskin_proto.skin import toml
 from eitskin_proto.skin.cloud import align_cloud
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.evaluation.devices.device import draw_device
-from eitskin_sim.evaluation.devices.mismatch import (
+from eitskin_sim.evaluation.device import draw_device
+from eitskin_sim.evaluation.mismatch import (
     BOUNDS,
     IDEAL,
     LAB,
@@ -56,7 +56,7 @@ def test_without_a_mismatch_the_device_is_the_nominal_one():
 
 
 def test_of_any_skin_it_is_what_the_skin_states():
-    skin = toml.load(Path(__file__).parents[4] / "docs" / "examples" / "skin.toml")
+    skin = toml.load(Path(__file__).parents[3] / "docs" / "examples" / "skin.toml")
     bend = draw("A", 1, 0, skin)[0]
     nominal = nominal_scene(skin, bend, SCENE.touches)
     device = draw_device(IDEAL, 0, 0, skin)

@@ -6,8 +6,8 @@ import pytest
 from eitskin_proto.sensor.table import FULL_TABLE
 from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.meshing import scene_mesh
-from eitskin_sim.outline.disc import EVEN_DEG, Disc, assemble_disc
 from eitskin_sim.scene.parts import Scene
+from eitskin_sim.tank.disc import EVEN_DEG, Disc, assemble_disc
 
 EVEN_CURRENT = 10.0
 """A contact impedance, ohm m^2, at which the current passes a contact evenly: the gap model."""

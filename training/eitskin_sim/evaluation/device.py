@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_sim.evaluation.devices.mismatch import Mismatch
+from eitskin_sim.evaluation.mismatch import Mismatch
 from eitskin_sim.measurement.front_end import FrontEnd, capacitance
 from eitskin_sim.scene.family import scaled
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet

@@ -9,10 +9,10 @@ from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.skin.parts import Ring
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.evaluation.devices import runs
-from eitskin_sim.evaluation.devices.device import draw_device
-from eitskin_sim.evaluation.devices.mismatch import IDEAL, Mismatch
+from eitskin_sim.evaluation import device_runs as runs
+from eitskin_sim.evaluation.device import draw_device
 from eitskin_sim.evaluation.harness import Run, truth_map
+from eitskin_sim.evaluation.mismatch import IDEAL, Mismatch
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.measurement.faults import response_of
 from eitskin_sim.measurement.front_end import FrontEnd

@@ -16,9 +16,9 @@ from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.fem.contacts import contacts_of
 from eitskin_sim.fem.forward import System, assemble, flat_metric
 from eitskin_sim.fem.mesh import Metric, TensorMesh
-from eitskin_sim.outline.disc_map import DiscMap
 from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.parts import Electrodes, Sheet
+from eitskin_sim.tank.disc_map import DiscMap
 
 Array = npt.NDArray[np.float64]
 

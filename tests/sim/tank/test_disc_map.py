@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin_sim.outline.disc_map import DiscMap
+from eitskin_sim.tank.disc_map import DiscMap
 
 SIZES = [(100.0, 100.0), (150.0, 100.0), (60.0, 200.0)]
 

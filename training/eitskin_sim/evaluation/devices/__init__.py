@@ -1,1 +1,0 @@
-"""Trials on devices that are not what solvers take them for."""
