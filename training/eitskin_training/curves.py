@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import quoted
-from eitskin_proto.files.reading import is_whole, read_json
+from eitskin_proto.files.reading import read_json
 from eitskin_proto.files.writing import replacing
 from eitskin_training.run import Epoch
 
@@ -68,7 +68,7 @@ def _epoch(value: Any) -> Epoch:
     epoch = Epoch(**value)
     for field in fields(epoch):
         found = getattr(epoch, field.name)
-        if not isinstance(found, float) and not (is_whole(found) and abs(found) <= LARGEST_NUMBER):
+        if not isinstance(found, float) and not (type(found) is int and abs(found) <= LARGEST_NUMBER):
             raise ValueError(f"{field.name} is {quoted(found)}, expected a number")
     return epoch
 

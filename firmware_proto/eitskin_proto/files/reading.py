@@ -173,22 +173,6 @@ def parse_toml(text: str) -> dict[str, Any]:
     return found
 
 
-def is_whole(value: object) -> bool:
-    """Return whether a parsed value is an integer, which True and False are not."""
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def text_of(value: object, longest: int, what: str) -> str:
-    """Return a parsed value that must be a short text of printable ASCII, as names on the wire are.
-
-    Raises:
-        FileError: It is none; the message quotes it.
-    """
-    if not isinstance(value, str) or len(value) > longest or not value.isascii() or not value.isprintable():
-        raise FileError(f"{what} is {quoted(value)}, expected at most {longest} printable ASCII characters")
-    return value
-
-
 def _check_depth(value: object) -> None:
     """Refuse what is nested too deeply, without a recursion of its own."""
     level = [value]

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from eitskin.errors import BundleError, MismatchError
+from eitskin_proto.fields import Fields
 from eitskin_proto.files.plain import quoted, stated
 from eitskin_proto.files.reading import FileError, parse_json
 from eitskin_proto.skin.touch_kind import touch_kind_of
@@ -19,6 +20,10 @@ SMALL: Final = "small"
 
 GENTLE: Final = "gentle"
 """What it calls one that draws touches which the bundle's own hardly shows (:mod:`eitskin.model.gentle`)."""
+
+MOST_FILES: Final = 32
+LARGEST_WIDTH: Final = 65536
+"""Of a network's first layer."""
 
 BESIDE: Final = (SMALL, GENTLE)
 """Networks that a bundle may hold beside its own."""
@@ -50,33 +55,29 @@ def manifest_of(raw: bytes, where: Path, hint: str) -> dict[str, Any]:
             expected=VERSION,
             hint=f"{hint} of this release",
         )
-    problem = _shape_problem(manifest)
-    if problem:
-        raise BundleError(f"{where}: manifest.json: {problem}; {hint}")
+    try:
+        _check_fields(manifest)
+    except ValueError as error:
+        raise BundleError(f"{where}: manifest.json: {error}; {hint}") from error
     return manifest
 
 
-def _shape_problem(manifest: dict[str, Any]) -> str | None:
-    files, head, labels = manifest.get("files"), manifest.get("head"), manifest.get("labels")
-    if not isinstance(labels, str) or labels not in LABELS:
-        return f"labels found {quoted(labels)}, expected one of {', '.join(LABELS)}"
+def _check_fields(manifest: dict[str, Any]) -> None:
+    """Raise ValueError where a field is of another kind than its readers expect."""
+    fields = Fields(manifest, "")
+    fields.choice("labels", LABELS)
     try:
-        touch_kind_of(manifest.get("touches", "raise"))
+        touch_kind_of(fields.value("touches", "raise"))
     except ValueError as error:
-        return f"touches {error}"
+        raise ValueError(f"touches {error}") from error
     for name in ("gate", "metrics", "recipe", *BESIDE):
-        if not isinstance(manifest.get(name), dict | None):
-            return f"{name} found {quoted(manifest[name])}, expected an object"
-    if not isinstance(files, dict) or len(files) > 32:
-        return "files must be an object of at most 32 names"
-    if not all(isinstance(entry, dict) and isinstance(entry.get("sha256"), str) for entry in files.values()):
-        return "every file needs a sha256"
-    if not isinstance(head, dict) or not isinstance(head.get("inputs"), list):
-        return "head.inputs must be a list"
-    for name, of in (("head", head), *((name, manifest.get(name)) for name in BESIDE)):
-        if of is None:
-            continue
-        bias = of.get("bias")
-        if isinstance(bias, bool) or not isinstance(bias, int) or not 1 <= bias <= 65536:
-            return f"{name}.bias found {quoted(bias)}, expected a width from 1 to 65536"
-    return None
+        if fields.value(name, None) is not None:
+            fields.table(name)
+    files, head = fields.table("files"), fields.table("head")
+    if not 0 < len(files) <= MOST_FILES:
+        raise fields.wrong("files", f"1 to {MOST_FILES} files")
+    for name in files:
+        files.table(name).text("sha256")
+    head.entries("inputs")
+    for name in ("head", *(name for name in BESIDE if fields.value(name, None) is not None)):
+        fields.table(name).whole("bias", low=1, high=LARGEST_WIDTH)

@@ -30,9 +30,10 @@ from eitskin.reference.judgement import Judgement
 from eitskin.reference.read import capture_again, read_reference
 from eitskin.reference.row_noise import WEIGHED_SPREAD, lost_rows, weighed_rows
 from eitskin.reference.scanned import ReferenceScan
+from eitskin_proto.fields import Fields
 from eitskin_proto.files.digest import sha256_of_values
-from eitskin_proto.files.plain import quoted, stated
-from eitskin_proto.files.reading import FileError, is_whole, parse_json, text_of
+from eitskin_proto.files.plain import stated
+from eitskin_proto.files.reading import FileError, parse_json
 from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS, TABLE
@@ -44,6 +45,8 @@ FORMAT: Final = "eitskin-reference"
 VERSION: Final = 1
 SCANNED_VERSION: Final = 2
 """Of a reference with a scan."""
+
+MOST_FRAMES: Final = (1 << 31) - 1
 
 DEFAULT_FRAMES: Final = 100
 """Half a second at 200 frames/s: the mean's noise is a tenth of a frame's."""
@@ -243,17 +246,18 @@ def parsed(raw: bytes, where: str, hint: str, skin: Skin | None = None) -> Refer
         raise BadReference(
             f"reference {where} is damaged: sha256 found {found[:16]}, expected {stated(claimed)[:16]}; {hint}"
         )
+    fields = Fields(content, "")
     try:
         reference = Reference(
-            voltages_V=_rows(content["voltages_V"]),
-            spread_V=_rows(content["spread_V"]),
-            frames=_count(content["frames"]),
-            serial_number=text_of(content["serial_number"], 16, "serial_number"),
-            configuration_digest=int(text_of(content["configuration_digest"], 8, "configuration_digest"), 16),
-            configuration_name=text_of(content["configuration_name"], 16, "configuration_name"),
-            captured_utc=text_of(content["captured_utc"], 64, "captured_utc"),
-            grid_id=text_of(content["grid_id"], 16, "grid_id"),
-            skin_digest=text_of(content.get("skin_digest", PAPER.digest), 16, "skin_digest"),
+            voltages_V=np.array(fields.numbers("voltages_V", N_ROWS)),
+            spread_V=np.array(fields.numbers("spread_V", N_ROWS)),
+            frames=fields.whole("frames", low=1, high=MOST_FRAMES),
+            serial_number=fields.text("serial_number", least=0, longest=16),
+            configuration_digest=int(fields.text("configuration_digest", longest=8), 16),
+            configuration_name=fields.text("configuration_name", least=0, longest=16),
+            captured_utc=fields.text("captured_utc", least=0, longest=64),
+            grid_id=fields.text("grid_id", longest=16),
+            skin_digest=fields.text("skin_digest", PAPER.digest, longest=16),
             scan=ReferenceScan.parse(content["scan"]) if "scan" in content else None,
         )
         lost_rows(reference.voltages_V, reference.spread_V)  # refuses voltages of no front end
@@ -276,18 +280,3 @@ def taken(reference: Reference | str | Path | None, skin: Skin) -> Reference | N
     if reference is not None:
         reference.check_skin(skin)
     return reference
-
-
-def _rows(values: Any) -> npt.NDArray[np.float64]:
-    if not isinstance(values, list) or not all(isinstance(value, int | float) for value in values):
-        raise ValueError(f"expected a list of {N_ROWS} voltages")
-    rows = np.array(values, dtype=np.float64)
-    if rows.shape != (N_ROWS,) or not np.isfinite(rows).all():
-        raise ValueError(f"expected {N_ROWS} finite voltages")
-    return rows
-
-
-def _count(value: Any) -> int:
-    if not is_whole(value) or not 1 <= value < 1 << 31:
-        raise ValueError(f"frames is {quoted(value)}, expected a number of frames")
-    return int(value)

@@ -12,14 +12,15 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from eitskin.errors import EndpointError, RobotError
 from eitskin.messaging.endpoints import ROBOT, needs_keys, runtime_folders
 from eitskin.robot.config import MOST, NAME, Robot, RobotSkin, load_robot
 from eitskin.robot.pose import Pose
+from eitskin_proto.fields import Fields
 from eitskin_proto.files.plain import plain
-from eitskin_proto.files.reading import is_whole, read_json
+from eitskin_proto.files.reading import read_json
 from eitskin_proto.files.writing import write_bytes
 
 FORMAT: Final = "eitskin-robot-state"
@@ -93,26 +94,24 @@ def read_states(folder: Path) -> tuple[ProcessState, ...]:
         raise RobotError(f"{path} is not what this version writes ({error}); use the runtime's release") from error
 
 
-def _states(found: Any) -> tuple[ProcessState, ...]:
-    if (found["format"], found["version"]) != (FORMAT, VERSION):
-        raise ValueError(f"expected {FORMAT} version {VERSION}")
-    if not 1 <= len(found["skins"]) <= MOST:
-        raise ValueError("number of skins")
-    return tuple(_state(one) for one in found["skins"])
+def _states(found: object) -> tuple[ProcessState, ...]:
+    content = Fields(found, "")
+    content.check_format(FORMAT, VERSION, "a robot's state")
+    listed = content.entries("skins", least=1, most=MOST, of="skins")
+    return tuple(_state(listed.table(place)) for place in listed)
 
 
-def _state(one: Any) -> ProcessState:
-    if not isinstance(one["name"], str) or NAME.fullmatch(one["name"]) is None or one["state"] not in STATES:
-        raise ValueError("name or state")
-    for key in ("publish", "control"):
-        if not isinstance(one[key], str):
-            raise ValueError(key)
-        needs_keys(one[key])
-    if not is_whole(one["pid"]) or not is_whole(one["restarts"]):
-        raise ValueError("pid or restarts")
-    pose = Pose.of(rotation=one["rotation"], translation_mm=one["translation_mm"])
-    skin = RobotSkin(one["name"], one["publish"], one["control"], pose)
-    return ProcessState(skin, one["state"], one["pid"], one["restarts"], plain(str(one["why"])))
+def _state(one: Fields) -> ProcessState:
+    name = one.text("name")
+    if NAME.fullmatch(name) is None:
+        raise one.wrong("name", "a skin's name")
+    publish, control = one.text("publish"), one.text("control")
+    for endpoint in (publish, control):
+        needs_keys(endpoint)  # refuses what is no endpoint
+    pose = Pose.of(rotation=one.value("rotation"), translation_mm=one.value("translation_mm"))
+    state = one.choice("state", STATES)
+    why = plain(str(one.value("why")))
+    return ProcessState(RobotSkin(name, publish, control, pose), state, one.whole("pid"), one.whole("restarts"), why)
 
 
 Source = str | Path | Robot | None

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from eitskin_proto.files.reading import FileError, parse_json, parse_toml, read_bytes, read_json, read_text, text_of
+from eitskin_proto.files.reading import FileError, parse_json, parse_toml, read_bytes, read_json, read_text
 
 DEEP = 100_000
 
@@ -107,9 +107,3 @@ def test_a_file_is_named_once(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="is not JSON") as caught:
         read_json(path)
     assert str(caught.value).count(str(path)) == 1
-
-
-@pytest.mark.parametrize("value", [None, 1, "\x1b[2J", "x" * 17, "ü", ["a"]])
-def test_a_name_that_the_wire_could_not_carry_is_refused(value: object) -> None:
-    with pytest.raises(FileError, match="printable ASCII"):
-        text_of(value, 16, "serial_number")

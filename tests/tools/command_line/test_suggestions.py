@@ -2,8 +2,8 @@
 
 import pytest
 
+from eitskin_proto.fields import did_you_mean
 from eitskin_tools import cli
-from eitskin_tools.command_line.parser import did_you_mean
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
