@@ -170,6 +170,15 @@ class Skin:
             ValueError: The cloud or the voltages are malformed, or cannot be of this sheet; with value and bound.
             BadReference: There is a prediction, but nothing to hold it against.
         """
+        return self.use_cloud(cloud, predicted, predicted_flat)[0]
+
+    def use_cloud(
+        self,
+        cloud: npt.ArrayLike | None,
+        predicted: npt.ArrayLike | None = None,
+        predicted_flat: npt.ArrayLike | None = None,
+    ) -> tuple[int, tuple[str, ...]]:
+        """Use a measured surface as :meth:`set_cloud` does; return its revision and what is doubtful about it."""
         return self._clouds.use(cloud, predicted, predicted_flat, self.reference)
 
     def exclude(self, electrodes: tuple[int, ...]) -> None:

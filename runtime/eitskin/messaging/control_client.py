@@ -20,8 +20,8 @@ from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import CONTROL, ROBOT, check_client_keys, default_control
 from eitskin.messaging.reachability import who_else
 from eitskin.reference.predicted import check_voltages
+from eitskin_proto.skin.cloud import check_cloud
 from eitskin_proto.skin.cloud_file import Surface, load_surface
-from eitskin_proto.skin.sheet_cloud import check_sheet
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.skin import Skin as SkinDescription
 
@@ -106,11 +106,10 @@ def send_cloud(
         skin: Whose surface it is; None for the paper's.
 
     Raises:
-        ValueError: The cloud or the voltages are malformed, or the cloud cannot be of this sheet; with the value and
-            the bound.
+        ValueError: The cloud or the voltages are malformed; with the value and the bound.
         CloudFileError: The file holds no cloud.
         MismatchError: The file holds another skin's.
-        ControlError: The runtime refused, or did not answer.
+        ControlError: The runtime refused, since the cloud cannot be of its sheet, for example; or did not answer.
 
     Warns:
         CloudWarning: The cloud is used, but something about it is doubtful.
@@ -133,7 +132,7 @@ def send_cloud(
         if predicted is None:
             predicted, predicted_flat = cloud.predicted_V, cloud.predicted_flat_V
         cloud = cloud.measured_mm
-    points, _ = check_sheet(cloud, PAPER if skin is None else skin)
+    points = check_cloud(cloud, (PAPER if skin is None else skin).grid)
     fields: dict[str, object] = {"cloud": points.astype("<f4").tobytes()}
     if skin is not None:
         fields |= {"grid_id": skin.grid_id, "skin_digest": skin.digest}

@@ -12,7 +12,6 @@ from eitskin.messaging.control_fields import array_field, largest_request, unpac
 from eitskin.reference.captured import DEFAULT_FRAMES
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.made_for import check_made_for
-from eitskin_proto.skin.sheet_cloud import check_sheet
 from eitskin_proto.skin.skin import Skin as SkinDescription
 
 REFERENCE_FRAMES: Final = (2, 10_000)
@@ -28,13 +27,13 @@ Answer = Mapping[str, object]
 class Controlled(Protocol):
     """What the server needs of the runtime; called in its threads, never in the frame loop's."""
 
-    def set_cloud(
+    def use_cloud(
         self,
         cloud: npt.NDArray[np.floating] | None,
         predicted: npt.NDArray[np.float64] | None = None,
         predicted_flat: npt.NDArray[np.float64] | None = None,
-    ) -> int:
-        """Use a cloud from the next frame on and return its revision."""
+    ) -> tuple[int, tuple[str, ...]]:
+        """Use a cloud from the next frame on, and return its revision and what is doubtful about it."""
 
     def recapture(self, frames: int, *, force: bool = False) -> Mapping[str, object]:
         """Replace the reference by the mean of the next frames, and return what was captured and found of it.
@@ -98,8 +97,8 @@ class Commands:
             raise ControlError("a cloud request needs the field 'cloud'")
         predicted = array_field(request, "predicted", np.dtype("<f8"), (N_ROWS,))
         flat = array_field(request, "predicted_flat", np.dtype("<f8"), (N_ROWS,))
-        doubts = check_sheet(cloud, self._skin)[1]
-        return {"cloud": self._controlled.set_cloud(cloud, predicted, flat), "warnings": list(doubts)}
+        revision, doubts = self._controlled.use_cloud(cloud, predicted, flat)
+        return {"cloud": revision, "warnings": list(doubts)}
 
     def _reference(self, request: Request) -> Answer:
         frames = request.get("frames", DEFAULT_FRAMES)

@@ -20,7 +20,7 @@ from eitskin.model.bundle import EXPORT_HINT, Bundle, graphs_of
 from eitskin.model.denormals import flushed
 from eitskin.model.gentle import GentleEngine
 from eitskin.model.manifest import GENTLE, SMALL
-from eitskin.model.session import check_signature, first_line, onnxruntime, open_session
+from eitskin.model.session import check_signature, checked_graph, first_line, onnxruntime, open_session
 
 VD2T_SMALL: Final = "vd2t-small"
 """The head of a smaller network, which some bundles have besides."""
@@ -58,7 +58,7 @@ class HeadEngine:
         buffers: Buffers,
     ) -> None:
         self.name = name
-        self._session = open_session(bundle, file, bundle.files[file])
+        self._session = open_session(bundle, file, checked_graph(bundle, file))
         arrays = {"dv": buffers.change, "bias": _bias_of(file, buffers)}
         if bundle.uses_prediction:
             arrays["log_predicted"] = buffers.log_predicted

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from eitskin.errors import BundleError
 from eitskin.model.bundle import EXPORT_HINT, Bundle, graphs_of
 from eitskin.model.denormals import flushed
-from eitskin.model.session import check_signature, first_line, open_session
+from eitskin.model.session import check_signature, checked_graph, first_line, open_session
 from eitskin.touches.surface import Surface
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import network_input
@@ -74,12 +74,18 @@ class GeometryGraph:
         self._beside = {name: graphs_of(name)[0] for name in bundle.beside}
         self._widths = {OWN: bundle.bias_width} | {self._beside[name]: width for name, width in bundle.beside.items()}
         self._sessions: dict[str, Any] = {}
+        self._mended: dict[str, bytes] = {}
+        """Checked graphs that are not as they lie in the bundle."""
         for file in self._widths:
+            graph = checked_graph(bundle, file)
+            if graph != bundle.files[file]:
+                self._mended[file] = graph
             self._open(file)
 
     def _open(self, file: str) -> Any:
         if file not in self._sessions:
-            session = open_session(self._bundle, file, self._bundle.files[file])
+            graph = self._mended.get(file) or self._bundle.files[file]
+            session = open_session(self._bundle, file, graph)
             expected = {"cloud": (1, *self._grid.cloud_shape)}
             check_signature(file, session, expected, "bias", (1, self._widths[file]))
             self._sessions[file] = session

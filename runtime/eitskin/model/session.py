@@ -24,7 +24,15 @@ from eitskin.model.onnx.small_weights import without_small_weights  # noqa: E402
 from eitskin_proto.files.plain import plain  # noqa: E402
 from eitskin_proto.sensor.ids import PROTOCOL_ID  # noqa: E402
 
-__all__ = ["NO_TELEMETRY", "check_signature", "first_line", "onnxruntime", "open_session", "session_options"]
+__all__ = [
+    "NO_TELEMETRY",
+    "check_signature",
+    "checked_graph",
+    "first_line",
+    "onnxruntime",
+    "open_session",
+    "session_options",
+]
 
 
 def session_options(threads: int = 1) -> Any:
@@ -40,16 +48,30 @@ def session_options(threads: int = 1) -> Any:
     return options
 
 
+def checked_graph(bundle: Bundle, file: str) -> bytes:
+    """Return a bundle's graph, which may be run; weights too small to be computed with are 0.
+
+    Raises:
+        BundleError: It holds what no exported network has.
+    """
+    graph = bundle.files[file]
+    try:
+        check_graph(graph)
+    except BundleError as error:
+        raise BundleError(f"{bundle.path}: {file}: {error}; {EXPORT_HINT}") from error
+    return without_small_weights(graph)
+
+
 def open_session(bundle: Bundle, file: str, graph: bytes) -> Any:
     """Return a session of one thread, the caller's, without a pool of its own.
 
     Args:
         bundle: Where the graph is from.
         file: Its name there.
-        graph: Its bytes.
+        graph: Of :func:`checked_graph`.
 
     Raises:
-        BundleError: It holds what no exported network has, or ONNX Runtime cannot load it.
+        BundleError: ONNX Runtime cannot load it.
         MismatchError: It was made for another protocol_id or grid_id.
     """
     options = session_options()
@@ -59,11 +81,6 @@ def open_session(bundle: Bundle, file: str, graph: bytes) -> Any:
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.load_model_format", "ONNX")  # the kind that was checked, whatever it says
     try:
-        check_graph(graph)
-    except BundleError as error:
-        raise BundleError(f"{bundle.path}: {file}: {error}; {EXPORT_HINT}") from error
-    try:
-        graph = without_small_weights(graph)
         session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's exceptions share no base of their own
         raise BundleError(f"{bundle.path}: {file} cannot be loaded ({first_line(error)}); {EXPORT_HINT}") from error

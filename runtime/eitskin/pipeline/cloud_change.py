@@ -39,8 +39,8 @@ class CloudChange:
         predicted: npt.ArrayLike | None,
         predicted_flat: npt.ArrayLike | None,
         reference: Reference | None,
-    ) -> int:
-        """Use a surface from the next frame on, and return its revision; from any thread.
+    ) -> tuple[int, tuple[str, ...]]:
+        """Use a surface from the next frame on, and return its revision and what is doubtful; from any thread.
 
         Args:
             cloud: (3, rows, columns) mm in any pose; None for the flat sheet.
@@ -52,9 +52,9 @@ class CloudChange:
             ValueError: The cloud or the voltages are malformed, or cannot be of this sheet; with value and bound.
             BadReference: There is a prediction, but nothing to hold it against.
         """
-        skin = self._pipeline.skin
+        skin, doubts = self._pipeline.skin, tuple[str, ...]()
         if cloud is not None:
-            cloud, _ = check_sheet(cloud, skin)
+            cloud, doubts = check_sheet(cloud, skin)
             cloud = cloud.astype(np.float32).astype(np.float64)  # as control requests and streams carry it
         ratio: npt.NDArray[np.float32] | None = None
         if predicted is not None:
@@ -66,7 +66,7 @@ class CloudChange:
             geometry = self._graph.geometry(cloud, ratio, self._revision + 1)
             self._revision += 1
             self._pipeline.use_geometry(replace(geometry, given=_given(cloud, predicted, predicted_flat)))
-            return geometry.revision
+            return geometry.revision, doubts
 
 
 def _given(cloud: npt.ArrayLike | None, predicted: npt.ArrayLike | None, predicted_flat: npt.ArrayLike | None) -> Given:

@@ -8,6 +8,7 @@ from eitskin.messaging.control import ControlServer
 from eitskin.messaging.curve_keys import make_keys
 from eitskin.messaging.frame_packer import FramePacker
 from eitskin.messaging.publish import Publisher
+from eitskin_proto.skin.sheet_cloud import check_sheet
 from eitskin_proto.skin.skin import PAPER
 
 
@@ -17,9 +18,10 @@ class Recorder:
     def __init__(self):
         self.clouds, self.stopped = [], False
 
-    def set_cloud(self, cloud, predicted=None, predicted_flat=None):
+    def use_cloud(self, cloud, predicted=None, predicted_flat=None):
+        doubts = check_sheet(cloud)[1]
         self.clouds.append((cloud, predicted, predicted_flat))
-        return len(self.clouds)
+        return len(self.clouds), doubts
 
     def recapture(self, frames, *, force=False):
         self.forced = force

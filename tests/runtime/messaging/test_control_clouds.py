@@ -1,4 +1,4 @@
-"""Clouds as control requests: arrays and files, checked before they are sent and again where they arrive."""
+"""Clouds as control requests: arrays and files; the runtime checks once whether they can be of its sheet."""
 
 import msgpack
 import numpy as np
@@ -42,8 +42,8 @@ def test_bad_clouds_are_value_errors_before_anything_is_sent(server, recorder):
     assert recorder.clouds == []
 
 
-def test_clouds_that_cannot_be_of_this_sheet_are_value_errors_and_answers_that_say_why(server, raw, recorder):
-    with pytest.raises(ValueError, match="is 300 mm along x"):
+def test_clouds_that_cannot_be_of_this_sheet_are_refused_by_the_runtime_which_says_why(server, raw, recorder):
+    with pytest.raises(eitskin.ControlError, match="is 300 mm along x"):
         eitskin.send_cloud(server.endpoint, 2 * flat_cloud())
     answer = raw(msgpack.packb({"command": "cloud", "cloud": (2 * flat_cloud()).astype("<f4").tobytes()}))
     assert answer["ok"] is False

@@ -18,7 +18,7 @@ from eitskin.model.bundle import Bundle
 from eitskin.model.denormals import flushed
 from eitskin.model.engine import engines
 from eitskin.model.geometry import GeometryGraph
-from eitskin.model.session import open_session
+from eitskin.model.session import checked_graph, open_session
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import network_input
 from eitskin_tools.bench.stability.harness.rows import Row, rounded
@@ -53,7 +53,7 @@ def denormal_rows(bundle: Bundle) -> list[Row]:
             engine.infer()
 
         rows.append(_row(engine.name, infer, usual, admitted, small))
-    session = open_session(bundle, "geometry.onnx", bundle.files["geometry.onnx"])
+    session = open_session(bundle, "geometry.onnx", checked_graph(bundle, "geometry.onnx"))
 
     def bend(points: Single) -> None:
         session.run(["bias"], {"cloud": points[None]})
