@@ -229,7 +229,12 @@ class FrameLoop:
             ValueError: Fewer than 2 frames.
         """
         builder, yardstick = ReferenceBuilder(frames, self._pipeline.skin), self._yardstick()
-        for _ in self._accepted(time.perf_counter_ns() + int(self._patience_s(frames) * 1e9)):
+        asked_ns, first = time.perf_counter_ns(), True
+        for _ in self._accepted(asked_ns + int(self._patience_s(frames) * 1e9)):
+            # The newest frame that waited may be the first to be accepted; a reference is of the sheet as it is now.
+            before, first = first and self._pipeline.record.scanned_ns < asked_ns, False
+            if before:
+                continue
             if unfit := self._unfit_for_reference():
                 builder.leave_out(unfit)
             elif builder.add(self._pipeline.normaliser.voltages()):

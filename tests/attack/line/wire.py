@@ -79,7 +79,7 @@ def honest_logits() -> dict[int, float]:
 
 def stream(send: Send, scans: int, line: Line | None = None) -> Seen:
     """Attack a stream for so many scans; return what came of those, and of the honest ones around them."""
-    seen, reader = Seen(), Reader()
+    seen, reader, captured = Seen(), Reader(), False
     first, last = REFERENCE + HONEST, REFERENCE + HONEST + scans
 
     def account(line: Line, number: int) -> bytes:
@@ -92,7 +92,7 @@ def stream(send: Send, scans: int, line: Line | None = None) -> Seen:
         seen.made[int.from_bytes(payload[8:12], "little")] = payload
         for found in reader.feed(data):
             sequence = int.from_bytes(found[8:12], "little")
-            if number >= REFERENCE and seen.made.get(sequence) == found:
+            if captured and seen.made.get(sequence) == found:
                 seen.whole.append(sequence)
         return data
 
@@ -101,6 +101,7 @@ def stream(send: Send, scans: int, line: Line | None = None) -> Seen:
     try:
         with Skin(line, bundle=TINY, skip_unchanged=False) as skin:
             skin.capture_reference(REFERENCE)
+            captured = True
             with suppress(PortLost):  # when all is sent
                 seen.published.extend(skin.frames())
             seen.corrupt = skin.device.deframer.corrupt

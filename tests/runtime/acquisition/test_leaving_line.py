@@ -1,6 +1,7 @@
 """A cable that is out for a moment costs frames and not the program, at whatever operation it is pulled."""
 
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -95,6 +96,19 @@ def test_a_prediction_is_held_against_a_new_reference_from_then_on(tiny):
         assert np.median(new.voltages_V / ROWS_V) == pytest.approx(1.05, rel=1e-3)
         np.testing.assert_allclose(predicted[0][~(weak | new.weak)], 0.0, atol=2e-3)
         assert skin.pipeline.buffers.revision == given
+
+
+def test_a_reference_holds_no_frame_from_before_it_was_asked_for(tiny):
+    here = Here(rate_hz=20.0)
+    with opened(here, tiny) as skin:
+        skin.capture_reference(5)
+        frames = skin.frames(timeout_s=PATIENCE_S)
+        next(frames)
+        time.sleep(0.12)  # a busy host reads several frames at once ...
+        next(frames)  # ... and takes one of them
+        here.source.factor = 1.05
+        found = skin.capture_reference(5, force=True)
+    np.testing.assert_allclose(found.voltages_V / ROWS_V, 1.05, rtol=1e-3)
 
 
 def test_a_port_that_leaves_while_it_is_looked_at_is_no_error(monkeypatch):
