@@ -16,9 +16,9 @@ from eitskin.acquisition.device import Device
 from eitskin.errors import NotReady, PortReturned
 from eitskin.pipeline.first_frame import FirstFrame
 from eitskin.pipeline.frame_pipeline import Pipeline
+from eitskin_proto.wire.answers import Event
 from eitskin_proto.wire.codes import EventCode, MessageType
 from eitskin_proto.wire.frames import FRAME_TYPE
-from eitskin_proto.wire.messages import Event
 
 LEISURE_S: Final = 0.001
 """The line rests if nothing comes for so long; what was published has been handed over by then."""

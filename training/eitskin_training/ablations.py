@@ -26,7 +26,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.normalise import log_prediction
+from eitskin_proto.sensor.log_prediction import log_prediction
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import OF_AN_IMAGE, Recipe, widened
 from eitskin_training.run_files import network

@@ -34,7 +34,8 @@ from eitskin_proto.files.archive import BadArchiveError, Member, members
 from eitskin_proto.files.arrays import parse_npy, parse_npz
 from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.plain import plain, quoted, stated
-from eitskin_proto.files.reading import FileError, is_name, opened
+from eitskin_proto.files.reading import FileError, opened
+from eitskin_proto.files.shipped import is_name
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin as SkinDescription
 from eitskin_proto.skin.touch_kind import TOUCH_KINDS, TouchKind, touch_kind_of

@@ -29,7 +29,7 @@ from eitskin.reference.captured import Reference
 from eitskin.reference.normaliser import Normaliser
 from eitskin.reference.row_noise import with_rounding
 from eitskin_proto.skin.skin import Skin as SkinDescription
-from eitskin_proto.wire.messages import Hello
+from eitskin_proto.wire.answers import Hello
 
 CLOUD_UNCHANGED: Final = ("geometry:cloud_unchanged",)
 UNTOUCHED: Final = ("inference:untouched", *CLOUD_UNCHANGED)

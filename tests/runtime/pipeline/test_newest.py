@@ -9,8 +9,8 @@ import pytest
 
 from eitskin.acquisition.afterwards import GIVE_WAY_S
 from eitskin.frame_source import FrameSource
+from eitskin_proto.wire.answers import Event
 from eitskin_proto.wire.codes import EventCode
-from eitskin_proto.wire.messages import Event
 
 from .passing import payload
 

@@ -7,7 +7,6 @@ from scipy import stats
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.verification.chi_squared import calibration, p_value
-from eitskin_sim.verification.prior import Prior
 from eitskin_sim.verification.residual import LAWS, Noise, Whitener
 from eitskin_sim.verification.verdict import Verdict
 
@@ -87,15 +86,6 @@ def test_p_is_the_tail_of_chi_squared(value: float, degrees: int) -> None:
 def test_more_parameters_than_rows_have_no_p() -> None:
     with pytest.raises(ValueError, match="more is fitted than there are rows"):
         p_value(1.0, 0)
-
-
-def test_a_further_touch_costs_what_its_places_say() -> None:
-    prior = Prior(places=126, expected=3.0)
-    assert prior.cost(2) == pytest.approx(4.0 * np.log(42.0))
-    assert prior.cost(1, [12.0]) == prior.cost(1)
-    assert prior.cost(1, [12.0 * np.exp(0.6)]) == pytest.approx(prior.cost(1) + 1.0)
-    with pytest.raises(ValueError, match="is no prior"):
-        Prior(expected=0.0)
 
 
 def test_a_verdict_is_flagged_below_its_level() -> None:

@@ -11,13 +11,12 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.parts import Scene, Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect
-from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.touch_prior import touch_prior
 from eitskin_tools.bench.verify.across import across
 from eitskin_tools.bench.verify.allowed import Allowed, pieces_of_touches
 from eitskin_tools.bench.verify.conditions import anywhere_conditions, unit_conditions
 from eitskin_tools.bench.verify.matched import LEVELS, matched, of_rows
-from eitskin_tools.bench.verify.moving import STEP_MM, sliding
 from eitskin_tools.bench.verify.paper_like import paper_like
 from eitskin_tools.bench.verify.plot import draw
 from eitskin_tools.bench.verify.printed import tables
@@ -86,22 +85,9 @@ def test_touches_that_lie_across_are_on_the_sheet_and_turned_by_any_angle() -> N
     assert np.ptp(angles) > 90.0
 
 
-def test_touches_that_slide_stay_on_the_sheet_and_move_by_as_much_each_frame() -> None:
-    found = sliding(3, 2, 40)
-    assert [one.name for one in found[:2]] == ["A0.0", "A0.1"]
-    boxes = np.array([[touch.shapes[0].bounds_mm for touch in one.scene.touches] for one in found])
-    assert boxes.min() > 0.0
-    assert (boxes[..., 2:].max(axis=(0, 1)) < PAPER.grid.size_mm).all()
-    steps = np.hypot(*np.diff(boxes[:40, 0, :2], axis=0).T)
-    assert np.isclose(steps, STEP_MM).mean() > 0.8  # less where it turns back
-    assert steps.max() < STEP_MM + 1e-9
-    follow = [one.follow for one in anywhere_conditions() if "tracked" in one.name]
-    assert follow == [True, False, True, False]
-
-
 def test_what_data_allow_is_more_with_noise_and_less_for_a_known_sheet_and_nothing_of_an_l() -> None:
     touch = Touch((Rect(40.0, 40.0, 50.0, 50.0),))
-    allowed, noisier = (Allowed(Noise(law), usual_of("raise", PAPER)) for law in ("N2", "N3"))
+    allowed, noisier = (Allowed(Noise(law), touch_prior("raise", PAPER)) for law in ("N2", "N3"))
     allowed.deform(PAPER.grid.flat_cloud_mm())
     noisier._models = allowed._models
     for one in (allowed, noisier):

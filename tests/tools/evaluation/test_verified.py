@@ -13,8 +13,9 @@ from eitskin_sim.evaluation.trials import random, single
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.parts import Bend, Late, Phantom, Scene
 from eitskin_sim.surface.measured_cloud import measured_cloud
-from eitskin_sim.verification.free.found import FreeTouch, FreeVerdict, map_of
+from eitskin_sim.verification.network_map import map_of
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.shape_verdict import ShapeTouch, ShapeVerdict
 from eitskin_sim.verification.snapped_units import UnitTouch, UnitVerdict, unit_shares
 from eitskin_tools.cli import main
 from eitskin_tools.evaluation.verified.share import LEAST_SHARE, map_error, network_share
@@ -141,15 +142,15 @@ def test_more_than_six_shown_units_are_not_verified_and_the_network_s_map_stays(
     assert (found["verified"]["not_verified"], found["verified"]["right_flagged"]) == (1, 1)
 
 
-def sure_to(scatter_mm: float, p_value: float = 0.5) -> FreeVerdict:
+def sure_to(scatter_mm: float, p_value: float = 0.5) -> ShapeVerdict:
     """Return a verdict on a square whose left border may be off by so much."""
-    touch = FreeTouch(
+    touch = ShapeTouch(
         "rectangle", (50.0, 50.0), (0.1, 0.1), (20.0, 20.0), (0.1, 0.1), 0.0, 400.0, 1.0, 40.0, (30.0, 50.0), 0.0,
         1480.0, 1.0, 0.0, (390.0, 410.0),
     )  # fmt: skip
     scatter = np.zeros((1, 1, 7))
     scatter[0, 0, [0, 2]] = -0.5 * scatter_mm, 0.5 * scatter_mm
-    return FreeVerdict(
+    return ShapeVerdict(
         (touch,), 100.0, 104, p_value, 0.01, 5, 1e-3, pieces=SQUARE, likely=((1.0, SQUARE),), scatter=scatter
     )
 

@@ -193,8 +193,8 @@ def test_without_a_touch_and_without_a_network_it_says_so_in_a_line(
 @pytest.mark.slow
 @pytest.mark.heavy
 def test_the_real_verifier_explains_a_touch_of_a_real_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from eitskin_sim.verification.free.found import map_of
-    from eitskin_sim.verification.sheet.model import model_of_cloud
+    from eitskin_sim.verification.network_map import map_of
+    from eitskin_sim.verification.sheet_model import model_of_cloud
 
     piece = np.array([[0, 60.0, 45.0, 12.0, 10.0, 0.0, 50.0, 0.0]])
     change = model_of_cloud(CLOUD).solve(piece)[1]

@@ -11,8 +11,8 @@ from eitskin_proto.sensor.row_gaussian import rows_of as rows_of_electrodes
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import to_toml
 from eitskin_sim.scene.touch_table import RECTANGLE
-from eitskin_sim.verification.free.found import map_of
-from eitskin_sim.verification.sheet.model import model_of_cloud
+from eitskin_sim.verification.network_map import map_of
+from eitskin_sim.verification.sheet_model import model_of_cloud
 from eitskin_tools.verifier.checkers import CannotVerifyError, Checker
 from eitskin_tools.verifier.child import Place, VerifierProcess
 from eitskin_tools.verifier.letters import LARGEST_PACKET, STATE, FrameLetter, RestLetter, Setup, unpack

@@ -3,7 +3,7 @@
 import pytest
 
 from eitskin.messaging.verified.message import TIME, UNEXPLAINED
-from eitskin_sim.verification.free.found import FreeVerdict
+from eitskin_sim.verification.shape_verdict import ShapeVerdict
 from eitskin_sim.verification.verdict import Verdict
 from eitskin_tools.verifier.reasons import reason_of
 
@@ -12,7 +12,7 @@ from eitskin_tools.verifier.reasons import reason_of
     (0.4, False, ""), (0.009, False, UNEXPLAINED), (0.009, True, TIME), (0.046, True, TIME),
 ])  # fmt: skip
 def test_shapes(p_value, unfinished, why):
-    verdict = FreeVerdict((), 100.0, 100, p_value, 0.01, 1, 0.1, unfinished)
+    verdict = ShapeVerdict((), 100.0, 100, p_value, 0.01, 1, 0.1, unfinished)
     assert reason_of(verdict) == why
     assert verdict.flagged == bool(why)
 

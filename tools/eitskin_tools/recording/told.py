@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.plain import stated
 from eitskin_proto.sensor.ids import PROTOCOL_ID
-from eitskin_proto.wire.messages import Hello
+from eitskin_proto.wire.answers import Hello
 from eitskin_tools.recording.layout import RecordingError
 from eitskin_tools.recording.reader import Recording
 

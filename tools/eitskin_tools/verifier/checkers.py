@@ -8,7 +8,7 @@ from eitskin.messaging.verified.touch import VerifiedTouch
 from eitskin.touches.surface import Surface
 from eitskin_proto.sensor.normalise import inverse_reference
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.verification.free.found import FreeTouch
+from eitskin_sim.verification.shape_verdict import ShapeTouch
 from eitskin_sim.verification.snapped_units import UnitTouch
 from eitskin_tools.evaluation.verified.solver import MapVerifier, noise_shown
 from eitskin_tools.verifier.letters import Array, FrameLetter, RestLetter, Setup
@@ -54,7 +54,6 @@ class Checker:
         noise = noise_shown(reference_V, np.frombuffer(setup.spread_V, dtype="<f8"))
         self._verifier = MapVerifier(self._reference_V, noise, setup.labels, touches, skin)
         self._verifier.shapes.deform(cloud_mm)
-        self._last: Array | None = None
 
     def check(self, frame: FrameLetter) -> Verdict:
         """Return what explains a frame best.
@@ -63,13 +62,11 @@ class Checker:
             CannotVerifyError: Nothing can be said of this one.
         """
         image = frame.map.astype(np.float64).reshape(self._grid.shape)
-        last, self._last = self._last, None  # a frame that fails with it leaves the next one without
         if why := self._verifier.refused(image):
             raise CannotVerifyError(why)
         volts = self._reference_V * (1.0 + frame.change.astype(np.float64))
         rows = self._usable & ~frame.missing
-        verdict = self._verifier.verify(volts, image, last, self._budget_s, rows)
-        self._last = verdict.pieces if len(verdict.pieces) else None
+        verdict = self._verifier.verify(volts, image, self._budget_s, rows)
         touches = tuple(self._message_of(one) for one in verdict.touches)
         told = verdict.chi_squared, verdict.degrees_of_freedom, verdict.p_value, verdict.flagged
         return told, touches, reason_of(verdict)
@@ -81,7 +78,7 @@ class Checker:
         known = self._verifier.shapes.rest(self._reference_V * (1.0 + letter.change), letter.frames)
         return "" if known else UNLIKE_ITS_SCAN
 
-    def _message_of(self, one: UnitTouch | FreeTouch) -> VerifiedTouch:
+    def _message_of(self, one: UnitTouch | ShapeTouch) -> VerifiedTouch:
         if isinstance(one, UnitTouch):
             x0, y0, x1, y1 = self._grid.unit_rect_mm(one.unit % self._grid.units[1], one.unit // self._grid.units[1])
             place, normal = self._on_surface((x0 + x1) / 2.0, (y0 + y1) / 2.0)
@@ -105,7 +102,7 @@ def _unit(one: UnitTouch, box_mm: tuple[float, float, float, float], place: Thre
     )  # fmt: skip
 
 
-def _shape(one: FreeTouch, place: Three, normal: Three) -> VerifiedTouch:
+def _shape(one: ShapeTouch, place: Three, normal: Three) -> VerifiedTouch:
     return VerifiedTouch(
         shape=one.shape, unit=None, centre_mm=one.centre_mm, centre_error_mm=one.centre_error_mm, size_mm=one.size_mm,
         size_error_mm=one.size_error_mm, angle_rad=float(np.radians(one.angle_deg)), area_mm2=one.area_mm2,

@@ -99,9 +99,7 @@ class FrameLetter:
     def of(cls, numbers: list[int], missing: bytes, change: bytes, values: bytes) -> Self:
         """Return the frame of a packet's items."""
         rows = np.frombuffer(missing, dtype=np.bool_)
-        setup, seq, device_us, read_ns, publish_ns, cloud = numbers
-        shown = np.frombuffer(values, dtype="<f4")
-        return cls(setup, seq, device_us, read_ns, publish_ns, cloud, rows, np.frombuffer(change, dtype="<f4"), shown)
+        return cls(*numbers, rows, np.frombuffer(change, dtype="<f4"), np.frombuffer(values, dtype="<f4"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

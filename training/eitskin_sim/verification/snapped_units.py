@@ -1,9 +1,9 @@
 """Touched units: a verdict on shapes anywhere, snapped to the units of the skin's grid and judged as such.
 
-A map of units is verified as any other, by shapes (:mod:`eitskin_sim.verification.free`). A unit counts as touched if
-the verified map covers half of it. Then each unit is a rectangle of its own contrast, and the frame is modelled with
-just these. Where that leaves more than it should, units are put in or taken out one at a time, as long as what is
-minimised falls ::
+A map of units is verified as any other, by shapes (:mod:`eitskin_sim.verification.shape_verifier`). A unit counts as
+touched if the verified map covers half of it. Then each unit is a rectangle of its own contrast, and the frame is
+modelled with just these. Where that leaves more than it should, units are put in or taken out one at a time, as long as
+what is minimised falls ::
 
     chi-squared + sum of ((log contrast - its mean) / spread)^2 + PRICE * units
 
@@ -20,14 +20,14 @@ from eitskin_proto.skin.grid import Grid
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.scene.touch_table import RECTANGLE, Array
 from eitskin_sim.shapes.parameters import COUNT, LOG_CONTRAST
+from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.chi_squared import LEVEL, p_value
+from eitskin_sim.verification.fit import Budget
 from eitskin_sim.verification.frame import change_of
-from eitskin_sim.verification.free.effort import Effort
-from eitskin_sim.verification.free.fit import CONTRASTS
-from eitskin_sim.verification.free.found import FreeVerdict
-from eitskin_sim.verification.free.usual import Usual
 from eitskin_sim.verification.residual import Noise, Rows
-from eitskin_sim.verification.sheet.model import Model
+from eitskin_sim.verification.shape_verdict import ShapeVerdict
+from eitskin_sim.verification.sheet_model import SheetModel
+from eitskin_sim.verification.touch_prior import TouchPrior
 from eitskin_sim.verification.verdict import Verdict
 
 Bits = npt.NDArray[np.bool_]
@@ -76,7 +76,7 @@ class UnitVerdict(Verdict[UnitTouch]):
     """One frame, explained by touched units."""
 
     pieces: Array = field(default_factory=lambda: np.zeros((0, 8)))
-    """(n, 8) the shapes that were snapped: the next frame's first start."""
+    """(n, 8) the shapes that were snapped."""
 
 
 def too_many(shown: Bits) -> str:
@@ -124,34 +124,34 @@ class UnitFrame:
         voltages_V: (104,) of the frame.
         reference_V: (104,) flat and untouched; 0 in rows that every frame leaves out.
         noise: Of the frame.
-        usual: What touches are like.
+        prior: What touches are like.
         rows: (104,) which rows there are; None is all.
     """
 
     def __init__(
         self,
-        model: Model,
+        model: SheetModel,
         voltages_V: Array,
         reference_V: Array,
         noise: Noise,
-        usual: Usual,
+        prior: TouchPrior,
         rows: Rows | None = None,
     ) -> None:
         self._rows = (reference_V != 0.0) if rows is None else rows & (reference_V != 0.0)
         self._reference = np.where(self._rows, reference_V, np.nan)
         self._change = change_of(voltages_V, self._reference, self._rows)
-        self._model, self._noise, self._usual = model, noise, usual
+        self._model, self._noise, self._prior = model, noise, prior
         self._expected = model.expected(model.ratio(self._change))
         self.sets = 0
         """That were fitted."""
 
-    def snapped(self, found: FreeVerdict, shown: Bits, effort: Effort) -> UnitVerdict:
+    def snapped(self, found: ShapeVerdict, shown: Bits, budget: Budget) -> UnitVerdict:
         """Return the touched units that shapes come to, or others about them that explain the frame better.
 
         Args:
             found: The shapes.
             shown: (units,) what the network shows.
-            effort: What the frame took so far, and may take.
+            budget: What the frame took so far, and may take.
         """
         grid = self._model.skin.grid
         covered = unit_shares(found.map(grid), grid)
@@ -161,7 +161,7 @@ class UnitFrame:
         in_doubt = (covered > DOUBT[0]) & (covered < DOUBT[1]) | ((covered >= COVERED) != shown)
         doubted = np.flatnonzero(in_doubt)
         doubted = doubted[np.argsort(np.abs(covered[doubted] - COVERED), kind="stable")][:MOST_IN_DOUBT]
-        while best.p < SURE and len(doubted) and not effort.searched():
+        while best.p < SURE and len(doubted) and not budget.search_over():
             other = min((self._flipped(best, int(unit), found.pieces) for unit in doubted), key=lambda one: one.cost)
             if other.cost >= best.cost:
                 break
@@ -176,8 +176,8 @@ class UnitFrame:
             p_value=best.p,
             level=LEVEL,
             evaluations=found.evaluations + self.sets,
-            seconds=effort.seconds,
-            unfinished=best.p < LEVEL and effort.searched(),
+            seconds=budget.seconds,
+            unfinished=best.p < LEVEL and budget.search_over(),
             pieces=found.pieces,
         )
 
@@ -191,13 +191,13 @@ class UnitFrame:
         self.sets += 1
         units = np.flatnonzero(bits)
         table = _rectangles(units, self._model.skin.grid)
-        logs = np.full(len(units), self._usual.log_contrast or UNKNOWN_LOG_CONTRAST)
+        logs = np.full(len(units), self._prior.log_contrast or UNKNOWN_LOG_CONTRAST)
         if len(pieces) and len(units):
             apart = np.hypot(*(table[:, None, 1:3] - pieces[None, :, 1:3]).transpose(2, 0, 1))
             logs = np.log(pieces[apart.argmin(axis=1), 6])
         own = np.zeros((len(units), COUNT), dtype=np.bool_)
         own[:, LOG_CONTRAST] = True
-        alike = (np.eye(len(units)) - 1.0 / max(len(units), 1)) / self._usual.own_sd
+        alike = (np.eye(len(units)) - 1.0 / max(len(units), 1)) / self._prior.own_contrast_sd
         best: _Set | None = None
         for _ in range(STEPS):
             table[:, 6] = np.exp(logs)
@@ -214,7 +214,7 @@ class UnitFrame:
             by = -white.whiten(self._model.jacobian(solved, own).T).T
             square = by.T @ by + alike.T @ alike + 1e-2 * np.eye(len(units))
             step = -np.linalg.solve(square, by.T @ residual + alike.T @ unlike)
-            logs = np.clip(logs + np.clip(step, -1.0, 1.0), *np.log(CONTRASTS))
+            logs = np.clip(logs + np.clip(step, -1.0, 1.0), *np.log(c.CONTRAST_BOUNDS))
         assert best is not None
         return best
 

@@ -10,7 +10,7 @@ import msgpack  # type: ignore[import-untyped]
 from eitskin.messaging.streams.envelope import STATE
 from eitskin.messaging.streams.fields import Fields
 from eitskin_proto.errors import ProtocolError
-from eitskin_proto.wire.messages import Hello
+from eitskin_proto.wire.answers import Hello
 
 LARGEST_REFERENCE: Final = 1 << 20
 """Bytes; as of a reference's file."""

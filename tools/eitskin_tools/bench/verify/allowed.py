@@ -15,11 +15,11 @@ from eitskin_sim.scene.parts import Scene, Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Rect
 from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE
 from eitskin_sim.shapes.parameters import X, Y
-from eitskin_sim.verification.free.fit import Frame
-from eitskin_sim.verification.free.usual import Usual
+from eitskin_sim.verification.fit import Frame
 from eitskin_sim.verification.residual import Noise
-from eitskin_sim.verification.sheet.model import Model, model_of_cloud
-from eitskin_sim.verification.sheet.spreads import Spreads
+from eitskin_sim.verification.sheet_model import SheetModel, model_of_cloud
+from eitskin_sim.verification.touch_prior import TouchPrior
+from eitskin_sim.verification.unseen import Spreads
 from eitskin_tools.bench.verify.truth import SEED, Array
 
 KNOWN: Final = Spreads(drift=0.0, tilt=0.0, gauge=0.0, material=0.0, scan_mm=0.0)
@@ -34,12 +34,12 @@ class Allowed:
 
     Args:
         noise: Of the frames.
-        usual: What is known of touches beforehand.
+        prior: What is known of touches beforehand.
     """
 
-    def __init__(self, noise: Noise, usual: Usual) -> None:
-        self._noise, self._usual = noise, usual
-        self._models: dict[str, Model] = {}
+    def __init__(self, noise: Noise, prior: TouchPrior) -> None:
+        self._noise, self._prior = noise, prior
+        self._models: dict[str, SheetModel] = {}
         self._sets = 0
         self._found: dict[str, list[Array]] = {"allowed": [], "known": []}
 
@@ -54,7 +54,7 @@ class Allowed:
             return
         pieces = pieces_of_touches(scene.touches, scene.sheet.conductivity_S_per_m)
         for name, model in self._models.items():
-            self._found[name].append(_scatter(model, self._noise, self._usual, pieces))
+            self._found[name].append(_scatter(model, self._noise, self._prior, pieces))
 
     def figures(self) -> dict[str, Any]:
         """Return the median and rms of how far centres are off; None if unknown."""
@@ -95,11 +95,11 @@ def pieces_of_touches(touches: Sequence[Touch], sheet_S_per_m: float) -> Array:
     return np.array(found)
 
 
-def _scatter(model: Model, noise: Noise, usual: Usual, pieces: Array) -> Array:
+def _scatter(model: SheetModel, noise: Noise, prior: TouchPrior, pieces: Array) -> Array:
     """Return (draws, n) mm that centres are off."""
     change = model.solve(pieces)[1]
     white = model.whitener(change, model.flat_V, noise)
-    fit = Frame(model, white, change, usual, np.zeros(len(change))).at(pieces, bool(pieces[:, 5].any()))
+    fit = Frame(model, white, change, np.zeros(len(change)), prior).at(pieces, bool(pieces[:, 5].any()))
     _, by, own = fit.linear
     covariance = np.linalg.pinv(by.T @ by, hermitian=True)
     number = np.full(own.shape, -1)

@@ -12,8 +12,8 @@ from eitskin_sim.evaluation.metrics import Score, lost_mm, score
 from eitskin_sim.evaluation.near import NEAR_MM
 from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.measurement.noise import add_noise
-from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.touch_prior import touch_prior
 from eitskin_tools.bench.verify.allowed import Allowed
 from eitskin_tools.bench.verify.conditions import Anywhere
 from eitskin_tools.bench.verify.truth import SEED, cloud_of, device_of, volts
@@ -30,9 +30,9 @@ def row(condition: Anywhere, deformations: int, each: int) -> Row:
     kind = phantoms[0].scene.touch_kind
     network = named(Request("vd2t"), "area", touches=kind).run
     told_of = Noise(condition.noise)
-    verified = Verified(network, told_of, "area", kind, PAPER, follow=condition.follow, at_rest=condition.at_rest)
+    verified = Verified(network, told_of, "area", kind, PAPER, at_rest=condition.at_rest)
     found, scores = [], []
-    allowed = Allowed(told_of, usual_of(kind, PAPER))
+    allowed = Allowed(told_of, touch_prior(kind, PAPER))
     for number in range(deformations):
         own = phantoms[number * each : (number + 1) * each]
         device = device_of(condition.mismatch, number)

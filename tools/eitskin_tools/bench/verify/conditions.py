@@ -11,7 +11,6 @@ from eitskin_sim.measurement.noise import Kind
 from eitskin_sim.scene.family import Family
 from eitskin_sim.scene.parts import Phantom
 from eitskin_tools.bench.verify.across import across
-from eitskin_tools.bench.verify.moving import sliding
 from eitskin_tools.bench.verify.paper_like import paper_like
 from eitskin_tools.evaluation.verified.resting import FRAMES
 
@@ -59,8 +58,6 @@ class Anywhere:
     """From a number of deformations and touch sets at each to as many phantoms, deformation after deformation."""
     mismatch: Mismatch = IDEAL
     noise: Kind = "N2"
-    follow: bool = False
-    """Whether frames of a deformation are one motion, each verified from the last one's touches."""
     at_rest: int = 0
     """Frames of each deformation that are seen untouched first."""
 
@@ -94,11 +91,6 @@ def anywhere_conditions() -> list[Anywhere]:
             for contrast, border in ((50.0, 0.0), (0.4, PRESS_BORDER_MM))
         ),
         *(Anywhere(f"contrast {contrast:g}, of {side:g} mm", _singles(contrast, side)) for contrast, side in LARGER),
-        *(
-            Anywhere(f"{'tracked' if follow else 'not tracked'}, {touches} moving", _moving(touches), follow=follow)
-            for touches in (1, 3)
-            for follow in (True, False)
-        ),
         *_seen_at_rest(),
     ]
 
@@ -129,10 +121,6 @@ def _singles(contrast: float = 50.0, side_mm: float = SINGLE_MM) -> Callable[[in
 
 def _across(contrast: float, border_mm: float) -> Callable[[int, int], list[Phantom]]:
     return lambda deformations, each: across(contrast, border_mm, deformations, each)
-
-
-def _moving(touches: int) -> Callable[[int, int], list[Phantom]]:
-    return lambda deformations, each: sliding(touches, deformations, each)
 
 
 def _pairs(family: Family) -> Callable[[int, int], list[Phantom]]:

@@ -10,7 +10,7 @@ from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.scene.touch_table import RECTANGLE
 from eitskin_sim.verification.chi_squared import calibration, p_value
 from eitskin_sim.verification.residual import Noise, Whitener
-from eitskin_sim.verification.sheet.model import model_of_cloud
+from eitskin_sim.verification.sheet_model import model_of_cloud
 from eitskin_tools.bench.verify.truth import cloud_of, device_of
 
 LEVELS: Final = (0.001, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9)

@@ -16,8 +16,8 @@ from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.parts import Bend, Touch
 from eitskin_sim.scene.shapes import Rect
-from eitskin_sim.verification.free.search import BUDGET_S
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.shape_verifier import BUDGET_S
 from eitskin_sim.verification.snapped_units import unit_shares
 from eitskin_tools.bench.verify.conditions import Condition
 from eitskin_tools.bench.verify.truth import SEED, Array, cloud_of, device_of, volts

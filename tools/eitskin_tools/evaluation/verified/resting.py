@@ -1,7 +1,7 @@
 """The sheet at rest, for verifiers: the mean of some still frames that nothing touched, where it says something new.
 
 What a sheet reads untouched tells physics how it differs from its scan
-(:mod:`eitskin_sim.verification.sheet.at_rest`). It takes a quarter of a second of rest, and is told again once it has
+(:mod:`eitskin_sim.verification.at_rest`). It takes a quarter of a second of rest, and is told again once it has
 changed: after a press that left something behind, or by drift.
 """
 

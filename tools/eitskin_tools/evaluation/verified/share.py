@@ -13,8 +13,8 @@ import numpy.typing as npt
 from eitskin_proto.skin.grid import Grid
 from eitskin_sim.scene.touch_table import RECTANGLE, cover, pixel_lines
 from eitskin_sim.shapes.parameters import HALF_LENGTH, HALF_WIDTH, parameters_of, pieces_of
-from eitskin_sim.verification.free.fit import LEAST_HALF_MM
-from eitskin_sim.verification.free.found import FreeVerdict
+from eitskin_sim.verification.constants import MIN_HALF_SIDE_MM
+from eitskin_sim.verification.shape_verdict import ShapeVerdict
 
 Array = npt.NDArray[np.float64]
 
@@ -32,7 +32,7 @@ DRAWS: Final = 16
 """Of touches as they may be."""
 
 
-def network_share(verdict: FreeVerdict, image: Array, shown: int, grid: Grid) -> float:
+def network_share(verdict: ShapeVerdict, image: Array, shown: int, grid: Grid) -> float:
     """Return the network's share of a map, from ``LEAST_SHARE`` to 1, which it is of a flagged frame.
 
     With p and n the relative errors of physics' map and of the network's ::
@@ -75,7 +75,7 @@ def map_error(pieces: Array, scatter: Array, grid: Grid) -> float:
     maps = np.zeros((DRAWS, *grid.shape))
     for number, piece in enumerate(pieces):
         values = parameters_of(piece[None]) + off[:, number]
-        values[:, [HALF_LENGTH, HALF_WIDTH]] = np.maximum(values[:, [HALF_LENGTH, HALF_WIDTH]], LEAST_HALF_MM)
+        values[:, [HALF_LENGTH, HALF_WIDTH]] = np.maximum(values[:, [HALF_LENGTH, HALF_WIDTH]], MIN_HALF_SIDE_MM)
         maps += _covers(pieces_of(np.full(DRAWS, piece[0]), values), grid)
     maps = np.minimum(maps, 1.0)
     return float(np.sqrt(maps.var(axis=0).sum() / max(float(np.square(maps).mean(axis=0).sum()), LEAST)))

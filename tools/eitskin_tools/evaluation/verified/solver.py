@@ -1,10 +1,11 @@
 """The network's map checked by physics: ``eitskin evaluate --solver verified``.
 
 Touches of the network's map, as the stream finds them, are where the search starts
-(:mod:`eitskin_sim.verification.free`). The map is drawn from the shapes that were found, with a share of the network's
-own (:mod:`eitskin_tools.evaluation.verified.share`): the two err in part independently, so both together are nearer to
-the truth than either. A map of units is snapped to units (:mod:`eitskin_sim.verification.snapped_units`). Where physics
-cannot explain the frame, or the network shows too many units, the network's own map stays, and the frame is flagged.
+(:mod:`eitskin_sim.verification.shape_verifier`). The map is drawn from the shapes that were found, with a share of the
+network's own (:mod:`eitskin_tools.evaluation.verified.share`): the two err in part independently, so both together are
+nearer to the truth than either. A map of units is snapped to units (:mod:`eitskin_sim.verification.snapped_units`).
+Where physics cannot explain the frame, or the network shows too many units, the network's own map stays, and the frame
+is flagged.
 
 Making the model of a shape, once or twice more where the frame shows that the sheet is stretched otherwise than its
 scan, counts as set-up: it serves all frames of the shape. So does seeing it untouched first, where that is asked for.
@@ -26,13 +27,13 @@ from eitskin_sim.evaluation.harness import Case, Results, Run
 from eitskin_sim.evaluation.metrics import TOUCHED, Score
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.scene.parts import Phantom
-from eitskin_sim.verification.free.effort import Effort
-from eitskin_sim.verification.free.found import FreeVerdict
-from eitskin_sim.verification.free.search import BUDGET_S, FreeVerifier
-from eitskin_sim.verification.free.starts import shares_of
-from eitskin_sim.verification.free.usual import usual_of
+from eitskin_sim.verification.fit import Budget
+from eitskin_sim.verification.network_map import shares_of
 from eitskin_sim.verification.residual import Noise, Rows
+from eitskin_sim.verification.shape_verdict import ShapeVerdict
+from eitskin_sim.verification.shape_verifier import BUDGET_S, ShapeVerifier
 from eitskin_sim.verification.snapped_units import UnitFrame, UnitVerdict, too_many, unit_shares, unverified
+from eitskin_sim.verification.touch_prior import touch_prior
 from eitskin_tools.evaluation.verified.share import network_share
 
 Array = npt.NDArray[np.float64]
@@ -66,9 +67,9 @@ class MapVerifier:
         clock: Any = time.perf_counter,
     ) -> None:
         self._reference_V, self._noise, self._labels, self._skin, self._clock = reference_V, noise, labels, skin, clock
-        self._usual = usual_of(touches, skin)
+        self._prior = touch_prior(touches, skin)
         self._finder = Finder(skin.grid)
-        self.shapes = FreeVerifier(reference_V, noise, touches, skin, clock=clock)
+        self.shapes = ShapeVerifier(reference_V, noise, touches, skin, clock=clock)
         self.shown = 0
         """Touches that the last map shows."""
 
@@ -77,29 +78,28 @@ class MapVerifier:
         return too_many(self._shown(image)) if self._labels == "units" else ""
 
     def verify(
-        self, voltages_V: Array, image: Array, last: Array | None, budget_s: float, rows: Rows | None = None
-    ) -> FreeVerdict | UnitVerdict:
+        self, voltages_V: Array, image: Array, budget_s: float, rows: Rows | None = None
+    ) -> ShapeVerdict | UnitVerdict:
         """Return what explains a frame best: shapes, or units where the map is of units.
 
         Args:
             voltages_V: (104,) of the frame.
             image: (rows, columns) the network's map.
-            last: (n, 8) the last frame's shapes, tried first.
             budget_s: What the frame may take.
             rows: (104,) which rows the frame has; None is all.
         """
-        effort, grid = Effort(budget_s, self._clock), self._skin.grid
+        budget, grid = Budget(budget_s, self._clock), self._skin.grid
         touches = self._finder.find(image)
         self.shown = touches.count
         shares = shares_of(touches.pixels, touches.touch, touches.weights, touches.count, grid)
         before_s = self.shapes.deformation.spent_s
-        found = self.shapes.verify(voltages_V, shares, last, budget_s, rows)
+        found = self.shapes.verify(voltages_V, shares, budget_s, rows)
         if self._labels != "units":
             return found
-        effort.setup_s = self.shapes.deformation.spent_s - before_s
+        budget.models_s = self.shapes.deformation.spent_s - before_s
         model = self.shapes.deformation.model
-        frame = UnitFrame(model, voltages_V, self._reference_V, self._noise, self._usual, rows)
-        return frame.snapped(found, self._shown(image), effort)
+        frame = UnitFrame(model, voltages_V, self._reference_V, self._noise, self._prior, rows)
+        return frame.snapped(found, self._shown(image), budget)
 
     def _shown(self, image: Array) -> npt.NDArray[np.bool_]:
         return unit_shares(image, self._skin.grid) >= TOUCHED
@@ -109,7 +109,7 @@ class MapVerifier:
 class Checked:
     """One map's verdict, and what it took."""
 
-    verdict: FreeVerdict | UnitVerdict
+    verdict: ShapeVerdict | UnitVerdict
     extra_ms: float
     """Of the verdict."""
     cpu_ms: float
@@ -130,7 +130,6 @@ class Verified:
         touches: Which way touches change conductance.
         skin: Whose models.
         budget_s: What a frame may take.
-        follow: Whether the touches of the last frame of a shape are the first start of the next.
         at_rest: Untouched frames of a shape that physics sees before its first touch.
     """
 
@@ -142,12 +141,10 @@ class Verified:
         touches: TouchKind,
         skin: Skin,
         budget_s: float = BUDGET_S,
-        follow: bool = False,
         at_rest: int = 0,
     ) -> None:
         self._network, self._noise, self._labels, self._touches, self._skin = network, noise, labels, touches, skin
-        self._budget_s, self._follow, self._at_rest = budget_s, follow, at_rest
-        self._last: Array | None = None
+        self._budget_s, self._at_rest = budget_s, at_rest
         self.checked: list[Checked] = []
         """Verdicts in the order of the cases."""
         self._shape: tuple[bytes, MapVerifier] | None = None
@@ -176,8 +173,7 @@ class Verified:
             return image
         made_s, start = verifier.shapes.deformation.spent_cpu_s, time.process_time()
         rows = case.flat_reference != 0.0
-        verdict = verifier.verify(case.voltages, image, self._last, self._budget_s, rows)
-        self._last = verdict.pieces if self._follow and len(verdict.pieces) else None
+        verdict = verifier.verify(case.voltages, image, self._budget_s, rows)
         made_s = verifier.shapes.deformation.spent_cpu_s - made_s
         cpu_s = time.process_time() - start - made_s
         self.checked.append(Checked(verdict, 1e3 * verdict.seconds, 1e3 * cpu_s, 1e3 * (setup_s + made_s)))
@@ -201,7 +197,7 @@ class Verified:
             verifier.shapes.deform(case.sheet.cloud_mm)
             if self._at_rest:
                 self.rest(untouched_mean(case, self._noise, self._at_rest), self._at_rest)
-            self._shape, self._last = (key, verifier), None
+            self._shape = key, verifier
         else:
             verifier = self._shape[1]
             spent_s = verifier.shapes.deformation.spent_cpu_s

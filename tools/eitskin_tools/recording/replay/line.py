@@ -15,9 +15,9 @@ from queue import Empty, SimpleQueue
 from time import perf_counter_ns
 from typing import Final
 
+from eitskin_proto.wire.answers import Ack, Hello, Time
 from eitskin_proto.wire.codes import Code, MessageType
 from eitskin_proto.wire.framing import Deframer, encode
-from eitskin_proto.wire.messages import Ack, Hello, Time
 from eitskin_tools.recording.script import Step
 
 _SEQUENCE: Final = struct.Struct("<II")

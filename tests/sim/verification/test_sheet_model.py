@@ -1,0 +1,186 @@
+"""The model of a scan: all of its noise, a gauge factor that goes with stretch, and models made again about a frame."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import named
+from eitskin_sim.devices.device import ideal
+from eitskin_sim.freeform.sheet import inverted_metric
+from eitskin_sim.scene.family import draw
+from eitskin_sim.scene.parts import Bend, Late
+from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.surface.measured_cloud import measured_cloud
+from eitskin_sim.surface.predict import fit_cloud, noise_tangents
+from eitskin_sim.surface.smoothed import smoothed
+from eitskin_sim.verification.constants import ELEMENT_MM, MAX_RMS_OF_LIKELY_SHEET, MAX_SCAN_NOISE_MM
+from eitskin_sim.verification.sheet_model import SheetModel, model_of_cloud, scan_noise_mm
+from eitskin_sim.verification.unseen import Spreads, spreads_of
+
+GAUGE = Spreads(scan_mm=0.0).gauge
+BEND = Bend(angle_deg=100.0, axis_deg=20.0, twist_deg=10.0, stretch_along=1.15)
+
+
+@pytest.fixture(scope="module")
+def cloud() -> Array:
+    return np.asarray(measured_cloud(BEND, np.random.default_rng(5), 0.1))
+
+
+@pytest.fixture(scope="module")
+def model(cloud: Array) -> SheetModel:
+    return model_of_cloud(cloud, spreads=Spreads(scan_mm=0.1))
+
+
+def amplitudes(model: SheetModel, gauge: float = 0.0, wave: tuple[int, float] | None = None) -> Array:
+    """Return amplitudes of all columns that say a gauge factor, and one of the waves."""
+    found = np.zeros(model.unseen.columns.shape[1])
+    found[model.unseen.n_waves + model.unseen.names.index("gauge")] = gauge / model.spreads.gauge
+    if wave is not None:
+        found[wave[0]] = wave[1]
+    return found
+
+
+def test_noise_bends_the_fitted_surface_as_the_fits_of_every_point_say() -> None:
+    """Noise of one point at a time, through the fit itself, adds up to the same covariance."""
+    at = np.array([[3.0, 4.0], [75.0, 50.0], [140.0, 90.0], [20.0, 80.0]])
+    rows, columns = PAPER.grid.shape
+    by_x, by_y = [], []
+    for point in range(rows * columns):
+        cloud = np.zeros((3, rows * columns))
+        cloud[0, point] = 1.0
+        x, y = fit_cloud(cloud.reshape(3, rows, columns), PAPER.grid).tangents(at)
+        by_x.append(x[:, 0])
+        by_y.append(y[:, 0])
+    dx, dy = np.array(by_x), np.array(by_y)
+    along_x, along_y = noise_tangents(at)
+    assert along_x @ along_x.T == pytest.approx(dx.T @ dx, rel=1e-6, abs=1e-12)
+    assert along_y @ along_y.T == pytest.approx(dy.T @ dy, rel=1e-6, abs=1e-12)
+    assert along_x @ along_y.T == pytest.approx(dx.T @ dy, rel=1e-6, abs=1e-12)
+
+
+def test_the_scans_columns_are_the_scatter_of_models_of_noisy_scans(cloud: Array, model: SheetModel) -> None:
+    """Scans drawn with noise, smoothed, scatter in voltages as the columns say, within a third.
+
+    The strength of the prior is found anew of each scan, and is one for all of the sheet.
+    """
+    known = len(model.unseen.names) + model.unseen.n_waves
+    columns = model.unseen.columns[:, known:] / model.touched.untouched_V[:, None]
+    true = np.asarray(measured_cloud(BEND, None), dtype=np.float64)
+    untouched = inverted_metric(fit_cloud(true).metric, ELEMENT_MM).untouched_V
+    rng = np.random.default_rng(8)
+    drawn = []
+    for _ in range(24):
+        noisy = fit_cloud(true + 0.1 * rng.standard_normal(cloud.shape))
+        drawn.append(np.log(inverted_metric(smoothed(noisy, 0.1).surface.metric, ELEMENT_MM).untouched_V / untouched))
+    stated = np.sqrt(np.square(columns).sum(axis=1))
+    found = np.sqrt(np.mean(np.square(drawn), axis=0))
+    assert np.median(found / stated) == pytest.approx(1.0, abs=0.35)
+
+
+def test_a_model_made_again_about_a_gauge_factor_is_that_of_such_a_sheet(model: SheetModel) -> None:
+    again = model.about(amplitudes(model, gauge=1.0))
+    stated = ideal(PAPER)
+    device = replace(stated, sheet=replace(stated.sheet, gauge_factor=1.0))
+    true = inverted_metric(model.metric, ELEMENT_MM, None, device)
+    assert again.touched.untouched_V == pytest.approx(
+        true.untouched_V, rel=2e-5
+    )  # a metric that is moved by nothing is a spline still
+    assert np.abs(np.log(true.untouched_V / model.touched.untouched_V)).max() > 0.02
+    waves, gauge = again.beyond(amplitudes(model, gauge=1.2))
+    assert np.abs(waves).max() < 1e-12
+    assert gauge == pytest.approx(0.2)
+
+
+def untouched_V(model: SheetModel, **changed: object) -> Array:
+    """Return (104,) V of the model's metric, its layer changed: by the forward model alone."""
+    stated = ideal(PAPER)
+    device = replace(stated, sheet=replace(stated.sheet, **changed))
+    return np.asarray(inverted_metric(model.metric, ELEMENT_MM, None, device).untouched_V)
+
+
+def test_the_layers_columns_are_the_forward_models_derivatives(model: SheetModel) -> None:
+    """Of one standard deviation each; tilts as far as the two of them make a plane of any direction.
+
+    Within 1.5 %: columns leave the contacts as they are, which pass 1 % otherwise on a layer that conducts otherwise.
+    """
+    step, nominal, sd = 1e-3, untouched_V(model), model.spreads
+    names = model.unseen.names
+    column = {name: model.unseen.columns[:, model.unseen.n_waves + names.index(name)] for name in names}
+    drifted = (untouched_V(model, late=Late(factor=1.0 + step)) - nominal) / np.log(1.0 + step)
+    stretched = (untouched_V(model, gauge_factor=step) - nominal) / step
+    for found, expected in ((column["drift"], sd.drift * drifted), (column["gauge"], sd.gauge * stretched)):
+        assert np.linalg.norm(found - expected) < 0.015 * np.linalg.norm(expected)
+    tilted = sd.tilt * (untouched_V(model, late=Late(gradient_rms=step, seed=5)) - nominal) / step
+    two = np.stack([column["tilt x"], column["tilt y"]], axis=-1)
+    share = np.linalg.lstsq(two, tilted, rcond=None)[0]
+    assert np.linalg.norm(tilted - two @ share) < 0.015 * np.linalg.norm(tilted)
+    assert np.linalg.norm(share) == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("gauge", [0.0, 1.0])
+@pytest.mark.parametrize("wave", [0, 4])
+def test_waves_answer_as_a_sheet_with_them_does_whatever_the_gauge_factor(
+    model: SheetModel, gauge: float, wave: int
+) -> None:
+    """A quotient of two models: with a gauge factor, conductivity follows the stretch that a wave brings.
+
+    Within 3 %: the column takes slopes of the metric over 1 mm, of a spline between points 2.5 mm apart.
+    """
+    step = 0.02
+    high, low = (model.about(amplitudes(model, gauge, (wave, sign * step))) for sign in (1.0, -1.0))
+    quotient = (high.touched.untouched_V - low.touched.untouched_V) / (2.0 * step)
+    column = model.about(amplitudes(model, gauge)).unseen.columns[:, wave]
+    assert np.linalg.norm(column - quotient) < 0.03 * np.linalg.norm(quotient)
+
+
+def test_what_a_model_has_is_as_unlikely_as_it_was(model: SheetModel) -> None:
+    again = model.about(amplitudes(model, gauge=1.0))
+    expected = again.expected(np.ones(104))
+    column = again.unseen.columns[:, model.unseen.n_waves + model.unseen.names.index("gauge")] / again.flat_V
+    assert expected == pytest.approx(-column * 1.0 / GAUGE, rel=1e-9, abs=1e-12)
+
+
+def test_of_a_scanner_the_least_noise_is_believed_that_a_skin_states() -> None:
+    lab = named("lab")
+    assert lab.may_be_off.scan_noise_mm[0] < lab.may_be_off.scan_noise_mm[1]
+    assert spreads_of(lab).scan_mm == lab.may_be_off.scan_noise_mm[0]
+    assert spreads_of(replace(lab, may_be_off=replace(lab.may_be_off, scan_noise_mm=(0.0, 0.0)))).scan_mm == 0.1
+
+
+def test_a_share_of_the_way_to_another_sheet_starts_at_what_the_model_has(model: SheetModel) -> None:
+    there = model.about(amplitudes(model, gauge=0.8))
+    half = model.about(amplitudes(model, gauge=0.8), 0.5)
+    assert there is not None
+    assert half is not None
+    assert half.gauge == pytest.approx(0.4)
+    back = there.about(np.zeros_like(amplitudes(model)), 0.25)
+    assert back is not None
+    assert back.gauge == pytest.approx(0.6)
+
+
+def test_a_sheet_is_likely_to_be_as_far_as_its_amplitudes_are_usual(model: SheetModel) -> None:
+    one = amplitudes(model, wave=(0, 1.0))
+    one[: len(model.held)] = 1.0
+    assert not model.is_far(np.zeros_like(one))
+    assert model.is_far(one)
+    assert model.likely_share(one) == 1.0
+    assert model.likely_share(4.0 * MAX_RMS_OF_LIKELY_SHEET * one) == pytest.approx(0.25)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_there_is_no_model_of_what_no_sheet_has(model: SheetModel) -> None:
+    assert model.about(amplitudes(model, gauge=-1e6)) is None
+
+
+@pytest.mark.parametrize("noise_mm", [0.0, 0.1, 0.3, 1.0])
+def test_the_noise_of_a_scan_is_seen_in_it(noise_mm: float) -> None:
+    for number, bend in enumerate(draw("A", 3, 91, PAPER)):
+        cloud = measured_cloud(bend, np.random.default_rng(number), noise_mm)
+        assert scan_noise_mm(cloud, fit_cloud(cloud)) == pytest.approx(noise_mm, rel=0.06, abs=0.02)
+
+
+def test_no_more_is_believed_than_a_scan_can_be_off() -> None:
+    cloud = 50.0 * np.random.default_rng(0).standard_normal((3, *PAPER.grid.shape))
+    assert scan_noise_mm(cloud, fit_cloud(cloud)) == MAX_SCAN_NOISE_MM

@@ -1,0 +1,53 @@
+"""How likely touches are before anything is measured: what a skin states, derivatives, and joints."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.sim.verification.frames import ELL, OTHER, SQUARE, changed
+
+from eitskin_proto.skin.parts import Touches
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.verification.touch_prior import Joints, count_bodies, fitted_parameters, touch_prior
+
+
+def test_contrast_and_size_are_what_the_skin_states() -> None:
+    weak = replace(PAPER, touches=Touches(raising_contrast=(1.6, 2.5), size_mm=(8.0, 12.0)))
+    prior, plain = touch_prior("raise", weak), touch_prior("raise")
+    assert np.exp(prior.log_contrast) == pytest.approx(2.0)
+    assert prior.mean_contrast_sd < 0.4 < plain.mean_contrast_sd
+    assert prior.size_mm == pytest.approx(np.sqrt(96.0))
+    assert prior.size_log_sd < plain.size_log_sd
+    assert touch_prior("lower").log_contrast < 0.0 < plain.log_contrast
+    assert (touch_prior("lower").sign, plain.sign, touch_prior("both").sign) == (-1, 1, 0)
+
+
+@pytest.mark.parametrize(("pieces", "joints"), [
+    (np.vstack([SQUARE, changed(OTHER, width=20.0, border=2.0)]), ()),
+    (np.vstack([SQUARE, changed(SQUARE, x=13.0, y=2.0, contrast=10.0)]), ((1, 0),)),
+])  # fmt: skip
+def test_derivatives_are_quotients(pieces: np.ndarray, joints: Joints) -> None:
+    fitted, prior = fitted_parameters(pieces, False), touch_prior("raise")
+    by = prior.jacobian(pieces, fitted, joints)
+    for number, (row, parameter) in enumerate(zip(*np.nonzero(fitted), strict=True)):
+        column = int(parameter) + 1
+        step = np.zeros_like(pieces)
+        step[row, column] = 1e-5
+        high, low = (prior.residuals(pieces + sign * step, fitted, joints) for sign in (1.0, -1.0))
+        scale = {3: 2.0, 4: 2.0, 6: pieces[row, 6]}.get(column, 1.0)  # half sides, log contrast
+        assert scale * (high - low) / 2e-5 == pytest.approx(by[:, number], rel=1e-4, abs=1e-6)
+
+
+def test_cracks_and_two_contrasts_of_one_body_cost() -> None:
+    unlike = ELL.copy()
+    unlike[:, 6] = 80.0, 20.0
+    whole = ELL.copy()
+    whole[1, [1, 3]] += -0.5, 1.0
+    prior, fitted = touch_prior("raise"), fitted_parameters(ELL, False)
+    costs = []
+    for pieces in (unlike, ELL, whole):
+        joined, apart = (float(np.square(prior.residuals(pieces, fitted, joints)).sum()) for joints in (((1, 0),), ()))
+        costs.append(joined - apart)
+    assert costs[0] > 100.0 > costs[1] > 2.0
+    assert costs[2] == pytest.approx(0.0, abs=1e-9)
+    assert (count_bodies(2, ()), count_bodies(2, ((1, 0),)), count_bodies(4, ((1, 0), (2, 1), (2, 0)))) == (2, 1, 2)

@@ -1,0 +1,152 @@
+"""Other touches that may explain a frame better than those that a fit found, each compared by cost.
+
+Size and contrast lie in a long valley in which steps are short, so touches of usual contrast are tried outright. A
+finger is round, so ellipses are tried in place of rectangles that do not explain a frame. Two touches near each other
+read nearly as one over both, and on a sheet that is known badly one between the two explains a frame as well, so two
+are tried in place of one. A sheet that is not quite the model's leaves a residual that one more touch takes in part, so
+a touch that the network does not show has to explain much.
+
+Each function returns the fit that it was given where nothing is better or time is over.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from eitskin_sim.scene.gap import gap_mm
+from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE, Array
+from eitskin_sim.shapes.parameters import areas_mm2
+from eitskin_sim.verification import constants as c
+from eitskin_sim.verification.fit import IMPOSSIBLE, Budget, Fit, Frame, refine
+from eitskin_sim.verification.network_map import (
+    ELLIPSE_SIDES_OF_RECTANGLE,
+    joints_of,
+    not_shown,
+    shown_as_large,
+    without_cracks,
+)
+
+
+def fitted(
+    frame: Frame, pieces: Array, turning: bool, budget: Budget, over: Callable[[], bool] | None = None
+) -> Fit | None:
+    """Return touches fitted to a frame; None where the sheet cannot have them.
+
+    Args:
+        frame: The frame.
+        pieces: (n, 8) where to start.
+        turning: Whether angles are fitted.
+        budget: Of the frame.
+        over: Whether to stop; None stops when nothing new is to be tried.
+    """
+    budget.fits += 1
+    try:
+        return refine(frame, frame.at(pieces, turning), c.MAX_STEPS, over or budget.search_over)
+    except IMPOSSIBLE:
+        return None
+
+
+def _cheaper(fit: Fit, other: Fit | None, by: float = 0.0) -> Fit:
+    return other if other is not None and other.cost < fit.cost - by else fit
+
+
+def of_usual_contrast(frame: Frame, fit: Fit, budget: Budget) -> Fit:
+    """Return the fit, or one from touches of usual contrast that are as strong, if that costs less."""
+    usual, log = frame.prior.log_contrast, np.log(fit.pieces[:, 6])
+    if budget.search_over() or not len(log) or usual * log.mean() <= 0.0:
+        return fit
+    if abs(usual - log.mean()) < c.MIN_LOG_RATIO_TO_USUAL_CONTRAST:
+        return fit
+    pieces = scaled_to_contrast(fit.pieces, np.full(len(log), usual))
+    return _cheaper(fit, fitted(frame, pieces, fit.turning, budget))
+
+
+def scaled_to_contrast(pieces: Array, log_contrasts: Array) -> Array:
+    """Return touches of other contrasts (n,) and sizes, which read alike as long as they are small.
+
+    A small disc of contrast c answers as (c - 1) / (c + 1) = tanh(log c / 2) times its area.
+    """
+    found = pieces.copy()
+    area_ratio, most = np.tanh(np.log(pieces[:, 6]) / 2.0) / np.tanh(log_contrasts / 2.0), c.MAX_AREA_RATIO_OF_RESCALED
+    found[:, 3:5] *= np.sqrt(np.clip(area_ratio, 1.0 / most, most))[:, None]
+    found[:, 6] = np.exp(log_contrasts)
+    found[:, 7] = np.minimum(found[:, 7], found[:, 3:5].min(axis=1) - 0.01)
+    return found
+
+
+def as_ellipses(frame: Frame, fit: Fit, budget: Budget) -> Fit:
+    """Return the fit, or one with ellipses in place of its rectangles, if that costs less."""
+    if not (fit.pieces[:, 0] == RECTANGLE).any() or fit.explains or budget.search_over():
+        return fit
+    pieces = fit.pieces.copy()
+    pieces[:, 0] = ELLIPSE
+    pieces[:, 3:5] *= ELLIPSE_SIDES_OF_RECTANGLE
+    return _cheaper(fit, fitted(frame, pieces, fit.turning, budget))
+
+
+def two_in_place_of_one(frame: Frame, fit: Fit, shares: Array, budget: Budget) -> Fit:
+    """Return the fit, or one with two touches in place of the largest, if that costs less.
+
+    Args:
+        frame: The frame.
+        fit: Of it.
+        shares: (n, rows, columns) of the network's map.
+        budget: Of the frame.
+    """
+    if not len(fit.pieces) or budget.search_over():
+        return fit
+    largest = int(np.argmax(areas_mm2(fit.pieces)))
+    piece, usual = fit.pieces[largest], frame.prior.log_contrast
+    along = int(np.argmax(piece[3:5]))
+    log = float(np.log(piece[6]))
+    weak = usual * log > 0.0 and abs(usual) - abs(log) > c.MIN_LOG_RATIO_OF_WEAK_TOUCH
+    if piece[3 + along] < c.MIN_ASPECT_OF_TWO * piece[4 - along]:
+        return fit
+    if fit.explains and shown_as_large(piece, shares, frame.model.skin.grid):
+        return fit
+    two = np.vstack([piece, piece])
+    if weak:
+        log, two[:, 6] = usual, np.exp(usual)
+    strength = np.tanh(np.log(piece[6]) / 2.0) / np.tanh(log / 2.0)
+    side = float(np.sqrt(piece[3] * piece[4] / 2.0 * strength))
+    turn = np.deg2rad(piece[5]) + along * np.pi / 2
+    two[:, 1:3] += np.outer([-0.5, 0.5], [np.cos(turn), np.sin(turn)]) * (side + c.GAP_OF_TWO_MM)
+    two[:, 3:5], two[:, 7] = side, np.minimum(two[:, 7], side - 0.01)
+    over = gap_mm(np.tile(piece, (len(fit.pieces), 1)), fit.pieces) < -c.MIN_OVERLAP_OF_PART_MM
+    over[largest] = True  # a thin one overlaps itself by less
+    other = fitted(frame, np.vstack([fit.pieces[~over], two]), fit.turning, budget)
+    return _cheaper(fit, other, 0.0 if weak else c.MIN_GAIN_OF_TWO)
+
+
+def without_unconfirmed(frame: Frame, fit: Fit, shares: Array, budget: Budget) -> tuple[Fit, bool]:
+    """Return the fit without touches that the network does not show and that explain little; and if time sufficed."""
+    least = c.MIN_CHI2_OF_TOUCH_NOT_SHOWN if len(shares) else c.MIN_CHI2_OF_TOUCH_WHERE_NONE_SHOWN
+    for number in reversed(not_shown(fit.pieces, shares, frame.model.skin.grid)):
+        if budget.over():
+            return fit, False
+        other = fitted(frame, np.delete(fit.pieces, number, axis=0), fit.turning, budget, budget.over)
+        if other is not None and other.chi_squared - fit.chi_squared < least:
+            fit = other
+        elif budget.over():
+            return fit, False  # more time for what is left might have explained the frame as well
+    return fit, True
+
+
+def as_one_body(frame: Frame, fit: Fit, shares: Array, budget: Budget) -> Fit:
+    """Return the fit with what the network shows as one touch made one body, unless the frame speaks against it.
+
+    Its frame has the joints then: errors and other contrasts are those of the body.
+    """
+    grid = frame.model.skin.grid
+    joints = joints_of(fit.pieces, shares, grid)
+    if not joints or budget.search_over():
+        return fit
+    pieces = without_cracks(fit.pieces, shares, grid)
+    for _ in joints:  # a chain evens out
+        for pair in joints:
+            pieces[list(pair), 6] = np.exp(np.log(pieces[list(pair), 6]).mean())
+    body = fitted(replace(frame, joints=joints), pieces, fit.turning, budget)
+    if body is None or body.chi_squared - fit.chi_squared >= c.MAX_CHI2_PER_JOINT * len(joints):
+        return fit
+    return body

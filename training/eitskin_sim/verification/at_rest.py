@@ -1,0 +1,58 @@
+"""What a sheet reads at rest: frames that came while nothing touched it say how it differs from its model.
+
+With r what their mean is beside the model, N its noise, and C what the model may be off by::
+
+    s^2      max(1, r^T (C + N)^-1 r / rows)         more is off than was thought, all of it alike
+    beside   C' (C' + N)^-1 r                        what is off, C' = s^2 C
+    left     C' - C' (C' + N)^-1 C'                  what of it is not known yet
+
+A touch changes what is off: the same stretch answers otherwise where current flows otherwise. To first order that goes
+with the voltages, row by row. Beyond it, a part ``CHANGED_BY_TOUCH`` of what the model may be off by stays unknown, and
+a part ``ROW_ERROR_BY_TOUCH`` of what was seen of each row.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eitskin_sim.verification import constants as c
+from eitskin_sim.verification.residual import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AtRest:
+    """What was learned of a sheet that nothing touched."""
+
+    change: Array
+    """(rows,) dV that it read."""
+    beside: Array
+    """(rows,) dV of it that the model does not say."""
+    columns: Array
+    """(rows, m) dV that may differ yet, of one standard deviation each."""
+    scale: float
+    """Times that more was off than was thought, 1 at least."""
+
+
+def at_rest(change: Array, beside: Array, expected: Array, columns: Array, floor: Array, noise: Array) -> AtRest:
+    """Return what a sheet reads beside its model.
+
+    Args:
+        change: (rows,) dV that it read.
+        beside: (rows,) dV of it that the model does not say.
+        expected: (rows,) dV beside the model that is expected of it.
+        columns: (rows, m) dV that the model may be off by, of one standard deviation each.
+        floor: (rows,) standard deviation that it may be off by in each row besides.
+        noise: (rows,) standard deviation of what was read.
+    """
+    unseen = columns @ columns.T
+    own, rest = unseen + np.diag(np.square(floor)), beside - expected
+    whole = own + np.diag(np.square(noise))
+    variance = max(1.0, float(rest @ np.linalg.solve(whole, rest)) / len(rest))
+    own, whole = variance * own, variance * own + np.diag(np.square(noise))
+    gain = np.linalg.solve(whole, own).T
+    found = expected + gain @ rest
+    by_touch = c.CHANGED_BY_TOUCH**2 * variance * unseen + np.diag(np.square(c.ROW_ERROR_BY_TOUCH * found))
+    left = own - gain @ own + by_touch
+    size, way = np.linalg.eigh((left + left.T) / 2.0)
+    kept = size > 1e-12
+    return AtRest(change, found, way[:, kept] * np.sqrt(size[kept]), float(np.sqrt(variance)))

@@ -1,0 +1,122 @@
+"""One deformation after another, each with the model of its sheet that is in use and other sheets to try.
+
+The first model is that of the scan. Frames that show a likely sheet, farther from the model than derivatives are good
+for, have it made again about that. Where nothing explains a frame, other sheets are tried, each once a deformation:
+
+    scanned        the sheet that the frame speaks for, as far on the way there as a sheet is likely to be
+    seen at rest   that of the scan alone: the sheet has changed since
+
+The verifier keeps one only if it explains the frame.
+"""
+
+import time
+from collections.abc import Callable
+
+from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.verification import constants as c
+from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.sheet_model import SheetModel
+
+
+class Deformation:
+    """The model in use, and other sheets to try.
+
+    Args:
+        clock: By which the time for models is counted, in seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._model: SheetModel | None = None
+        self._scanned: SheetModel | None = None
+        self._others: list[Callable[[Array], SheetModel | None]] = []
+        self._made_again = 0
+        self.spent_s = 0.0
+        """What the present deformation's models took so far."""
+        self.spent_cpu_s = 0.0
+        """The same by the processor."""
+
+    @property
+    def model(self) -> SheetModel:
+        """The one in use.
+
+        Raises:
+            ValueError: There is no deformation yet.
+        """
+        if self._model is None:
+            raise ValueError("no deformation to verify on; give its cloud first")
+        return self._model
+
+    def scan(self, make: Callable[[], SheetModel]) -> None:
+        """Go on with the model of another scan."""
+        self.spent_s = self.spent_cpu_s = 0.0
+        self._make(make)
+        self._scanned, self._made_again = self.model, 0
+        self._others = [self._as_far_as_likely]
+
+    def rest(self, change: Array, reference: Array, noise: Noise) -> bool:
+        """Learn from what the untouched sheet reads, and return whether it is the scanned one; else nothing changes.
+
+        Args:
+            change: (104,) dV, the mean of some frames.
+            reference: (104,) V.
+            noise: Of that mean.
+        """
+        before, scanned = self.model, self._scanned
+        assert scanned is not None
+        self._make(lambda: scanned.rested(change, reference, noise) or before)
+        if self._model is before:
+            return False
+        self._others = [lambda _: scanned]
+        return True
+
+    def make_again(self, amplitudes: Array) -> Callable[[], None] | None:
+        """Make the model about amplitudes of all its columns, and return what brings back the present one.
+
+        None is returned, and the model stays as it is, where it was seen at rest, where derivatives reach as far, and
+        where no sheet is likely to have the amplitudes.
+        """
+        before = self.model
+        if before.rest is not None or self._made_again >= c.MAX_MODELS_PER_DEFORMATION:
+            return None
+        if not before.is_far(amplitudes) or before.likely_share(amplitudes) < 1.0:
+            return None
+        self._made_again += 1
+        return self._go_on_with(lambda: before.about(amplitudes), self._made_again)
+
+    @property
+    def has_others(self) -> bool:
+        """Whether another sheet was not tried yet."""
+        return bool(self._others)
+
+    def try_other(self, amplitudes: Array) -> Callable[[], None] | None:
+        """Go on with the next other sheet, and return what brings back the present one; None if there is no such sheet.
+
+        Args:
+            amplitudes: Of all columns, that a frame speaks for.
+        """
+        other = self._others.pop()
+        return self._go_on_with(lambda: other(amplitudes), 0)
+
+    def _go_on_with(self, make: Callable[[], SheetModel | None], made_again: int) -> Callable[[], None] | None:
+        before, before_made = self.model, self._made_again
+        self._make(lambda: make() or before)
+        if self._model is before:
+            return None
+        self._made_again = made_again
+
+        def back() -> None:
+            self._model, self._made_again = before, before_made
+
+        return back
+
+    def _as_far_as_likely(self, amplitudes: Array) -> SheetModel | None:
+        model = self.model
+        return model.about(amplitudes, model.likely_share(amplitudes)) if model.is_far(amplitudes) else None
+
+    def _make(self, make: Callable[[], SheetModel]) -> None:
+        """Make a model, and count what it takes."""
+        clock, processor = self._clock(), time.process_time()
+        self._model = make()
+        self.spent_s += self._clock() - clock
+        self.spent_cpu_s += time.process_time() - processor

@@ -1,0 +1,215 @@
+"""The verifier: from the network's touches to shapes that physics can explain.
+
+::
+
+    starts from the network's map  ->  fit  ->  compare with alternatives  ->  explained?  ->  verdict
+                                        ^                                          | no
+                                        +------------  on another sheet  <---------+
+
+The cost of a fit never rises, so more time gives no worse answer; time is looked at before each step of each fit. Where
+a fit wants a stretch of the sheet that is too large for derivatives, the model is made again about it, some times a
+deformation; the next frames of the same deformation have it already (:mod:`eitskin_sim.verification.deformation`).
+"""
+
+import time
+from collections.abc import Callable
+from typing import Final, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.verification import alternatives
+from eitskin_sim.verification import constants as c
+from eitskin_sim.verification.chi_squared import LEVEL
+from eitskin_sim.verification.deformation import Deformation
+from eitskin_sim.verification.fit import Budget, Fit, Frame
+from eitskin_sim.verification.frame import change_of, check_frame
+from eitskin_sim.verification.gentler_contrasts import likely_touches
+from eitskin_sim.verification.network_map import starts_of, without_cracks
+from eitskin_sim.verification.residual import Noise, Rows
+from eitskin_sim.verification.shape_verdict import ShapeVerdict, scatter_of, touches_of
+from eitskin_sim.verification.sheet_model import model_of_cloud
+from eitskin_sim.verification.touch_prior import touch_prior
+from eitskin_sim.verification.unseen import Spreads
+
+BUDGET_S: Final = 2.0
+"""What a frame may take; most take a thirtieth of it."""
+
+Made = TypeVar("Made")
+
+
+class ShapeVerifier:
+    """Verifies frames of one deformation after another.
+
+    Args:
+        reference_V: (104,) flat and untouched, as measured; 0 in rows that every frame leaves out.
+        noise: Of a frame.
+        touches: Which way this skin's touches change conductance.
+        skin: Whose frames.
+        spreads: How much may differ between the sheet and its model; None is what the skin says.
+        clock: In seconds, for budgets; ``time.process_time`` on a machine that is shared.
+    """
+
+    def __init__(
+        self,
+        reference_V: Array,
+        noise: Noise,
+        touches: TouchKind = "raise",
+        skin: Skin = PAPER,
+        spreads: Spreads | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self._rows = reference_V != 0.0
+        self._reference = np.where(self._rows, reference_V, np.nan)
+        self._noise, self._prior = noise, touch_prior(touches, skin)
+        self._clock = clock
+        self._skin, self._spreads = skin, spreads
+        self.deformation = Deformation(clock)
+        """The present one, with its models and what they took."""
+
+    def deform(self, cloud_mm: npt.ArrayLike) -> None:
+        """Go on with a scanned deformation.
+
+        Raises:
+            ValueError: The cloud is malformed, or folds in its own plane.
+        """
+        self.deformation.scan(lambda: model_of_cloud(cloud_mm, self._skin, self._spreads))
+
+    def rest(self, voltages_V: Array, frames: int = 1) -> bool:
+        """Learn from what the deformation reads while nothing touches it.
+
+        Args:
+            voltages_V: (104,) the mean of some frames.
+            frames: How many.
+
+        Returns:
+            Whether it is the scanned sheet; where it is not, nothing changes.
+
+        Raises:
+            ValueError: There is no deformation yet, or no frame; a number is not finite.
+        """
+        check_frame(voltages_V, self._reference)
+        return self.deformation.rest(voltages_V / self._reference - 1.0, self._reference, self._noise.of_mean(frames))
+
+    def verify(
+        self, voltages_V: Array, shares: Array, budget_s: float = BUDGET_S, rows: Rows | None = None
+    ) -> ShapeVerdict:
+        """Return the touches that explain a frame best.
+
+        Args:
+            voltages_V: (104,) of the frame.
+            shares: (n, rows, columns) of the network's map, what each of its touches has of every pixel.
+            budget_s: Time. What a frame takes longer is one derivative of its touches and one solution with them, and,
+                where the frame shows that the sheet is stretched otherwise, one model of it.
+            rows: (104,) which rows the frame has; None is all. The others are left out, whatever they read.
+
+        Raises:
+            ValueError: There is no deformation yet, or no time; a number is not finite.
+        """
+        budget = Budget(budget_s, self._clock)
+        rows = self._rows if rows is None else self._rows & rows
+        check_frame(voltages_V, self._reference, shares, rows)
+        change, grid = change_of(voltages_V, self._reference, rows), self._skin.grid
+        starts = starts_of(shares, self._prior, grid)
+        fit, unfinished = self._explained(change, rows, starts, shares, budget)
+        while self.deformation.has_others and fit.p_value <= LEVEL and self._time_for_model(budget):
+            back = self._counted(budget, lambda: self.deformation.try_other(self._amplitudes(fit)))  # noqa: B023
+            if back is None:
+                continue
+            other, still_unfinished = self._explained(change, rows, starts, shares, budget)
+            if other.p_value > max(c.MIN_P_OF_OTHER_SHEET, fit.p_value):
+                fit, unfinished = other, still_unfinished
+            else:
+                back()
+        fit = alternatives.as_one_body(fit.frame, fit, shares, budget)
+        likely, scatter = likely_touches(fit.frame, fit, budget), scatter_of(fit)
+        return ShapeVerdict(
+            touches_of(fit, scatter, [pieces for _, pieces in likely[1:]]),
+            fit.chi_squared,
+            fit.degrees_of_freedom,
+            fit.p_value,
+            LEVEL,
+            budget.fits,
+            budget.seconds,
+            unfinished,
+            fit.pieces,
+            tuple((share, without_cracks(pieces, shares, grid)) for share, pieces in likely),
+            scatter,
+            fit.frame.joints,
+        )
+
+    def _explained(
+        self, change: Array, rows: Rows, starts: list[Array], shares: Array, budget: Budget
+    ) -> tuple[Fit, bool]:
+        """Return what explains a frame best on the present sheet, and whether time ended the search for it."""
+        fit = self._best_start(self.frame(change, rows, len(starts[0])), starts, budget)
+        if not fit.explains:
+            usual = alternatives.of_usual_contrast(fit.frame, fit, budget)
+            fit = self._on_its_sheet(alternatives.as_ellipses(fit.frame, usual, budget), budget)
+        unfinished = budget.search_over() and not fit.explains
+        fit, confirmed = alternatives.without_unconfirmed(fit.frame, fit, shares, budget)
+        fit = alternatives.two_in_place_of_one(fit.frame, fit, shares, budget)
+        return fit, unfinished or not confirmed
+
+    def _best_start(self, frame: Frame, starts: list[Array], budget: Budget) -> Fit:
+        """Return the first start that explains the frame once it is fitted, or the best of them."""
+        best = None
+        for pieces in starts:
+            fit = alternatives.fitted(frame, pieces, bool(pieces[:, 5].any()), budget)
+            if fit is None:
+                continue
+            fit = self._on_its_sheet(fit, budget)
+            if fit.frame is not frame and best is not None:
+                best = fit.frame.at(best.pieces, best.turning)
+            frame = fit.frame
+            if best is None or fit.cost < best.cost:
+                best = fit
+            if budget.search_over() or best.explains:
+                break
+        assert best is not None, "a sheet can have no touches"
+        return best
+
+    def _on_its_sheet(self, fit: Fit, budget: Budget) -> Fit:
+        """Return the fit on a model that is made again where the frame shows another likely sheet."""
+        while self._time_for_model(budget):
+            back = self._counted(budget, lambda: self.deformation.make_again(self._amplitudes(fit)))  # noqa: B023
+            if back is None:
+                break
+            frame = self.frame(fit.frame.change, fit.frame.white.rows, fit.frame.n_shown)
+            again = alternatives.fitted(frame, fit.pieces, fit.turning, budget)
+            if again is None or not (again.explains or again.cost < c.MAX_COST_RATIO_OF_MODEL_MADE_AGAIN * fit.cost):
+                back()
+                break
+            fit = again
+        return fit
+
+    def frame(self, change: Array, rows: Rows | None = None, n_shown: int = 0) -> Frame:
+        """Return a frame on the present sheet.
+
+        Args:
+            change: (104,) dV.
+            rows: (104,) which rows it has; None is all.
+            n_shown: Touches that the search starts from.
+        """
+        model = self.deformation.model
+        white = model.whitener(change, self._reference, self._noise, rows)
+        return Frame(model, white, change, model.expected(model.ratio(change)), self._prior, n_shown)
+
+    def _amplitudes(self, fit: Fit) -> Array:
+        """Return amplitudes of all columns that what a fit leaves of a frame speaks for."""
+        frame = fit.frame
+        left = frame.change - frame.expected - frame.model.change(fit.solved)
+        return frame.model.amplitudes(frame.change, left, self._reference, self._noise, frame.white.rows)
+
+    def _time_for_model(self, budget: Budget) -> bool:
+        return not (budget.search_over() or (self.deformation.spent_s and budget.over_with_models()))
+
+    def _counted(self, budget: Budget, make: Callable[[], Made]) -> Made:
+        """Make another model of the sheet for a frame."""
+        before = self.deformation.spent_s
+        made = make()
+        budget.models_s += self.deformation.spent_s - before
+        return made

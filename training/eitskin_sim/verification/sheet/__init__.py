@@ -1,1 +1,0 @@
-"""What is known of the sheet on one deformation: by its scan, by how scans and sheets err, by what it reads at rest."""

@@ -1,0 +1,170 @@
+"""What may differ between the sheet and the model of its scan, all linear, on one deformation, from one factorisation.
+
+The model has the metric of a smooth surface through the scanned points. A scan without marks divides rows and columns
+by arc length, so it misses how stretch is distributed along them; and noise leaves the surface unsure. Both change the
+conductance tensor K = sigma t0 g^-1 of every element, and so do conductivities that drifted. With the fields X of the
+untouched sheet every such change answers as
+
+    dU = - sum over elements of X_e^T dS_e X_e,      dS_e = dK_xx S_xx + dK_xy S_xy + dK_yy S_yy
+
+so the three powers of every element are computed once, and a change costs one small product. ::
+
+    stretch     the material lies elsewhere under the scan's points: waves along x and y, none across the border
+    scan        what the scanner's noise leaves unsure of the surface, in every way in which it moves it
+    drift       of the whole layer's conductivity since the reference
+    tilt x, y   drift that differs from end to end, a plane of rms 1
+    gauge       conductivity goes with (local area stretch)^-k
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eitskin_proto.sensor.table import TABLE
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.fem.borders.enrichment import PRODUCTS
+from eitskin_sim.fem.mesh import MM, Metric
+from eitskin_sim.freeform.mesh import KEPT, MIDDLE, with_contacts
+from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.shapes.sheet import TouchedSheet
+from eitskin_sim.surface.smoothed import Scan
+from eitskin_sim.verification import constants as c
+from eitskin_sim.verification.waves import Waves, waves_of
+
+
+@dataclass(frozen=True, slots=True)
+class Spreads:
+    """How far a sheet may differ from its model, before anything is measured: standard deviations, 0 leaves one out."""
+
+    drift: float = c.DRIFT_SD
+    """Of the whole layer's conductivity since the reference, as a part of it."""
+    tilt: float = c.TILT_SD
+    """Of its planes along x and along y, each of rms 1."""
+    gauge: float = c.GAUGE_SD
+    """Of k, where conductivity goes by (area stretch)^-k."""
+    material: float = 1.0
+    """Of material that lies elsewhere than a scan can tell: over what the skin's deformations say."""
+    scan_mm: float = c.SCAN_NOISE_MM
+    """Noise of the scanner."""
+
+
+def spreads_of(skin: Skin) -> Spreads:
+    """Return what a verifier assumes that knows nothing of the device but its skin.
+
+    Of the scanner that is the least noise that the skin states: a scan that has more shows it by its own points.
+    """
+    return Spreads(scan_mm=skin.may_be_off.scan_noise_mm[0] or c.SCAN_NOISE_MM)
+
+
+@dataclass(frozen=True, slots=True)
+class Unseen:
+    """All changes of one deformation."""
+
+    names: tuple[str, ...]
+    """Of those after the waves; the scans' come last and have no names."""
+    columns: Array
+    """(104, m) V for one standard deviation of each, under 1 A, untouched."""
+    waves: Waves
+    mixed: Array
+    """(w, k) amplitudes of the waves by the first k columns."""
+    by_log_sigma: Array
+    """(n_elements, 104) V by log conductivity of each element, untouched."""
+
+    @property
+    def n_waves(self) -> int:
+        """Return how many columns are waves; those of the layer follow, by ``names``."""
+        return int(self.mixed.shape[1])
+
+
+def _powers(touched: TouchedSheet) -> Array:
+    """Return (3, n_elements, 104): - X_e^T S_c X_e for the xx, xy and yy parts, untouched."""
+    sheet, grid = touched.sheet, touched.grid
+    elements = np.arange(len(sheet.before))
+    contacts = sheet.system.contacts
+    density = contacts.density(np.full(len(contacts.element), sheet.system.background))
+    whole = with_contacts(sheet.system.background * sheet.system.stiffness, elements, density, contacts)
+    driven = touched.to_terminals - np.roll(touched.to_terminals, -1, axis=1)
+    outer = np.concatenate([driven, np.zeros((1, 16))])[grid.dofs]  # (e, 9, 16), the electrode last
+    middle = -(whole[:, MIDDLE, KEPT][:, None, :] @ outer) / whole[:, MIDDLE, MIDDLE][:, None, None]
+    fields = np.insert(outer[:, :8], MIDDLE, middle[:, 0], axis=1)
+    tables = PRODUCTS.sum(axis=0).reshape(3, 9, 9)
+    flipped, (drive, measure) = np.swapaxes(fields, 1, 2), TABLE.T.astype(np.intp)
+    return np.array([-(flipped @ (table @ fields))[:, drive, measure] for table in tables])
+
+
+def unseen(
+    touched: TouchedSheet,
+    metric: Metric,
+    scan: Scan,
+    ways: Array,
+    spreads: Spreads,
+    skin: Skin = PAPER,
+    gauge: float = 0.0,
+) -> Unseen:
+    """Return what may differ on a deformation.
+
+    Args:
+        touched: Its sheet.
+        metric: The sheet's.
+        scan: Its surface, and what that may be off by.
+        ways: (w, k) amplitudes of the waves by which its material may lie elsewhere, for one standard deviation.
+        spreads: How much may differ.
+        skin: Whose sheet.
+        gauge: k of its model, where conductivity goes by (area stretch)^-k: it follows what changes the stretch.
+    """
+    sheet = touched.sheet
+    mesh = sheet.system.mesh
+    at = mesh.centres_mm
+    first = metric(at)
+    E, F, G = first.T
+    ratio = mesh.sizes_mm[:, 1] / mesh.sizes_mm[:, 0]
+    sigma = sheet.system.background * sheet.system.relative
+    scale = sigma * sheet.system.thickness_mm * MM / (E * G - F**2)
+    power = _powers(touched)
+    tensor = scale * np.array([G * ratio, -F, E / ratio])  # (3, e)
+
+    by_log_sigma = np.einsum("ce,cer->er", tensor, power)
+    stretch = (1.0 + gauge / 2.0) / (E * G - F**2)  # by how much the area's stretch shrinks all of K
+    by_metric = np.array(
+        [
+            power[2] * (scale / ratio)[:, None] - by_log_sigma * (stretch * G)[:, None],
+            by_log_sigma * (2.0 * stretch * F)[:, None] - power[1] * scale[:, None],
+            power[0] * (scale * ratio)[:, None] - by_log_sigma * (stretch * E)[:, None],
+        ]
+    )  # (3, e, 104) V by E, F and G of each element
+    waves = waves_of(skin)
+    moved, noise = (
+        sum(by.T @ rate for by, rate in zip(by_metric, rates, strict=True))
+        for rates in (waves.rates(metric, at), scan.rates(at))
+    )
+    fields = _layer_fields(at, first, skin, spreads)
+    layer = np.array([by_log_sigma.T @ (size * one) for one, size in fields.values()]).T
+    parts = [moved @ ways, layer, _strongest(noise @ scan.unsure)]
+    return Unseen(tuple(fields), np.concatenate(parts, axis=1), waves, ways, by_log_sigma)
+
+
+def _strongest(columns: Array) -> Array:
+    """Return (104, m) columns of nearly the same covariance, as few as do."""
+    left, size, _ = np.linalg.svd(columns, full_matrices=False)
+    kept = int(np.sum(size > c.MIN_SCAN_WAY_SHARE * size.max(initial=0.0)))
+    return np.asarray(left[:, :kept] * size[:kept])
+
+
+def _layer_fields(xy_mm: Array, metric: Array, skin: Skin, spreads: Spreads) -> dict[str, tuple[Array, float]]:
+    """Return by name (n,) changes of the layer's log conductivity, and the standard deviation of how much of each.
+
+    Args:
+        xy_mm: (n, 2) flat places.
+        metric: (n, 3) E, F, G there.
+        skin: Whose layer.
+        spreads: How much may differ.
+    """
+    length, width = skin.outline.size_mm
+    x, y = xy_mm.T
+    E, F, G = metric.T
+    return {
+        "drift": (np.ones(len(xy_mm)), spreads.drift),
+        "tilt x": (np.sqrt(12.0) * (x / length - 0.5), spreads.tilt),
+        "tilt y": (np.sqrt(12.0) * (y / width - 0.5), spreads.tilt),
+        "gauge": (-0.5 * np.log(E * G - F**2), spreads.gauge),
+    }
