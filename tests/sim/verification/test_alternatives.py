@@ -86,7 +86,6 @@ def test_small_touches_of_another_contrast_read_alike() -> None:
 @pytest.mark.parametrize(("touches", "shown", "left"), [
     (np.vstack([SQUARE, OTHER]), [SQUARE], 2),
     (SQUARE, [SQUARE], 1),
-    (SQUARE, [], 1),
     (NOTHING, [], 0),
 ])  # fmt: skip
 def test_a_touch_that_only_physics_sees_must_explain_much(touches: Array, shown: list[Array], left: int) -> None:

@@ -22,14 +22,6 @@ def test_a_converged_fit_stays_and_its_derivatives_serve_for_its_errors(monkeypa
     assert len(scatter_of(done)) == 5
 
 
-def test_errors_of_a_fit_by_derivatives_of_its_last_short_step_are_its_own() -> None:
-    frame = frame_of(BETWEEN)
-    near = refine(frame, refine(frame, frame.at(BETWEEN), 20), 20)
-    best = refine(frame, frame.at(changed(near.pieces, x=0.1, y=0.1)), 20)
-    nearby, own = (np.sqrt(np.square(scatter_of(one)).sum(axis=0)) for one in (best, frame.at(best.pieces)))
-    assert nearby == pytest.approx(own, rel=0.2)
-
-
 def test_the_cost_never_rises_and_ends_near_the_truth() -> None:
     frame = frame_of(BETWEEN)
     fits = [frame.at(changed(BETWEEN, x=4.0, y=-3.0, length=2.0, width=3.0))]

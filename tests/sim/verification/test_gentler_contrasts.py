@@ -45,13 +45,6 @@ def test_a_larger_gentle_touch_is_found_a_contrast_at_a_time() -> None:
     assert correlation(found.map(), map_of(larger)) > correlation(map_of(found.pieces), map_of(larger)) + 0.02
 
 
-def test_a_larger_gentle_touch_is_drawn_as_large_as_the_data_allow() -> None:
-    """Where a network of hard touches shows a smaller one."""
-    truth = np.array([[0, 60.0, 45.0, 20.0, 20.0, 0.0, 2.0, 0.0]])
-    shown = np.array([[0, 60.0, 45.0, 10.0, 10.0, 0.0, 50.0, 0.0]])
-    assert verified(truth, shown=shown).map().sum() > 1.5 * map_of(shown).sum()
-
-
 def test_a_contrast_that_the_frame_speaks_against_ends_the_search_for_gentler_ones() -> None:
     hard = HARD.copy()
     hard[0, 3:5] = 16.0

@@ -121,12 +121,11 @@ def two_in_place_of_one(frame: Frame, fit: Fit, shares: Array, budget: Budget) -
 
 def without_unconfirmed(frame: Frame, fit: Fit, shares: Array, budget: Budget) -> tuple[Fit, bool]:
     """Return the fit without touches that the network does not show and that explain little; and if time sufficed."""
-    least = c.MIN_CHI2_OF_TOUCH_NOT_SHOWN if len(shares) else c.MIN_CHI2_OF_TOUCH_WHERE_NONE_SHOWN
     for number in reversed(not_shown(fit.pieces, shares, frame.model.skin.grid)):
         if budget.over():
             return fit, False
         other = fitted(frame, np.delete(fit.pieces, number, axis=0), fit.turning, budget, budget.over)
-        if other is not None and other.chi_squared - fit.chi_squared < least:
+        if other is not None and other.chi_squared - fit.chi_squared < c.MIN_CHI2_OF_TOUCH_NOT_SHOWN:
             fit = other
         elif budget.over():
             return fit, False  # more time for what is left might have explained the frame as well

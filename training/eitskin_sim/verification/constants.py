@@ -170,8 +170,6 @@ MIN_CHI2_OF_TOUCH_NOT_SHOWN: Final = 300.0
 """What it explains, beside others that the network shows: a sheet that is not the model's often seems to have one more,
 which explains 50 to 200. A hard touch of 10 mm explains thousands."""
 
-MIN_CHI2_OF_TOUCH_WHERE_NONE_SHOWN: Final = 50.0
-
 # Gentler contrasts: contrast 2 0.083, contrast 3 of 16 mm 0.136; lab-like singles lose 0.013 by them.
 
 GENTLER_RAISING: Final = ((1.5, 0.1), (2.0, 0.1), (3.0, 0.1), (5.0, 0.1))

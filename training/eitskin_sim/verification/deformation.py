@@ -70,15 +70,18 @@ class Deformation:
         self._others = [lambda _: scanned]
         return True
 
+    @property
+    def may_be_made_again(self) -> bool:
+        """Whether a frame may show another sheet: not where it was seen at rest, and some times a deformation."""
+        return self.model.rest is None and self._made_again < c.MAX_MODELS_PER_DEFORMATION
+
     def make_again(self, amplitudes: Array) -> Callable[[], None] | None:
         """Make the model about amplitudes of all its columns, and return what brings back the present one.
 
-        None is returned, and the model stays as it is, where it was seen at rest, where derivatives reach as far, and
-        where no sheet is likely to have the amplitudes.
+        None is returned, and the model stays as it is, where derivatives reach as far, and where no sheet is likely to
+        have the amplitudes.
         """
         before = self.model
-        if before.rest is not None or self._made_again >= c.MAX_MODELS_PER_DEFORMATION:
-            return None
         if not before.is_far(amplitudes) or before.likely_share(amplitudes) < 1.0:
             return None
         self._made_again += 1

@@ -13,6 +13,7 @@ deformation; the next frames of the same deformation have it already (:mod:`eits
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Final, TypeVar
 
 import numpy as np
@@ -116,7 +117,7 @@ class ShapeVerifier:
         starts = starts_of(shares, self._prior, grid)
         fit, unfinished = self._explained(change, rows, starts, shares, budget)
         while self.deformation.has_others and fit.p_value <= LEVEL and self._time_for_model(budget):
-            back = self._counted(budget, lambda: self.deformation.try_other(self._amplitudes(fit)))  # noqa: B023
+            back = self._counted(budget, partial(self.deformation.try_other, self._amplitudes(fit)))
             if back is None:
                 continue
             other, still_unfinished = self._explained(change, rows, starts, shares, budget)
@@ -149,10 +150,9 @@ class ShapeVerifier:
         if not fit.explains:
             usual = alternatives.of_usual_contrast(fit.frame, fit, budget)
             fit = self._on_its_sheet(alternatives.as_ellipses(fit.frame, usual, budget), budget)
-        unfinished = budget.search_over() and not fit.explains
         fit, confirmed = alternatives.without_unconfirmed(fit.frame, fit, shares, budget)
         fit = alternatives.two_in_place_of_one(fit.frame, fit, shares, budget)
-        return fit, unfinished or not confirmed
+        return fit, not confirmed or (budget.search_over() and not fit.explains)
 
     def _best_start(self, frame: Frame, starts: list[Array], budget: Budget) -> Fit:
         """Return the first start that explains the frame once it is fitted, or the best of them."""
@@ -174,8 +174,8 @@ class ShapeVerifier:
 
     def _on_its_sheet(self, fit: Fit, budget: Budget) -> Fit:
         """Return the fit on a model that is made again where the frame shows another likely sheet."""
-        while self._time_for_model(budget):
-            back = self._counted(budget, lambda: self.deformation.make_again(self._amplitudes(fit)))  # noqa: B023
+        while self.deformation.may_be_made_again and self._time_for_model(budget):
+            back = self._counted(budget, partial(self.deformation.make_again, self._amplitudes(fit)))
             if back is None:
                 break
             frame = self.frame(fit.frame.change, fit.frame.white.rows, fit.frame.n_shown)
