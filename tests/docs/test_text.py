@@ -10,7 +10,7 @@ from .markdown import ROOT, anchors, code_blocks, links, pages
 
 LONGEST = 120
 
-OTHERS = {".png", ".svg", ".npz", ".npy", ".ply", ".eitskin", ".py"}
+OTHERS = {".png", ".svg", ".mcap", ".npz", ".npy", ".ply", ".eitskin", ".py"}
 """No text, or made by a program, or Python, which ruff holds to the same length."""
 
 MADE = {"__pycache__", "data", "out", "dist", "eitskin.egg-info"}

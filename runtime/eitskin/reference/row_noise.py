@@ -11,7 +11,7 @@ of such a row is noise divided by nearly nothing. With sigma = spread of a singl
 
 Above 0.3 a reading is within 3.3 standard deviations of zero and has no logarithm worth the name. The weighing is the
 Gaussian's of :mod:`eitskin.health.imputation`; a bundle without ``consistency.npz`` has none, and lost rows then have
-dV = 0. Both bounds were chosen on sheets of our own drawing (``eitskin bench stability --only noise,frontend`` shows
+dV = 0. Both bounds were chosen on sheets of our own drawing (``docs/results/robustness.md`` has
 what they gain); anything from 0.01 to 0.06 and from 0.2 to 0.5 does as well within 0.01 of CC. The gate's noisy rows
 stay as they are measured, since its threshold follows the noise (:mod:`eitskin.health.gate_without_rows`).
 """

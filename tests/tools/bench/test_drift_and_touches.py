@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.tools.studies.study import study
 
 from eitskin.health.drift import CLEAN, LEAST
 from eitskin.health.imputation import Consistency
@@ -12,7 +13,8 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Disc
-from eitskin_tools.bench.electrodes.drift import taken
+
+taken = study("drift").taken
 
 ELEMENT_MM = 6.0
 BENDS = (Bend(), Bend(angle_deg=60.0))

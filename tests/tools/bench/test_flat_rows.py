@@ -2,9 +2,8 @@
 
 from typing import Any
 
-from eitskin_tools.bench.peer import bench as peer
-from eitskin_tools.bench.skip import bench as skip
-from eitskin_tools.bench.tradeoff import front
+from eitskin_tools.bench import peer, skip
+from eitskin_tools.bench import tradeoff as front
 
 
 def is_flat(rows: list[dict[str, Any]]) -> bool:

@@ -2,8 +2,17 @@ import numpy as np
 import pytest
 
 from eitskin_proto.wire.framing import Deframer
-from eitskin_tools.bench.peer.compare import ages, corruption, ours
-from eitskin_tools.bench.peer.frames import MARKER, PAYLOAD_BYTES, flipped, number_of, on_the_wire, payload
+from eitskin_tools.bench.peer import (
+    MARKER,
+    PAYLOAD_BYTES,
+    ages,
+    corruption,
+    flipped,
+    number_of,
+    on_the_wire,
+    ours,
+    payload,
+)
 
 
 def test_both_formats_carry_the_same_payload() -> None:

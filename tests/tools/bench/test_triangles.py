@@ -5,7 +5,7 @@ import pytest
 
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.parts import Electrodes, Scene
-from eitskin_tools.bench.physics.triangles import solve_triangles
+from eitskin_tools.bench.physics import solve_triangles
 
 pytestmark = pytest.mark.heavy
 

@@ -13,13 +13,13 @@ from eitskin_sim.scene.parts import Scene, Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.touch_prior import touch_prior
-from eitskin_tools.bench.verify.across import across
-from eitskin_tools.bench.verify.allowed import Allowed, pieces_of_touches
-from eitskin_tools.bench.verify.conditions import anywhere_conditions, unit_conditions
-from eitskin_tools.bench.verify.matched import LEVELS, matched, of_rows
-from eitskin_tools.bench.verify.paper_like import paper_like
-from eitskin_tools.bench.verify.plot import draw
-from eitskin_tools.bench.verify.printed import tables
+from eitskin_tools.bench.verify import LEVELS, Allowed, draw, matched, of_rows, pieces_of_touches, tables
+from eitskin_tools.bench.verify_conditions import (
+    across,
+    anywhere_conditions,
+    paper_like,
+    unit_conditions,
+)
 
 COUNTED: dict[str, Any] = {
     "maps": 10, "wrong": 2, "wrong_unflagged": 1, "right_flagged": 3, "chi_squared_median": 99.6, "cpu_ms_median": 2.04,

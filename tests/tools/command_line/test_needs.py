@@ -19,14 +19,14 @@ BENCH = Path(eitskin_tools.__file__).parent / "bench"
 BROUGHT = {"eitskin_sim": "scipy", "eitskin_training": "torch", "eitskin_export": "scipy"}
 """What our own packages need when they are imported."""
 
-LEFT_OUT_WITH_A_REASON = {"frame": {"torch", "onnx"}, "stability": {"onnx"}, "dataset": {"pyeit"}}
+LEFT_OUT_WITH_A_REASON = {"frame": {"torch", "onnx"}, "dataset": {"pyeit"}}
 """Benchmarks that go on without a module, and say so."""
 
 
-def imported(folder: Path) -> set[str]:
-    """Return the modules of ``EXTRAS`` that the files of a folder import anywhere."""
+def imported(benchmark: Path) -> set[str]:
+    """Return the modules of ``EXTRAS`` that a benchmark imports anywhere, its helpers of the same name too."""
     found = set()
-    for path in folder.rglob("*.py"):
+    for path in benchmark.parent.glob(f"{benchmark.name}*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
@@ -38,7 +38,6 @@ def imported(folder: Path) -> set[str]:
 def test_what_a_benchmark_imports_is_in_the_table(name: str) -> None:
     who = f"bench {name}"
     known = {*needs.NEEDS.get(who, ()), *LEFT_OUT_WITH_A_REASON.get(name, ())}
-    known |= {module for modules in needs.PART_NEEDS.get(who, {}).values() for module in modules}
     assert imported(BENCH / name) - known - {"matplotlib"} == set()  # which only --plot needs
 
 

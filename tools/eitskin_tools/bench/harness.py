@@ -38,7 +38,8 @@ def row_text(row: Mapping[str, object]) -> str:
     Args:
         row: One row, or a summary.
     """
-    figures = "  ".join(f"{name} {value}" for name, value in row.items() if name != "what")
+    shown = {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in row.items()}
+    figures = "  ".join(f"{name} {value}" for name, value in shown.items() if name != "what")
     return f"{row['what']}:  {figures}" if "what" in row else figures
 
 

@@ -59,9 +59,6 @@ OPTION_NEEDS: Final[dict[str, tuple[str, ...]]] = {
 GIVEN_NEEDS: Final[dict[str, dict[str, tuple[str, ...]]]] = {"view": {"file": RECORDINGS}}
 """Modules by command and what it was given."""
 
-PART_NEEDS: Final[dict[str, dict[str, tuple[str, ...]]]] = {"bench electrodes": {"gate": ("torch",)}}
-"""Modules by part, of benchmarks of which ``--only`` leaves parts out."""
-
 
 class MissingExtraError(SkinError):
     """Packages are not installed; the text says which, and how to install them."""
@@ -81,10 +78,6 @@ def check(arguments: argparse.Namespace) -> None:
     for given, modules in GIVEN_NEEDS.get(name, {}).items():
         if (value := getattr(arguments, given)) is not None:
             require(f"{name} {value}", modules)
-    asked = {part for given in getattr(arguments, "only", None) or () for part in given}
-    for part, modules in PART_NEEDS.get(name, {}).items():
-        if not asked or part in asked:
-            require(f"part {part} of {name}", modules)
 
 
 def require(who: str, modules: Iterable[str]) -> None:
@@ -97,9 +90,14 @@ def require(who: str, modules: Iterable[str]) -> None:
     Raises:
         MissingExtraError: Some are missing.
     """
-    missing = [module for module in modules if find_spec(module) is None]
-    if missing:
-        raise MissingExtraError(f"{who} needs {', '.join(missing)}: {install(missing)}")
+    absent = missing(modules)
+    if absent:
+        raise MissingExtraError(f"{who} needs {', '.join(absent)}: {install(absent)}")
+
+
+def missing(modules: Iterable[str]) -> list[str]:
+    """Return those of some modules that are not installed."""
+    return [module for module in modules if find_spec(module) is None]
 
 
 def install(modules: Iterable[str]) -> str:

@@ -13,7 +13,7 @@ conduct worse than the sheet have -1 for 1 in the diagonal and raise the potenti
 without the electrodes is negated; where some do, it is factorised part by part. Against a
 factorisation a sample on the same mesh the voltages agree to 1e-11. Against finer meshes a set's change of voltage is
 off by 0.9 % (median). Two touches that leave less than an element between them conduct nearly as if they met: dV is a
-tenth off at gaps of 1 and 2 mm, 2 % from 3.5 mm on (``eitskin bench dataset``).
+tenth off at gaps of 1 and 2 mm, 2 % from 3.5 mm on.
 """
 
 from collections.abc import Sequence

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.tools.studies.study import study
 
 from eitskin.diagnostics.electrode_checkup import ADVICE, UNKNOWN, Recording, check_up, load_recording
 from eitskin.errors import BadReference
@@ -20,10 +21,8 @@ from eitskin_sim.measurement.faults import Detached, Fault, Noisy, Shorted, Swap
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Rect
-from eitskin_tools.bench.electrodes import detection, drift, streams
-from eitskin_tools.bench.electrodes import gate as gate_bench
-from eitskin_tools.bench.electrodes.accuracy import lost_sets
-from eitskin_tools.bench.skip import scenes
+from eitskin_tools.bench import electrodes as bench
+from eitskin_tools.bench import skip
 from eitskin_tools.cli import main
 
 pytestmark = pytest.mark.heavy
@@ -39,12 +38,12 @@ def consistency() -> Consistency:
 
 @cache
 def flat() -> np.ndarray:
-    return streams.flat_response()
+    return bench.flat_response()
 
 
 @cache
-def moving() -> streams.Stream:
-    return streams.stream("A", 3, 3, covering=True)
+def moving() -> bench.Stream:
+    return bench.stream("A", 3, 3, covering=True)
 
 
 def frames(fault: Fault | None, count: int = 40, current_A: float = 1e-3) -> np.ndarray:
@@ -137,36 +136,31 @@ def test_frames_of_another_shape_are_refused(shape: tuple[int, ...], tmp_path: P
 
 
 def test_moving_streams_name_failures_in_time_and_nothing_else() -> None:
-    healthy = detection.false_alarms(consistency(), flat(), [moving()], "N2", 50.0)
+    healthy = bench.false_alarms(consistency(), flat(), [moving()], "N2", 50.0)
     assert sum(row["named"] for row in healthy) == 0
     each = [row for row in healthy if row["what"] == "false alarms"]
     assert sum(row["frames"] for row in each) == 2 * moving().frames, "104 rows and 208"
     together = [row for row in healthy if row["what"] == "false alarms together"]
     assert [row["frames"] for row in together] == [moving().frames] * 2
     assert together[0]["interval_95"][1] == pytest.approx(3.0e6 / moving().frames, rel=0.01)
-    rows = detection.detection(consistency(), flat(), [moving()], "N2", 50.0, electrodes=(2, 9))
-    assert {row["what"] for row in rows} == set(detection.FAILURES)
+    rows = bench.detection(consistency(), flat(), [moving()], "N2", 50.0, electrodes=(2, 9))
+    assert {row["what"] for row in rows} == set(bench.FAILURES)
     for row in rows:
         assert row["named_in_time"] == 1.0, row
 
 
 def test_what_counts_as_named_rightly() -> None:
-    assert detection.expected(Shorted(15, 0)) == {(15, "shorted"), (0, "shorted")}
-    assert detection.expected(Noisy(3)) == {(3, "noisy")}
-    assert detection.expected(Detached(7), reciprocal=True) == {(7, "not reciprocal")}
+    assert bench.expected(Shorted(15, 0)) == {(15, "shorted"), (0, "shorted")}
+    assert bench.expected(Noisy(3)) == {(3, "noisy")}
+    assert bench.expected(Detached(7), reciprocal=True) == {(7, "not reciprocal")}
 
 
-def test_intervals_of_events_and_of_shares_are_the_exact_ones() -> None:
+def test_intervals_of_events_are_the_exact_ones() -> None:
     # Poisson: P(0 | mean) = 0.05 at the upper end of none; P(>= n | low) = P(<= n | high) = 0.025 otherwise
-    assert detection.events_interval(0) == (0.0, pytest.approx(-np.log(0.05)))
-    low, high = detection.events_interval(2)
+    assert bench.events_interval(0) == (0.0, pytest.approx(-np.log(0.05)))
+    low, high = bench.events_interval(2)
     assert 1.0 - np.exp(-low) * (1.0 + low) == pytest.approx(0.025)
     assert np.exp(-high) * (1.0 + high + high**2 / 2.0) == pytest.approx(0.025)
-    assert drift.share_interval(0, 10)[1] == pytest.approx(1.0 - 0.05**0.1, abs=1e-4)
-    low, high = drift.share_interval(1, 10)
-    assert 1.0 - (1.0 - low) ** 10 == pytest.approx(0.025, abs=2e-3)  # printed with four digits
-    assert (1.0 - high) ** 10 + 10 * high * (1.0 - high) ** 9 == pytest.approx(0.025, abs=2e-3)
-    assert drift.share_interval(10, 10)[1] == 1.0
 
 
 def squares(bend: Bend) -> np.ndarray:
@@ -174,7 +168,7 @@ def squares(bend: Bend) -> np.ndarray:
     found = []
     for x in (60.0, 75.0, 90.0):
         touch = Touch((Rect(x - 5.0, 45.0, x + 5.0, 55.0),), conductivity_S_per_m=20.0)
-        scene = Scene(bend=bend, touches=(touch,), element_size_mm=streams.ELEMENT_MM)
+        scene = Scene(bend=bend, touches=(touch,), element_size_mm=bench.ELEMENT_MM)
         found.append(factorise_scene(scene).voltages())
     return np.log(np.array(found) / measure(flat(), table=TABLE))
 
@@ -183,8 +177,9 @@ def squares(bend: Bend) -> np.ndarray:
 def test_the_gate_keeps_its_rate_without_electrodes_and_sees_more_than_with_the_networks_rows(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    bent = scenes.bends_of("A", 1)[0]
-    few = {gate_bench.UNTOUCHED: np.concatenate([scenes.still("A", 5), scenes.still("B", 5)])}
+    gate_bench = study("gate_without_electrodes")
+    bent = skip.bends_of("A", 1)[0]
+    few = {gate_bench.UNTOUCHED: np.concatenate([skip.still("A", 5), skip.still("B", 5)])}
     few |= dict.fromkeys(gate_bench.TOUCHES, np.concatenate([squares(Bend()), squares(bent)]))
     monkeypatch.setattr(
         gate_bench, "_logs", lambda bends, probed: few
@@ -234,6 +229,6 @@ def middle() -> np.ndarray:
 
 
 def test_sets_of_lost_electrodes_are_all_single_ones_and_the_same_draws() -> None:
-    assert lost_sets(1) == [(electrode,) for electrode in range(16)]
-    assert lost_sets(2, 5) == lost_sets(2, 5)
-    assert len(set(lost_sets(3, 9))) == 9
+    assert bench.lost_sets(1) == [(electrode,) for electrode in range(16)]
+    assert bench.lost_sets(2, 5) == bench.lost_sets(2, 5)
+    assert len(set(bench.lost_sets(3, 9))) == 9

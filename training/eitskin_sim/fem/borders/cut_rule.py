@@ -14,7 +14,7 @@ sets (:mod:`eitskin_sim.fem.borders.cut_blocks`) share what is here. They integr
 On one mesh, the generators' of 3.5 mm, the two give changes of voltage dV that are 0.5 % of dV apart: rms over 72
 touches of 5 to 40 mm, square, turned and round; the worst is 2 %, a square of 5 mm. Either is off by 3.8 % from a mesh
 of 1.5 mm that follows the touch, by 1.5 to 3 % at 10 mm and 0.3 to 0.8 % at 20 mm. It is the mesh that errs, and one
-rule in place of the other would gain nothing. ``eitskin bench dataset`` prints all of it.
+rule in place of the other would gain nothing.
 """
 
 from typing import Final

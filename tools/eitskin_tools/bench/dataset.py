@@ -1,0 +1,284 @@
+"""``eitskin bench dataset``: samples a second of the data generators, beside one solve a sample and pyEIT, in one run.
+
+One core: BLAS is held to one thread. On a machine that does other work too, ``cpu_s`` is the time that counts; the
+ratios use it. Each row says what its seconds hold: set-up of a deformation and its share of
+shared work count. "naive" factorises the same mesh for every sample, so its voltages are also what ours are checked
+against. pyEIT has point electrodes and no contact model; it solves a mesh of about as many nodes, for its time alone.
+
+How far the free set's mesh is from finer ones is measured on fewer sets, drawn as the data set draws them at
+deformations that it never has: |dV - dV_scene| / |dV_scene| over the 104 rows, dV the change of voltage over the
+untouched one's, the scene solved on a mesh of 1.5 mm that follows the touches' borders. The scenes' own error, a third
+of them against meshes of 1 mm, is given beside it.
+"""
+
+import argparse
+from collections.abc import Callable, Iterator
+from time import perf_counter, process_time
+from typing import Any, Final
+
+import numpy as np
+
+from eitskin_sim.dataset.plan import GROUP, VALIDATION, make_plan
+from eitskin_sim.dataset.shards import make_shard, reference, shard_job, unit_contrasts, unit_sets
+from eitskin_sim.fem.forward import Factor
+from eitskin_sim.fem.solve import solve_scene
+from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh
+from eitskin_sim.freeform.parts import geometry
+from eitskin_sim.freeform.pool import set_pool
+from eitskin_sim.freeform.sheet import inverted_sheet, sheet_blocks
+from eitskin_sim.freeform.voltages import pool_voltages, set_voltages
+from eitskin_sim.scene.family import draw, paper_bends
+from eitskin_sim.scene.parts import Bend, Scene
+from eitskin_sim.scene.touch_table import Array, TouchTable
+from eitskin_sim.unit_grid.patterns import paper_touch_sets
+from eitskin_sim.unit_grid.skeleton import unit_system
+from eitskin_sim.unit_grid.units import UnitGenerator
+from eitskin_tools.bench.harness import Row, report, say
+from eitskin_tools.errors import UsageError
+
+SCENE_MM: Final = 1.5
+FINER_MM: Final = 1.0
+DEFORMATIONS: Final = 3
+SEED: Final = 77
+"""Of deformations and sets; data sets have other seeds."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--bends", type=int, default=10, metavar="N", help="bends of the paper's set (default 10)")
+    parser.add_argument(
+        "--touch-sets", type=int, default=10_259, metavar="N", help="the first so many of the paper's sets"
+    )
+    parser.add_argument(
+        "--free", type=int, default=5_000, metavar="N", help="free touch sets at a deformation (default 5000)"
+    )
+    parser.add_argument("--checked", type=int, default=24, metavar="N", help="samples solved naively (default 24)")
+    parser.add_argument(
+        "--scenes",
+        type=int,
+        default=24,
+        metavar="N",
+        help="free sets solved on finer meshes too, 0 for none (default 24)",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure and report."""
+    for name in ("bends", "touch_sets", "free", "checked"):
+        if getattr(arguments, name) < 1:
+            raise UsageError(f"--{name.replace('_', '-')} must be at least 1")
+    if arguments.scenes < 0 or 0 < arguments.scenes < 3:
+        raise UsageError(f"--scenes is {arguments.scenes}; it must be 0, or 3 or more")
+    rows = [*_paper(arguments), *_free(arguments)]
+    rows += [row for kind in ("press", "raise", "both") for row in (*_units(arguments, kind), *_free(arguments, kind))]
+    rows += [_files(arguments, devices) for devices in ("ideal", "random")]
+    rows.append(_pyeit())
+    errors = error_rows(arguments.scenes) if arguments.scenes else []
+    naive = {row["what"]: row["samples_per_cpu_s"] for row in rows if row["method"] == "naive"}
+    ours = {row["what"]: row for row in rows if row["method"] == "ours"}
+    slowest = min(ours.values(), key=lambda row: float(row["samples_per_cpu_s"]))
+    default = next((row for row in errors if row["what"] == "free, default"), {})
+    summary = {
+        "paper_samples": ours["paper"]["samples"],
+        "paper_seconds": ours["paper"]["seconds"],
+        "paper_cpu_s": ours["paper"]["cpu_s"],
+        "paper_times_naive": round(ours["paper"]["samples_per_cpu_s"] / naive["paper"], 1),
+        "paper_largest_error": ours["paper"]["largest_error"],
+        "free_samples_per_s": ours["free"]["samples_per_s"],
+        "free_samples_per_cpu_s": ours["free"]["samples_per_cpu_s"],
+        "free_times_naive": round(ours["free"]["samples_per_cpu_s"] / naive["free"], 1),
+        "free_largest_error": ours["free"]["largest_error"],
+        "slowest": slowest["what"],
+        "slowest_samples_per_cpu_s": slowest["samples_per_cpu_s"],
+        "free_dV_off_percent": default.get("median_percent"),
+    }
+    return report(arguments, [*rows, *errors], summary)
+
+
+def _row(what: str, method: str, samples: int, times: tuple[float, float], note: str) -> Row:
+    seconds, cpu_s = times
+    return {
+        "what": what,
+        "method": method,
+        "samples": samples,
+        "seconds": round(seconds, 3),
+        "cpu_s": round(cpu_s, 3),
+        "samples_per_s": round(samples / seconds, 2) if seconds else None,
+        "samples_per_cpu_s": round(samples / cpu_s, 2) if cpu_s else None,
+        "largest_error": None,
+        "note": note,
+    }
+
+
+def _timed(work: Callable[[], Any]) -> tuple[Any, tuple[float, float]]:
+    """Return what the work returns, and its seconds by the wall's clock and by the processor's."""
+    start, cpu_start = perf_counter(), process_time()
+    found = work()
+    return found, (perf_counter() - start, process_time() - cpu_start)
+
+
+def _paper(arguments: argparse.Namespace) -> list[Row]:
+    sets = paper_touch_sets(0)[: arguments.touch_sets]
+    say("dataset", f"{len(sets)} touch sets at {arguments.bends} bends")
+    bends = paper_bends(arguments.bends)
+    last, seconds = _timed(lambda: [UnitGenerator(bend).voltages(sets) for bend in bends][-1])
+    ours = _row("paper", "ours", len(sets) * len(bends), seconds, "set-up of every bend included")
+    pick = np.unique(np.linspace(0, len(sets) - 1, arguments.checked).astype(int))
+    parts, system = unit_system(bends[-1])
+
+    def naive() -> Any:
+        sigma = [np.where(bits[parts.unit_of_element], 50.0, 1.0) for bits in sets[pick]]
+        return np.array([system.factorise(one).voltages() for one in sigma])
+
+    solved, seconds = _timed(naive)
+    ours["largest_error"] = float(np.abs(last[pick] / solved - 1.0).max())
+    return [ours, _row("paper", "naive", len(pick), seconds, f"one factorisation a sample, {parts.mesh.n_nodes} nodes")]
+
+
+def _units(arguments: argparse.Namespace, kind: str) -> list[Row]:
+    plan = make_plan("units", deformations=1, kept=0, touch_sets=max(arguments.touch_sets, 10), touches=kind)
+    bend, sets = plan.bends[0], unit_sets(plan)
+    contrast = unit_contrasts(plan).of(np.arange(len(sets)))
+    found, seconds = _timed(lambda: UnitGenerator(bend).voltages(sets, contrast))
+    ours = _row(f"units, {kind}", "ours", len(sets), seconds, "set-up of the bend included; each touch of its contrast")
+    pick = np.unique(np.linspace(0, len(sets) - 1, arguments.checked).astype(int))
+    parts, system = unit_system(bend)
+
+    def naive() -> Any:
+        sigma = [np.where(sets[one], contrast[one], 1.0)[parts.unit_of_element] for one in pick]
+        return np.array([system.factorise(one).voltages() for one in sigma])
+
+    solved, seconds = _timed(naive)
+    ours["largest_error"] = float(np.abs(found[pick] / solved - 1.0).max())
+    return [ours, _row(f"units, {kind}", "naive", len(pick), seconds, "one factorisation a sample")]
+
+
+def _free(arguments: argparse.Namespace, kind: Any = "hard") -> list[Row]:
+    say("dataset", f"{arguments.free} free touch sets at each of {GROUP} deformations")
+    bends, grid = draw("A", GROUP, 0), shared_mesh()
+    what = "free" if kind == "hard" else f"free, {kind}"
+
+    def ours() -> Any:
+        count = (arguments.free, round(VALIDATION * arguments.free))
+        pool = set_pool(dict.fromkeys(range(GROUP), count), 0, touches=kind)
+        batches = geometry(pool.parts, grid)
+        made, used = [], None
+        for number, bend in enumerate(bends):
+            sheet = inverted_sheet(bend, into=used)
+            made.append(pool_voltages(sheet, grid, pool, batches, number))
+            used = sheet.inverse
+        return pool.touches(pool.sets[GROUP - 1]), made
+
+    (touches, made), seconds = _timed(ours)
+    note = "drawing, geometry and set-up included; every sample a set of its own"
+    row = _row(what, "ours", GROUP * arguments.free, seconds, note)
+    sheet = inverted_sheet(bends[-1])
+    pick = np.unique(np.linspace(0, len(touches) - 1, arguments.checked).astype(int))
+
+    def naive() -> Any:
+        return np.array(
+            [Factor(sheet.system, *sheet_blocks(sheet, touches, int(number))).voltages() for number in pick]
+        )
+
+    solved, seconds = _timed(naive)
+    row["largest_error"] = float(np.abs(made[-1][pick] / solved - 1.0).max())
+    nodes = sheet.system.mesh.n_nodes
+    return [row, _row(what, "naive", len(pick), seconds, f"one factorisation a sample, {nodes} nodes")]
+
+
+def _files(arguments: argparse.Namespace, devices: str) -> Row:
+    plan = make_plan(
+        "free", deformations=GROUP, kept=0, per_deformation=arguments.free, touches="press", devices=devices
+    )
+    reference()
+    _, seconds = _timed(lambda: make_shard(shard_job(plan, list(range(GROUP)))))
+    note = "whole files: untouched sheets, references and clouds included"
+    return _row(f"free, press, {devices} device", "ours", GROUP * arguments.free, seconds, note)
+
+
+def _pyeit() -> Row:
+    try:
+        import numpy as np
+        from pyeit.eit.fem import Forward
+        from pyeit.mesh.wrapper import PyEITMesh
+    except ImportError as error:
+        return _row("pyeit", "pyeit", 0, (0.0, 0.0), f"not measured: {error}; pip install pyeit")
+    x, y = np.meshgrid(np.linspace(0.0, 0.15, 116), np.linspace(0.0, 0.1, 77))
+    nodes = np.stack([x.ravel(), y.ravel(), 0.0 * x.ravel()], axis=-1)
+    corner = (np.arange(76)[:, None] * 116 + np.arange(115)).ravel()
+    elements = np.concatenate(
+        [np.stack([corner, corner + 1, corner + 117], axis=1), np.stack([corner, corner + 117, corner + 116], axis=1)]
+    )
+    rim = np.concatenate(
+        [np.arange(116), np.arange(1, 77) * 116 + 115, 76 * 116 + np.arange(114, -1, -1), np.arange(75, 0, -1) * 116]
+    )
+    electrodes = rim[np.linspace(0, len(rim), 16, endpoint=False).astype(int)]
+    mesh = PyEITMesh(node=nodes, element=elements, perm=1.0, el_pos=electrodes, ref_node=int(rim[3]))
+    forward = Forward(mesh)
+    lines = np.stack([np.arange(16), (np.arange(16) + 1) % 16], axis=1)
+
+    def solve() -> None:
+        forward.assemble_pde(np.ones(len(elements)))
+        for line in lines:
+            forward.solve(line)
+
+    _, seconds = _timed(solve)
+    return _row("pyeit", "pyeit", 1, seconds, f"16 drives, {len(nodes)} nodes, point electrodes, flat sheet")
+
+
+def error_rows(count: int) -> list[Row]:
+    """Return a row for the generators' mesh, and one for the scenes that it is compared with.
+
+    Args:
+        count: Touch sets in all, spread over three unseen deformations.
+    """
+    bends = draw("A", DEFORMATIONS + 1, SEED)[1:]
+    each = [len(own) for own in np.array_split(np.arange(count), len(bends))]
+    tables = []
+    for number, share in enumerate(each):
+        pool = set_pool({number: (4 * share + 40, 0)}, SEED)
+        table = pool.touches(pool.sets[number])
+        touched = np.flatnonzero(np.diff(table.first) > 0)[:share]
+        tables.append(table.chosen(touched))
+
+    def scene_change(size_mm: float, step: int = 1) -> Any:
+        return np.array(
+            [
+                solved / bare - 1.0
+                for bend, table in zip(bends, tables, strict=True)
+                for bare, solved in _scenes(bend, table.chosen(np.arange(0, len(table), step)), size_mm)
+            ]
+        )
+
+    say("dataset", f"{count} sets solved as scenes of {SCENE_MM:g} mm")
+    exact = scene_change(SCENE_MM)
+    rows = [_off("scene", SCENE_MM, scene_change(SCENE_MM, 3), scene_change(FINER_MM, 3), 0.0)]
+    start = process_time()
+    sheets = [inverted_sheet(bend) for bend in bends]
+    made = process_time() - start
+    found = [
+        set_voltages([sheet], table)[0] / sheet.untouched_V - 1.0 for sheet, table in zip(sheets, tables, strict=True)
+    ]
+    return [*rows, _off("free, default", ELEMENT_MM, np.concatenate(found), exact, made / len(bends))]
+
+
+def _scenes(bend: Bend, table: TouchTable, size_mm: float) -> Iterator[tuple[Array, Array]]:
+    """Yield the untouched voltages and the touched ones of every set."""
+    bare = solve_scene(Scene(bend=bend, element_size_mm=size_mm)).voltages
+    for number in range(len(table)):
+        yield bare, solve_scene(Scene(bend=bend, touches=table.touches(number), element_size_mm=size_mm)).voltages
+
+
+def _off(what: str, size_mm: float, found: Any, exact: Any, sheet_s: float) -> Row:
+    off = 100.0 * np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)
+    return {
+        "what": what,
+        "method": "dV error",
+        "element_mm": size_mm,
+        "sets": len(off),
+        "median_percent": round(float(np.median(off)), 2),
+        "mean_percent": round(float(np.mean(off)), 2),
+        "worst_percent": round(float(np.max(off)), 2),
+        "sheet_cpu_s": round(sheet_s, 2),
+    }

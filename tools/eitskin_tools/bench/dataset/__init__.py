@@ -1,1 +1,0 @@
-"""``eitskin bench dataset``: the benchmark in ``bench``, its helpers beside it."""

@@ -1,0 +1,520 @@
+"""``eitskin bench electrodes``: failing electrodes, named from the frames, and what is left without them.
+
+Rows of ``false alarms`` and of each kind of failure run through moving deformations and touches: the circuit around a
+sheet (:mod:`eitskin_sim.measurement.faults`) reads any failure at any moment of a stream, frame by frame. A stream runs
+from one deformation to the next, of family A or B, while touches come, move over the sheet and in every second stream
+lie on an electrode; its 16 x 16 response is solved at a few moments and interpolated between them.
+
+Rows of ``accuracy`` need ``--phantoms``. The network sees the same noisy voltages each time, and the rows of one, two
+or three lost electrodes as zeros, as a runtime without any care would give them, or filled in from the others
+(:mod:`eitskin.health.imputation`), those weighed by the noise of the reference as the runtime does it.
+"""
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from eitskin.errors import BundleError
+from eitskin.health.electrodes import NOT_RECIPROCAL, ElectrodeWatch
+from eitskin.health.explanation import Finding
+from eitskin.health.imputation import MISSING, UNPREDICTED, Consistency
+from eitskin.health.monitor import Health
+from eitskin.model.bundle import Bundle, default_path, load_bundle
+from eitskin.reference.predicted import log_ratio
+from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.sensor.row_gaussian import rows_of
+from eitskin_proto.sensor.table import FULL_TABLE, N_ELECTRODES, N_FULL_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL, TABLE
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.evaluation.harness import Case, Conditions, Run, Solver, evaluate_all
+from eitskin_sim.fem.solve import factorise_scene
+from eitskin_sim.measurement.faults import Detached, Fault, Noisy, Shorted, Swapped, measure, response_of
+from eitskin_sim.measurement.noise import Kind, add_noise
+from eitskin_sim.scene.electrodes import place
+from eitskin_sim.scene.family import Family, draw
+from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
+from eitskin_sim.scene.parts import Bend, Phantom, Scene, Touch
+from eitskin_sim.scene.scene import load_phantoms
+from eitskin_sim.scene.shapes import Disc, Rect, Shape
+from eitskin_sim.surface.predict import flat_voltages
+from eitskin_tools.bench.harness import Row, chosen, report, row_text, say, several
+from eitskin_tools.command_line import files
+from eitskin_tools.errors import UsageError
+from eitskin_tools.evaluation.solvers import Request, named
+
+PARTS: Final = ("detection", "accuracy")
+"""What ``--only`` takes."""
+
+NOISES: Final = ("N1", "N2", "N3")
+
+Array = npt.NDArray[np.float64]
+
+Lost = tuple[int, ...]
+
+SETS: Final = 12
+"""Sets of two, and of three, electrodes that are tried, drawn once; of one, all 16."""
+
+REFERENCE_FRAMES: Final = 100
+"""Noisy frames whose mean is the reference."""
+
+AFTER_FRAMES: Final = 30
+"""Frames that a failure is looked at; it counts as named if that takes ``IN_TIME`` at most."""
+
+IN_TIME: Final = 20
+
+FAILURES: Final[dict[str, Callable[[int], Fault]]] = {
+    "detached x1e5": lambda e: Detached(e, 1e5),
+    "detached x1e4": lambda e: Detached(e, 1e4),
+    "shorted": lambda e: Shorted(e, (e + 1) % N_ELECTRODES),
+    "swapped": lambda e: Swapped(e, (e + 1) % N_ELECTRODES),
+    "noisy 3 %": lambda e: Noisy(e, 0.03),
+    "noisy 10 %": lambda e: Noisy(e, 0.1),
+    "detached x1e5, 208 rows": lambda e: Detached(e, 1e5),
+    "detached x1e3, 208 rows": lambda e: Detached(e, 1e3),
+}
+"""What is tried at every electrode; shorts and exchanges with the next one."""
+
+ALL_ROWS: Final = "208 rows"
+"""Failures of this name are scanned both ways."""
+
+BY_RECIPROCITY: Final = frozenset({"detached x1e3, 208 rows"})
+"""Failures that 104 rows do not show."""
+
+VOLTS_PER_COUNT: Final = 2e-6
+"""For 1 A: the sheet's largest row is 8e7 counts, and a source at its compliance stays within 32 bits."""
+
+ELEMENT_MM: Final = 4.5
+"""Of the streams' mesh: 0.1 s a moment; the reference is of the same mesh."""
+
+STEP_FRAMES: Final = 60
+"""Between two moments: 0.3 s at 200 frames/s."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--bundle", type=files.bundle, help="bundle to use (default: the shipped one of unit labels)")
+    parser.add_argument(
+        "--phantoms", metavar="FILE", help="measure the accuracy left on these too: a file, paper_units or paper_mm"
+    )
+    parser.add_argument("--streams", type=int, default=4, metavar="N", help="streams of each kind (default 4)")
+    parser.add_argument("--moments", type=int, default=12, metavar="N", help="solved moments of a stream (default 12)")
+    parser.add_argument(
+        "--noise", action="append", type=several(NOISES), metavar="NAME[,NAME]", help="of N1, N2, N3 (default N2)"
+    )
+    parser.add_argument("--snr-db", type=float, default=50.0, metavar="DB", help="signal to noise ratio (default 50)")
+    parser.add_argument(
+        "--only", action="append", type=several(PARTS), metavar="NAME[,NAME]", help=f"of {', '.join(PARTS)}"
+    )
+    parser.add_argument("--quick", action="store_true", help="a thinned form")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure and report."""
+    if arguments.streams < 1 or arguments.moments < 2:
+        raise UsageError("--streams must be at least 1 and --moments at least 2")
+    parts = chosen(arguments.only, PARTS)
+    if arguments.only and "accuracy" in parts and arguments.phantoms is None:
+        raise UsageError("--only accuracy needs --phantoms FILE")
+    rows = rows_of_parts(arguments, parts)
+    summary = _summary(rows)
+    return report(arguments, rows, summary)
+
+
+def rows_of_parts(arguments: argparse.Namespace, parts: tuple[str, ...]) -> list[Row]:
+    """Return every row that was asked for.
+
+    Args:
+        arguments: The options.
+        parts: Of ``PARTS``.
+
+    Raises:
+        BundleError: The bundle says nothing of healthy frames.
+    """
+    bundle = load_bundle(arguments.bundle or default_path("units"))
+    arrays = bundle.consistency_arrays()
+    if arrays is None:
+        raise BundleError(f"{bundle.path}: telling failed electrodes is {MISSING}")
+    consistency = Consistency.of(arrays)
+    noises = tuple(name for part in arguments.noise or [("N2",)] for name in part)
+    makers: dict[str, Callable[[], list[Row]]] = {
+        "detection": lambda: _detection(arguments, consistency, noises),
+        "accuracy": lambda: _accuracy(arguments, bundle, consistency, noises),
+    }
+    rows: list[Row] = []
+    for part in parts:
+        start_s = time.process_time()
+        found = makers[part]()
+        for row in found:
+            say("electrodes", row_text(row))
+        say("electrodes", f"{part}: {time.process_time() - start_s:.0f} CPU-s")
+        rows += found
+    return rows
+
+
+def _detection(arguments: argparse.Namespace, consistency: Consistency, noises: tuple[Any, ...]) -> list[Row]:
+
+    flat = flat_response()
+    count, moments = (1, 3) if arguments.quick else (arguments.streams, arguments.moments)
+    streams = [
+        stream(family, number, moments, covering=covering)
+        for family in ("A", "B")
+        for covering in (False, True)
+        for number in range(count)
+    ]
+    few, electrodes = (streams[:1], range(0, 16, 5)) if arguments.quick else (streams[:: max(count, 1)], range(16))
+    rows: list[Row] = []
+    for noise in noises:
+        rows += false_alarms(consistency, flat, streams, noise, arguments.snr_db)
+        rows += detection(consistency, flat, few, noise, arguments.snr_db, electrodes)
+    return rows
+
+
+def _accuracy(
+    arguments: argparse.Namespace, bundle: Bundle, consistency: Consistency, noises: tuple[Any, ...]
+) -> list[Row]:
+    if arguments.phantoms is None:
+        return []
+
+    phantoms = load_phantoms(files.find(arguments.phantoms, files.PHANTOMS))
+    sets = 2 if arguments.quick else SETS
+    rows: list[Row] = []
+    for noise in noises:
+        conditions = Conditions(noise=noise, snr_db=arguments.snr_db)
+        found = accuracy(phantoms, bundle, consistency, conditions, sets)
+        rows += [{"noise": noise, **row} for row in found]
+    return rows
+
+
+def _summary(rows: list[Row]) -> Row:
+    alarms = [row for row in rows if row["what"] == "false alarms"]
+    named = [row for row in rows if "named_in_time" in row]
+    left = [row for row in rows if row["what"] == "accuracy" and row["remedy"] == "imputed" and row["lost"] == 1]
+    return {
+        "healthy_frames": sum(row["frames"] for row in alarms),
+        "named_while_healthy": sum(row["named"] for row in alarms),
+        "named_in_time": {f"{row['what']}, {row['noise']}": row["named_in_time"] for row in named},
+        "frames_max": max((row["frames_max"] or 0 for row in named), default=None),
+        "cc_of_intact_one_electrode_lost": {row["noise"]: row["of_intact"] for row in left},
+        "cc_of_intact_worst_electrode_lost": {row["noise"]: row["worst_of_intact"] for row in left},
+    }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """A few solved moments."""
+
+    family: Family
+    covering: bool
+    """Whether a touch lies on an electrode."""
+    responses: Array
+    """(moments, 16, 16) ohm."""
+
+    def at(self, frame: int) -> Array:
+        """Return the (16, 16) response at a frame; after the last moment it stands still."""
+        last = len(self.responses) - 1
+        place_, share = divmod(frame / STEP_FRAMES, 1.0)
+        first = min(int(place_), last)
+        return np.asarray((1.0 - share) * self.responses[first] + share * self.responses[min(first + 1, last)])
+
+    @property
+    def frames(self) -> int:
+        """Length."""
+        return (len(self.responses) - 1) * STEP_FRAMES
+
+
+def flat_response() -> Array:
+    """Return the (16, 16) ohm of the flat, untouched sheet on the streams' mesh."""
+    return response_of(factorise_scene(Scene(element_size_mm=ELEMENT_MM)))
+
+
+def stream(family: Family, number: int, moments: int, *, covering: bool) -> Stream:
+    """Return one stream, solved.
+
+    Args:
+        family: Of its deformations.
+        number: Its seed.
+        moments: How many are solved.
+        covering: Whether a touch lies on an electrode.
+    """
+    rng = np.random.default_rng([number, moments, covering])
+    first, second = draw(family, 2 * number + 2, 8800)[-2:]
+    start, stop = rng.uniform((15, 15), (135, 85)), rng.uniform((15, 15), (135, 85))
+    radius = rng.uniform(5.0, 9.0)
+    found = []
+    for step in range(moments):
+        share = step / max(moments - 1, 1)
+        x, y = (1.0 - share) * start + share * stop
+        shapes: list[Shape] = [Disc(float(x), float(y), float(radius))] if step % 4 else []
+        touches = [Touch((shape,)) for shape in shapes]
+        if covering:
+            touches.append(Touch((_on_electrode(int(rng.integers(N_ELECTRODES)) if step == 0 else number),)))
+        bend = _between(first, second, share)
+        found.append(response_of(factorise_scene(Scene(bend=bend, touches=tuple(touches), element_size_mm=ELEMENT_MM))))
+    return Stream(family, covering, np.array(found))
+
+
+def _between(first: Bend, second: Bend, share: float) -> Bend:
+    mixed: Row = {
+        name: (1.0 - share) * getattr(first, name) + share * getattr(second, name)
+        for name in ("angle_deg", "axis_deg", "skew", "twist_deg", "stretch_along", "stretch_across", "nonuniformity")
+    }
+    return Bend(**mixed, bumps_mm=first.bumps_mm if share < 0.5 else second.bumps_mm)
+
+
+def _on_electrode(electrode: int) -> Rect:
+    """Return a touch of 10 to 14 mm that covers an electrode's contact."""
+    sheet = nominal_sheet(PAPER)
+    piece = next(one for one in place(sheet, nominal_electrodes(PAPER)) if one.electrode == electrode % N_ELECTRODES)
+    x0, y0, x1, y1 = piece.patch_mm(sheet, 4.0)
+    length, width = sheet.size_mm
+    return Rect(max(x0 - 5.0, 0.0), max(y0 - 5.0, 0.0), min(x1 + 5.0, length), min(y1 + 5.0, width))
+
+
+class Looking:
+    """The runtime's health, its reference captured from noisy frames of the flat sheet.
+
+    Frames are looked at as late as the runtime ever does, ``MOST_TOGETHER`` at a time.
+
+    Args:
+        consistency: Of a bundle.
+        flat: (16, 16) ohm.
+        noise: Of every frame.
+        snr_db: Its level.
+        rng: Draws it.
+        full: Whether all 208 rows are scanned.
+    """
+
+    def __init__(
+        self,
+        consistency: Consistency,
+        flat: Array,
+        noise: Kind,
+        snr_db: float,
+        rng: np.random.Generator,
+        *,
+        full: bool = False,
+    ) -> None:
+        self._table = FULL_TABLE if full else TABLE
+        self._clean = measure(flat, table=self._table)
+        self._noise: tuple[Kind, float, np.random.Generator] = noise, snr_db, rng
+        frames = np.array([self._rows(self._noisy(self._clean)) for _ in range(REFERENCE_FRAMES)])
+        self._reference = frames.mean(axis=0)
+        self._health = Health(consistency)
+        self._health.use(self._reference, frames.std(axis=0))
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is named now."""
+        return self._health.electrodes.findings
+
+    def show(self, response: Array, faults: Sequence[Fault] = ()) -> bool:
+        """Show one frame and return whether something changed."""
+        volts = self._noisy(measure(response, faults, table=self._table, rng=self._noise[2]))
+        change = relative_change(self._rows(volts), self._reference).astype(np.float32)
+        before = self.findings
+        self._health.prepare(change)
+        self._health.complete(change)
+        counts = np.rint(volts / VOLTS_PER_COUNT).astype(np.int32)
+        if self._health.put_aside(counts, touched=True):
+            self._health.look(UNPREDICTED)
+        return self.findings != before
+
+    @staticmethod
+    def _rows(volts: Array) -> Array:
+        """Return (104,) V of a frame: both readings of a row averaged, where there are two."""
+        if len(volts) != N_FULL_ROWS:
+            return volts
+        return np.asarray((volts[ROW_IN_FULL] + volts[RECIPROCAL_IN_FULL]) / 2.0)
+
+    def _noisy(self, volts: Array) -> Array:
+        kind, snr_db, rng = self._noise
+        return add_noise(volts, self._clean, kind, snr_db, rng)
+
+
+def false_alarms(
+    consistency: Consistency, flat: Array, streams: Sequence[Stream], noise: Kind, snr_db: float
+) -> list[Row]:
+    """Return how often a healthy stream has an electrode named, by family and by whether a touch covers one."""
+    rows = []
+    for family, covering, full in product(("A", "B"), (False, True), (False, True)):
+        chosen = [one for one in streams if one.family == family and one.covering is covering]
+        frames = alarms = 0
+        for number, one in enumerate(chosen):
+            rng = np.random.default_rng([number, covering])
+            looking = Looking(consistency, flat, noise, snr_db, rng, full=full)
+            for frame in range(one.frames):
+                alarms += looking.show(one.at(frame)) and bool(looking.findings)
+            frames += one.frames
+        rows.append(
+            {"what": "false alarms", "family": family, "touch_on_electrode": covering, "rows": 208 if full else 104,
+             "noise": noise, "streams": len(chosen), "frames": frames, "named": int(alarms)}
+        )  # fmt: skip
+    return [*rows, *_together(rows, noise)]
+
+
+def _together(rows: Sequence[Row], noise: Kind) -> list[Row]:
+    """Return the false alarms of each width of scan over all streams, with what they say of a million frames."""
+    found = []
+    for width in (104, 208):
+        own = [row for row in rows if row["rows"] == width]
+        named, frames = sum(row["named"] for row in own), sum(row["frames"] for row in own)
+        low, high = events_interval(named)
+        found.append(
+            {"what": "false alarms together", "rows": width, "noise": noise, "streams": sum(r["streams"] for r in own),
+             "frames": frames, "named": named, "per_million_frames": round(1e6 * named / frames, 1),
+             "interval_95": [round(1e6 * low / frames, 1), round(1e6 * high / frames, 1)]}
+        )  # fmt: skip
+    return found
+
+
+def events_interval(count: int) -> tuple[float, float]:
+    """Return the 95 % interval of the mean of which a Poisson count was seen; of none, the upper end alone (3.0)."""
+    if not count:
+        return 0.0, float(chi2.ppf(0.95, 2) / 2.0)
+    return float(chi2.ppf(0.025, 2 * count) / 2.0), float(chi2.ppf(0.975, 2 * count + 2) / 2.0)
+
+
+def detection(
+    consistency: Consistency,
+    flat: Array,
+    streams: Sequence[Stream],
+    noise: Kind,
+    snr_db: float,
+    electrodes: Sequence[int] = range(N_ELECTRODES),
+) -> list[Row]:
+    """Return, for every kind of failure, how many are named rightly and in time, and after how many frames."""
+    rows = []
+    for name, make in FAILURES.items():
+        took: list[int] = []
+        right = late = tried = 0
+        wrong: dict[str, int] = {}
+        for number, one in enumerate(streams):
+            for electrode in electrodes:
+                fault = make(electrode)
+                rng = np.random.default_rng([number, electrode])
+                looking = Looking(consistency, flat, noise, snr_db, rng, full=ALL_ROWS in name)
+                begin = (7 * electrode + 11 * number) % max(one.frames - AFTER_FRAMES, 1)
+                after = next(
+                    (n + 1 for n in range(AFTER_FRAMES) if looking.show(one.at(begin + n), (fault,))), AFTER_FRAMES + 1
+                )
+                for n in range(after, AFTER_FRAMES):
+                    looking.show(one.at(begin + n), (fault,))
+                tried += 1
+                named = {(f.electrode, f.state) for f in looking.findings}
+                if named == expected(fault, reciprocal=name in BY_RECIPROCITY):
+                    right, late = right + (after <= IN_TIME), late + (after > IN_TIME)
+                    took.append(after)
+                else:
+                    text = " ".join(f.text() for f in looking.findings) or "nothing"
+                    wrong[text] = wrong.get(text, 0) + 1
+        rows.append(
+            {"what": name, "noise": noise, "tried": tried, "named_in_time": round(right / tried, 4), "late": late,
+             "frames_median": float(np.median(took)) if took else None, "frames_max": max(took, default=None),
+             "named_wrongly": sum(wrong.values()), "most_often": max(wrong, key=lambda key: wrong[key], default="")}
+        )  # fmt: skip
+    return rows
+
+
+def expected(fault: Fault, *, reciprocal: bool = False) -> set[tuple[int, str]]:
+    """Return the electrodes and states that a failure must be reported as.
+
+    Args:
+        fault: What was done.
+        reciprocal: It is too slight for 104 rows, and shows by reciprocity alone.
+    """
+    match fault:
+        case Detached(electrode) if reciprocal:
+            return {(electrode, NOT_RECIPROCAL)}
+        case Detached(electrode):
+            return {(electrode, "detached")}
+        case Noisy(electrode):
+            return {(electrode, "noisy")}
+        case Shorted(first, second):
+            return {(first, "shorted"), (second, "shorted")}
+        case Swapped(first, second):
+            return {(first, "swapped"), (second, "swapped")}
+
+
+def lost_sets(count: int, most: int = SETS) -> list[Lost]:
+    """Return sets of so many electrodes: none, all 16 single ones, else ``most`` drawn ones."""
+    every = list(combinations(range(N_ELECTRODES), count))
+    if count <= 1:
+        return every
+    rng = np.random.default_rng(count)
+    return [every[index] for index in sorted(rng.choice(len(every), min(most, len(every)), replace=False))]
+
+
+def accuracy(
+    phantoms: Sequence[Phantom],
+    bundle: Bundle,
+    consistency: Consistency,
+    conditions: Conditions,
+    most_sets: int = SETS,
+) -> list[Row]:
+    """Return mean CC by remedy and number of lost electrodes; the worst set's beside it.
+
+    Args:
+        phantoms: All with the labels of the bundle.
+        bundle: The network.
+        consistency: Of the bundle.
+        conditions: Noise and seeds.
+        most_sets: Sets of two and of three electrodes.
+    """
+    network = named(Request("vd2t", bundle=bundle.path), bundle.labels).run
+    spread = spread_of(consistency.reference, conditions.noise, conditions.snr_db)
+    plan: list[tuple[str, Lost, Run]] = [("intact", (), network)]
+    for count in (1, 2, 3):
+        for lost in lost_sets(count, most_sets):
+            plan.append(("zeros", lost, Run(_zeroed(network.solver, lost), "pre")))
+            plan.append(("imputed", lost, Run(_imputed(network.solver, lost, consistency, spread), "pre")))
+            if consistency.layers is not None:
+                solver = _imputed(network.solver, lost, replace(consistency, layers=None), spread)
+                plan.append(("imputed, Gaussian alone", lost, Run(solver, "pre")))
+    results = evaluate_all(phantoms, [run for *_, run in plan], conditions)
+    scores = [float(np.mean([one.cc for _, scores in result for one in scores])) for result in results]
+    intact = scores[0]
+    rows = []
+    for remedy, count in dict.fromkeys((remedy, len(lost)) for remedy, lost, _ in plan):
+        group = [
+            (score, lost)
+            for (name, lost, _), score in zip(plan, scores, strict=True)
+            if (name, len(lost)) == (remedy, count)
+        ]
+        worst, mean = min(group), float(np.mean([score for score, _ in group]))
+        rows.append(
+            {"what": "accuracy", "solver": "vd2t", "remedy": remedy, "lost": count, "sets": len(group),
+             "cc": round(mean, 4), "of_intact": round(mean / intact, 4), "worst_cc": round(worst[0], 4),
+             "worst_of_intact": round(worst[0] / intact, 4), "worst_set": list(worst[1])}
+        )  # fmt: skip
+    return rows
+
+
+def _zeroed(solver: Solver, lost: Lost) -> Solver:
+    rows = rows_of(lost)
+    return lambda case: solver(replace(case, voltages=np.where(rows, case.flat_reference, case.voltages)))
+
+
+def spread_of(reference: Array, noise: Kind, snr_db: float) -> Array:
+    """Return (104,) V by which frames of the flat, untouched sheet vary; N1 is noise of a touch, and makes none."""
+    level = 10.0 ** (-snr_db / 20.0)
+    if noise == "N3":
+        return np.full_like(reference, level * np.sqrt(np.mean(reference**2)))
+    return level * np.abs(reference) if noise == "N2" else np.zeros_like(reference)
+
+
+def _imputed(solver: Solver, lost: Lost, consistency: Consistency, spread: Array) -> Solver:
+    watch = ElectrodeWatch(consistency, consistency.reference, spread, lost)
+
+    def solve(case: Case) -> Array:
+        change = relative_change(case.voltages, case.flat_reference).astype(np.float32)
+        watch.correct(change, log_ratio(case.sheet.predicted(), flat_voltages()))
+        return solver(replace(case, voltages=case.flat_reference * (1.0 + change.astype(np.float64))))
+
+    return solve

@@ -1,1 +1,0 @@
-"""``eitskin bench electrodes``: the benchmark in ``bench``, its helpers beside it."""

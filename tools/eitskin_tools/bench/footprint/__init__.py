@@ -1,1 +1,0 @@
-"""``eitskin bench footprint``: the benchmark in ``bench``, its helpers beside it."""

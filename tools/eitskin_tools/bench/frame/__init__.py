@@ -1,1 +1,0 @@
-"""``eitskin bench frame``: the benchmark in ``bench``, its helpers beside it."""

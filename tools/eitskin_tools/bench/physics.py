@@ -1,0 +1,286 @@
+"""``eitskin bench physics``: what the forward model is measured against, a row each.
+
+Convergence of the untouched voltages with the element size, by both contacts and both contact laws, beside independent
+triangles; a touch's size by three rules for the elements that its border cuts; reciprocity, the bend that must change
+nothing, and the coarse Jacobian. ``tools/studies/solid_slab.py`` compares with an independent solid, which takes
+minutes.
+
+A border that cuts elements, by three rules: the error that a 10 mm square shows ::
+
+    area fraction   a cut element has the mean of the two conductivities, by area
+    laminate        it conducts as layers do: the mean along the border, the harmonic mean across
+    enriched        what eitskin does: :mod:`eitskin_sim.fem.borders.cut_elements`
+
+The size is fitted: the exact change of the voltages with the size, on a mesh that follows the square, is the yardstick.
+"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from time import perf_counter
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import bmat, csc_array
+from scipy.sparse.linalg import splu
+
+from eitskin_proto.sensor.table import TABLE
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.fem.borders.cut_elements import touch
+from eitskin_sim.fem.borders.cut_rule import half_plane_share
+from eitskin_sim.fem.contacts import FRINGE
+from eitskin_sim.fem.forward import Factor, System, assemble, reciprocity_error
+from eitskin_sim.fem.jacobian import COARSE_MM, relative_jacobian
+from eitskin_sim.fem.mesh import MM, TensorMesh, graded_lines
+from eitskin_sim.fem.meshing import REFERENCE_MM, electrode_lines, on_sheet, scene_mesh
+from eitskin_sim.fem.q2 import GAUSS, WEIGHTS, gradients
+from eitskin_sim.fem.solve import Law, factorise_scene, solve_scene
+from eitskin_sim.scene.electrodes import place
+from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
+from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
+from eitskin_sim.scene.shapes import Rect
+from eitskin_tools.bench.harness import Row, report
+
+Array = npt.NDArray[np.float64]
+SQUARE_MM = 10.0
+PLACES_MM = ((71.4, 33.1), (21.7, 14.3), (103.26, 57.62))
+"""Lower left corners, off every line of the meshes."""
+RULES = ("area fraction", "laminate", "enriched")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("--json", action="store_true", help="print one JSON object: rows and summary")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure and print."""
+    rows = _convergence() + _borders() + _invariants() + _jacobians()
+    return report(arguments, rows, _summary(rows))
+
+
+def _convergence() -> list[Row]:
+    rows: list[Row] = []
+    laws: tuple[tuple[Literal["edge", "patch"], Law], ...] = (
+        ("edge", "constant"),
+        ("patch", "constant"),
+        ("patch", "modes"),
+    )
+    for contact, law in laws:
+        scene = Scene(electrodes=Electrodes(contact))
+        fine = solve_scene(replace(scene, element_size_mm=0.75 if law == "constant" else 1.0), law).voltages
+        triangles = solve_triangles(scene)[0] if law == "constant" else None
+        for size in (6.0, 3.0, 2.0, 1.5):
+            start = perf_counter()
+            found = solve_scene(replace(scene, element_size_mm=size), law)
+            row: Row = {"what": "convergence", "contact": contact, "law": law, "element_size_mm": size}
+            row |= {"n_nodes": found.n_nodes, "v_error_max": float(np.abs(found.voltages / fine - 1).max())}
+            if triangles is not None:
+                row["v_against_triangles_max"] = float(np.abs(found.voltages / triangles - 1).max())
+            rows.append({**row, "seconds": round(perf_counter() - start, 3)})
+    return rows
+
+
+def _borders() -> list[Row]:
+    rows = size_errors(3.0) + size_errors(2.0)
+    touches = (Touch((Rect(71.4, 33.1, 81.4, 43.1),)), Touch((Rect(21.7, 14.3, 34.2, 26.9),), 20.0))
+    return rows + cut_convergence(Scene(touches=touches), (6.0, 3.0, 2.0, 1.5))
+
+
+def _invariants() -> list[Row]:
+    flat = Scene(element_size_mm=3.0)
+    untouched = solve_scene(flat).voltages
+    rows: list[Row] = [{"what": "reciprocity", "error_max": reciprocity_error(factorise_scene(flat))}]
+    for angle, axis, skew in ((90, 0, 0.0), (180, 30, 0.5), (350, 90, 0.0), (300, 45, 1.0)):
+        bent = replace(flat, bend=Bend(angle_deg=angle, axis_deg=axis, skew=skew))
+        error = float(np.abs(solve_scene(bent).voltages / untouched - 1).max())
+        rows.append({"what": "isometric", "angle_deg": angle, "axis_deg": axis, "skew": skew, "error_max": error})
+    return rows
+
+
+def _jacobians() -> list[Row]:
+    def jacobian(size_mm: float) -> Any:
+        return relative_jacobian(Sheet(), Electrodes(), shape=PAPER.grid.shape, element_size_mm=size_mm)[1]
+
+    fine = jacobian(1.5)
+    rows = []
+    for size in (6.0, COARSE_MM, 3.0):
+        start = perf_counter()
+        found = jacobian(size)
+        error = float(np.linalg.norm(found - fine) / np.linalg.norm(fine))
+        seconds = round(perf_counter() - start, 3)
+        rows.append({"what": "jacobian", "element_size_mm": size, "error_rms": error, "seconds": seconds})
+    return rows
+
+
+def _summary(rows: list[Row]) -> dict[str, float]:
+    by = {what: [row for row in rows if row["what"] == what] for what in {row["what"] for row in rows}}
+    found = {
+        "v_error_at_1.5_mm": max(r["v_error_max"] for r in by["convergence"] if r["element_size_mm"] == 1.5),
+        "v_error_at_3_mm": max(r["v_error_max"] for r in by["convergence"] if r["element_size_mm"] == 3.0),
+        "reciprocity": by["reciprocity"][0]["error_max"],
+        "isometric": max(r["error_max"] for r in by["isometric"]),
+    }
+    found |= {f"size_error_mm_{r['rule']}".replace(" ", "_"): r["size_error_max_mm"] for r in by["border rule"][:3]}
+    return found
+
+
+def size_errors(largest_mm: float, conductivity: float = 50.0) -> list[dict[str, Any]]:
+    """Return a row for each rule: the worst and mean size error in mm, and the error of dV, over the places."""
+    system = _blind_system(largest_mm)
+    untouched = system.factorise().voltages()
+    exact_untouched = solve_scene(Scene()).voltages
+    errors: dict[str, list[tuple[float, float]]] = {rule: [] for rule in RULES}
+    for x, y in PLACES_MM:
+        exact, larger = (
+            solve_scene(Scene(touches=(_square(x, y, grow, conductivity),))).voltages / exact_untouched - 1
+            for grow in (0.0, 0.1)
+        )
+        slope = (larger - exact) / 0.2
+        for rule in RULES:
+            off = _solve(system, _square(x, y, 0.0, conductivity), rule) / untouched - 1 - exact
+            size = float(slope @ off / (slope @ slope))
+            errors[rule].append((abs(size), float(np.linalg.norm(off) / np.linalg.norm(exact))))
+    return [
+        {
+            "what": "border rule",
+            "rule": rule,
+            "element_mm": largest_mm,
+            "conductivity_S_per_m": conductivity,
+            "size_error_max_mm": max(size for size, _ in found),
+            "size_error_mean_mm": float(np.mean([size for size, _ in found])),
+            "dv_error_max": max(dv for _, dv in found),
+        }
+        for rule, found in errors.items()
+    ]
+
+
+def cut_convergence(scene: Scene, sizes_mm: Sequence[float]) -> list[dict[str, Any]]:
+    """Return a row for each element size: dV of a scene's touches on meshes blind to them, against one that follows."""
+    follow = replace(scene, element_size_mm=1.0)
+    exact = solve_scene(follow).voltages / solve_scene(follow.untouched()).voltages - 1
+    rows = []
+    for size in sizes_mm:
+        system = assemble(scene_mesh(replace(scene.untouched(), element_size_mm=size)), scene.sheet, scene.electrodes)
+        touched = touch(system, scene.touches)
+        found = Factor(system, touched.blocks, touched.density).voltages() / system.factorise().voltages() - 1
+        error = float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+        rows.append({"what": "cut convergence", "element_size_mm": size, "cut": len(touched.cut), "dv_error": error})
+    return rows
+
+
+def _square(x: float, y: float, grow: float, conductivity: float) -> Touch:
+    far = SQUARE_MM + grow
+    return Touch((Rect(x - grow, y - grow, x + far, y + far),), conductivity)
+
+
+def _blind_system(largest_mm: float) -> System:
+    sheet, electrodes = nominal_sheet(PAPER), nominal_electrodes(PAPER)
+    lines = [
+        graded_lines(on_sheet(fixed, extent), largest_mm, max(REFERENCE_MM * 2 / largest_mm, 1.0))
+        for fixed, extent in zip(electrode_lines(sheet, electrodes), sheet.size_mm, strict=True)
+    ]
+    return assemble(TensorMesh(*lines), sheet, electrodes)
+
+
+def _solve(system: System, item: Touch, rule: str) -> Array:
+    touched = touch(system, (item,))
+    if rule == "enriched":
+        return Factor(system, touched.blocks, touched.density).voltages()
+    blocks = touched.sigma[:, None, None] * system.stiffness
+    if rule == "laminate":
+        blocks[touched.cut] = _laminates(system, touched.cut, item)
+    return Factor(system, blocks, touched.density).voltages()
+
+
+def _laminates(system: System, cut: npt.NDArray[np.intp], item: Touch) -> Array:
+    """Return the (k, 9, 9) blocks of cut elements of a flat sheet as layers along the border."""
+    sizes = system.mesh.sizes_mm[cut]
+    distance, normal = item.shapes[0].distance_mm(system.mesh.centres_mm[cut])
+    share = half_plane_share(distance, normal, sizes)
+    along = share * item.conductivity_S_per_m + (1 - share) * system.background
+    across = 1.0 / (share / item.conductivity_S_per_m + (1 - share) / system.background)
+    tensor = along[:, None, None] * np.eye(2) + (across - along)[:, None, None] * normal[:, :, None] * normal[:, None]
+    slopes = np.stack(gradients(GAUSS), axis=1)  # (points, 2, nodes)
+    scaled = slopes[None] / sizes[:, None, :, None]
+    weight = WEIGHTS * np.prod(sizes, axis=1)[:, None] * system.thickness_mm * MM
+    return np.asarray(np.einsum("eq,eqai,eab,eqbj->eij", weight, scaled, tensor, scaled, optimize=True))
+
+
+def solve_triangles(scene: Scene, spacing_mm: float = 3.0, rounds: int = 14) -> tuple[Array, int]:
+    """Return the (104,) V of a flat, untouched scene under 1 A by the constant contact law, and the unknowns.
+
+    Args:
+        scene: No electrode may go round a corner.
+        spacing_mm: Of the triangles far from electrodes.
+        rounds: Of refinement towards the electrodes and their edges.
+    """
+    import skfem
+    from skfem.models import poisson
+
+    patch = scene.electrodes.contact == "patch"
+    depths = scene.electrodes.sizes_mm() if patch else np.zeros(16)
+    pieces = place(scene.sheet, scene.electrodes)
+    boxes = np.array([piece.patch_mm(scene.sheet, float(depths[piece.electrode])) for piece in pieces])
+    mesh = _mesh(scene, boxes, spacing_mm, rounds)
+    basis = skfem.Basis(mesh, skfem.ElementTriP2())
+    thickness = scene.sheet.thickness_mm * MM
+    stiffness = scene.sheet.conductivity_S_per_m * thickness * poisson.laplace.assemble(basis)
+    fringe = FRINGE * thickness / scene.sheet.conductivity_S_per_m if patch else 0.0
+    densities = (MM**2 if patch else thickness * MM) / (scene.electrodes.impedances_ohm_m2() + fringe)
+    border = mesh.boundary_facets()
+    parts = (mesh.p[:, mesh.t].mean(axis=1), mesh.p[:, mesh.facets[:, border]].mean(axis=1))
+    loads = []
+    for box, density in zip(boxes, densities, strict=True):
+        low, high = box[:2, None] - 1e-9, box[2:, None] + 1e-9
+        inside = [np.flatnonzero(np.all((part >= low) & (part <= high), axis=0)) for part in parts]
+        contact: Any = (
+            skfem.Basis(mesh, skfem.ElementTriP2(), elements=inside[0])
+            if patch
+            else skfem.FacetBasis(mesh, skfem.ElementTriP2(), facets=border[inside[1]])
+        )
+        stiffness = stiffness + density * poisson.mass.assemble(contact)
+        loads.append(density * poisson.unit_load.assemble(contact))
+    return _voltages(stiffness, np.array(loads)), stiffness.shape[0]
+
+
+def _mesh(scene: Scene, boxes: Array, spacing_mm: float, rounds: int) -> Any:
+    """Refine where triangles are large for their distance from an electrode, and from its corners or ends."""
+    import skfem
+
+    lines = []
+    for axis, extent in enumerate(scene.sheet.size_mm):
+        even = np.linspace(0.0, extent, round(extent / spacing_mm) + 1)
+        lines.append(np.unique(np.round(np.concatenate([even, boxes[:, axis], boxes[:, axis + 2]]), 9)))
+    mesh = skfem.MeshTri.init_tensor(*lines)
+    least_at_edge, least = (0.1, 0.1) if scene.electrodes.contact == "patch" else (0.02, 0.08)
+    for _ in range(rounds):
+        corners = mesh.p[:, mesh.t]
+        middle, size = corners.mean(axis=1)[:, None], np.ptp(corners, axis=1).max(axis=0)
+        low, high = boxes[:, :2].T[:, :, None], boxes[:, 2:].T[:, :, None]
+        outside = np.maximum(low - middle, middle - high)  # (2, electrodes, triangles), negative inside
+        off = np.linalg.norm(np.maximum(outside, 0.0), axis=0)
+        rim = np.where(off > 0.0, off, np.min(-outside, axis=0)).min(axis=0)
+        ends = [np.stack([boxes[:, i], boxes[:, j]])[:, :, None] for i in (0, 2) for j in (1, 3)]
+        tip = np.min([np.linalg.norm(middle - end, axis=0).min(axis=0) for end in ends], axis=0)
+        wanted = np.minimum(np.maximum(0.5 * tip, least_at_edge), np.inf)
+        coarse = (size > wanted) & (size > np.maximum(0.5 * rim, least))
+        if not coarse.any():
+            break
+        mesh = mesh.refined(np.flatnonzero(coarse))
+    return mesh
+
+
+def _voltages(stiffness: Any, loads: Array) -> Array:
+    blocks: Any = [[stiffness, -loads[:-1].T], [-loads[:-1], np.diag(loads[:-1].sum(axis=1))]]
+    matrix = csc_array(bmat(blocks))
+    n = stiffness.shape[0]
+    currents = np.zeros((n + 15, 15))
+    currents[n:] = np.eye(15)
+    impedance = np.zeros((16, 16))
+    lu = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    impedance[:15, :15] = lu.solve(currents)[n:]
+    drives = impedance - np.roll(impedance, -1, axis=1)
+    measured = (drives - np.roll(drives, -1, axis=0)).T
+    return np.asarray(measured[TABLE[:, 0], TABLE[:, 1]])

@@ -1,1 +1,0 @@
-"""``eitskin bench physics``: the benchmark in ``bench``, its helpers beside it."""

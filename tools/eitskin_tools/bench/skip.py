@@ -1,0 +1,469 @@
+"""``eitskin bench skip``: for each skip of the frame loop, the CPU that it saves and the error that it makes.
+
+::
+
+    untouched        nothing touches: no inference         false alarms and misses at fresh deformations
+    cloud_unchanged  no geometry graph                     the same map
+    no_subscriber    the gate alone                        the same map for whoever comes
+    unchanged        the map of an earlier frame           likeness to the map that was not computed
+    idle             the device scans a few drives         false alarms and misses, and the soonest full frame
+
+Costs are CPU times of the runtime's own pipeline, with and without, in turns in one run: thread CPU time, so that what
+a busy machine takes away is not counted, without making a frame's payload. A skip that this bundle does not have is
+left out, with the reason.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.health.monitor import health_of
+from eitskin.model.bundle import Bundle, load_bundle
+from eitskin.model.gate import EXTRAS, FIELDS, Gate
+from eitskin.model.geometry import GeometryGraph
+from eitskin.pipeline.frame_pipeline import Pipeline
+from eitskin.pipeline.idle import PREFIX
+from eitskin.reference.captured import Reference
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.wire import config_toml
+from eitskin_proto.wire.frames import Frame
+from eitskin_proto.wire.messages import Hello
+from eitskin_proto.wire.scan_rows import drive_count, drives_to_list, table_rows
+from eitskin_sim.freeform.sheet import inverted_sheet
+from eitskin_sim.freeform.voltages import set_voltages
+from eitskin_sim.measurement.noise import add_noise
+from eitskin_sim.scene.family import draw
+from eitskin_sim.scene.parts import Bend
+from eitskin_sim.scene.touch_table import gather
+from eitskin_tools.bench.harness import Row, machine, row_text, say
+from eitskin_tools.command_line import files
+from eitskin_tools.errors import UsageError
+from eitskin_training.gate.rates import missed_probes, rate_and_interval, untouched_logits
+from eitskin_training.gate.touches import probes, squares
+from eitskin_training.gate.untouched import Bends, untouched_logs
+
+SEED: Final = 9105
+"""Of bends; unlike any of eitskin_export and of the data sets."""
+
+CONTRAST: Final = 20.0
+"""S/m of the weakest touch."""
+
+TURN: Final = 10
+"""Frames of one way before the other has its turn."""
+
+NOISE: Final = "N2"
+SNR_DB: Final = 50.0
+
+FULL_SCALE: Final = 2**23 - 1
+"""Counts of a 24-bit converter; the largest voltage takes an eighth of it, which a sheet never exceeds."""
+
+REFERENCE_FRAMES: Final = 100
+
+Array = npt.NDArray[np.float64]
+
+Judge = Callable[[Array], Array]
+"""(n, 104) dV -> (n,) logits."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--frames", type=int, default=2000, metavar="N", help="frames of each way (default 2000)")
+    parser.add_argument("--bends", type=int, default=100, metavar="N", help="fresh bends of A and of B (default 100)")
+    parser.add_argument("--bundle", type=files.bundle, metavar="FILE", help="bundle to run (default: the shipped one)")
+    parser.add_argument("--seed", type=int, default=0, help="of the noise (default 0)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure and report."""
+    if arguments.frames < 20 or arguments.bends < 2:
+        raise UsageError("--frames must be at least 20 and --bends at least 2")
+    rng = np.random.default_rng(arguments.seed)
+    bundle = load_bundle(arguments.bundle)
+    say("skip", "solving what the pipelines are shown")
+    shown = Material.of(rng)
+    say("skip", "what each skip saves")
+    skips, missing = costs(bundle, shown, arguments.frames), dict[str, str]()
+    say("skip", "errors of the gates at fresh deformations")
+    arrays = bundle.gate_arrays()
+    if arrays is None:
+        missing["untouched"] = "this bundle has no gate"
+    else:
+        gate = Gate(arrays)
+        skips["untouched"]["error"] = errors(logits_of(gate), gate.threshold, shown.reference_V, arguments.bends, rng)
+    if arrays is None or f"{PREFIX}drives" not in arrays:
+        missing["idle"] = "this bundle has no idle gate"
+    else:
+        skips["idle"] = idle(arrays, shown.reference_V, arguments.bends, rng)
+    rows = flat_rows(skips)
+    if arguments.json:
+        more = {"missing": missing, "bundle": bundle.id, "bends": arguments.bends, "machine": machine()}
+        print(json.dumps({"rows": rows, "summary": summary(skips), "skips": skips, **more}))
+        return 0
+    for row in rows:
+        print(row_text(row))
+    for name in ("untouched", "idle"):
+        if name in skips:
+            _print_errors(name, skips[name]["error"])
+    for name, reason in missing.items():
+        print(f"{name}: {reason}")
+    return 0
+
+
+def flat_rows(skips: Mapping[str, Row]) -> list[Row]:
+    """Return a row for each skip: its numbers, and the mean CPU time of a frame each way."""
+    return [
+        {
+            "what": name,
+            **{key: value for key, value in row.items() if isinstance(value, int | float | str)},
+            **{f"{way}_us": times["cpu_mean"] for way, times in row.get("us", {}).items()},
+        }
+        for name, row in skips.items()
+    ]
+
+
+def summary(skips: Mapping[str, Row]) -> dict[str, float]:
+    """Return which share of a frame's CPU time each skip leaves."""
+    return {f"{name}_cpu_left": row["cpu_left"] for name, row in skips.items() if "cpu_left" in row}
+
+
+def _print_errors(name: str, error: Row) -> None:
+    for where, noises in error["false_alarms"].items():
+        rates = ", ".join(
+            f"{noise} {100 * entry['rate']:.2f} % ({100 * entry['interval_95'][0]:.2f} to "
+            f"{100 * entry['interval_95'][1]:.2f})"
+            for noise, entry in noises.items()
+        )
+        print(f"{name}, false alarms, {where}: {rates}")
+    for touch, families in error["missed"].items():
+        for family, noises in families.items():
+            shares = ", ".join(f"{noise} {100 * share:.1f} %" for noise, share in noises.items())
+            print(f"{name}, missed, {touch}, {family}: {shares}")
+
+
+class Frames:
+    """Turns voltages into payloads, and makes pipelines that take them.
+
+    Args:
+        reference_V: (104,) V0.
+        rng: Source of the reference's noise.
+    """
+
+    def __init__(self, reference_V: Array, rng: np.random.Generator) -> None:
+        self._volts_per_count = 8.0 * float(np.abs(reference_V).max()) / FULL_SCALE
+        taken = noisy(reference_V, REFERENCE_FRAMES, reference_V, rng)
+        self.reference = Reference(
+            taken.mean(axis=0), taken.std(axis=0, ddof=1), REFERENCE_FRAMES, "BENCH", 0, "paper", ""
+        )
+        self.hello = Hello(
+            firmware_version=(1, 0, 0), hardware_id=1, serial_number="BENCH", configuration_digest=0, generation=0,
+            configuration_name="paper", rate_mHz=200_000, rows=len(reference_V), sample_bytes=4,
+            volts_per_count=self._volts_per_count,
+        )  # fmt: skip
+
+    def payload(self, voltages: Array, sequence: int) -> bytes:
+        """Return the payload of one frame."""
+        counts = np.rint(voltages / self._volts_per_count).astype(np.int32)
+        return Frame(sequence=sequence, device_us=(sequence * 5000) % 2**32, counts=counts).pack()
+
+    def pipeline(self, bundle: Bundle, *, skip_unchanged: bool = False) -> Pipeline:
+        """Return a pipeline for the flat sheet's cloud, ready for frames."""
+        pipeline = Pipeline(bundle, self.hello, skip_unchanged=skip_unchanged, health=health_of(bundle))
+        pipeline.use_reference(self.reference)
+        pipeline.start_with(GeometryGraph(bundle).geometry(None, None, 0))
+        return pipeline
+
+
+def noisy(voltages: Array, times: int, reference_V: Array, rng: np.random.Generator) -> Array:
+    """Return (n times, 104) V: each of (n, 104) or (104,) V so many times, with noise."""
+    return add_noise(np.repeat(np.atleast_2d(voltages), times, axis=0), reference_V, NOISE, SNR_DB, rng)
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """What pipelines are shown, with noise.
+
+    Args:
+        frames: Makes payloads and pipelines.
+        reference_V: (104,) V0.
+        bent_V: (n, 104) V of untouched sheets at bends of family A.
+        one_V: (n, 104) V of one touch on the flat sheet.
+        two_V: (n, 104) V of the same touch and a weak one of 10 mm.
+        weak_V: (n, 104) V of the weak one alone.
+    """
+
+    frames: Frames
+    reference_V: Array
+    bent_V: Array
+    one_V: Array
+    two_V: Array
+    weak_V: Array
+
+    @classmethod
+    def of(cls, rng: np.random.Generator, bends: int = 20, each: int = 200) -> "Material":
+        """Return it solved."""
+        sheet = inverted_sheet(bends_of("flat", 1)[0])
+        reference_V = sheet.untouched_V
+        one = squares([(60.0, 50.0)], 15.0, 50.0)[0]
+        weak = squares([(100.0, 40.0)], 10.0, CONTRAST)[0]
+        one_V, two_V, weak_V = set_voltages([sheet], gather([one, np.concatenate([one, weak]), weak]))[0]
+        bent_V = reference_V * np.exp(still("A", bends))
+        return cls(
+            Frames(reference_V, rng),
+            reference_V,
+            noisy(bent_V, max(each // bends, 1), reference_V, rng),
+            noisy(one_V, each, reference_V, rng),
+            noisy(two_V, each, reference_V, rng),
+            noisy(weak_V, each, reference_V, rng),
+        )
+
+
+class Way:
+    """One pipeline and its own count of frames, so that ways in turns never see a number twice.
+
+    Args:
+        frames: Makes payloads.
+        pipeline: Takes them.
+        voltages: (n, 104) V; shown over and over.
+        wanted: Whether somebody subscribed.
+    """
+
+    def __init__(self, frames: Frames, pipeline: Pipeline, voltages: Array, *, wanted: bool = True) -> None:
+        self._make, self._voltages, self._wanted, self._sequence = frames.payload, voltages, wanted, 0
+        self.pipeline = pipeline
+        self._ready = b""
+        self.prepare(0)
+
+    def prepare(self, index: int) -> None:
+        """Make the payload of the next frame, which is no part of what is measured."""
+        self._sequence += 1
+        self._ready = self._make(self._voltages[index % len(self._voltages)], self._sequence)
+
+    def __call__(self) -> bool:
+        """Take the prepared frame through the pipeline, and do what waits for leisure when it is due."""
+        pipeline = self.pipeline
+        fit = pipeline.accept(self._ready, time.perf_counter_ns()) and pipeline.compute(self._wanted)
+        pipeline.note_health()
+        if pipeline.has_leisure_work:
+            pipeline.look_at_health()
+        return fit
+
+
+def interleaved(ways: Mapping[str, Way], frames: int) -> dict[str, dict[str, float]]:
+    """Return mean, median and 99th percentile of every way's CPU time a frame, and the median wall time, in us.
+
+    Args:
+        ways: By name.
+        frames: Of each.
+    """
+    cpu: dict[str, list[int]] = {name: [] for name in ways}
+    wall: dict[str, list[int]] = {name: [] for name in ways}
+    for way in ways.values():
+        way()  # the frame that it was made with; the first is slower
+    for start in range(0, frames, TURN):
+        for name, way in ways.items():
+            for index in range(start, min(start + TURN, frames)):
+                way.prepare(index)
+                wall_ns, cpu_ns = time.perf_counter_ns(), time.thread_time_ns()
+                way()
+                cpu[name].append(time.thread_time_ns() - cpu_ns)
+                wall[name].append(time.perf_counter_ns() - wall_ns)
+    return {
+        name: {
+            "cpu_mean": round(float(np.mean(cpu[name])) / 1e3, 2),
+            "cpu_p50": round(float(np.median(cpu[name])) / 1e3, 2),
+            "cpu_p99": round(float(np.quantile(cpu[name], 0.99)) / 1e3, 2),
+            "wall_p50": round(float(np.median(wall[name])) / 1e3, 2),
+        }
+        for name in ways
+    }
+
+
+def saving(times: dict[str, dict[str, float]]) -> dict[str, Any]:
+    """Return the times of "with" and "without", and what lies between: mean CPU a frame in us, and the share left."""
+    one, other = times["with"]["cpu_mean"], times["without"]["cpu_mean"]
+    return {"us": times, "cpu_saved_us": round(other - one, 2), "cpu_left": round(one / other, 4)}
+
+
+def costs(bundle: Bundle, shown: Material, count: int) -> dict[str, Any]:
+    """Return the rows of all skips that need no device.
+
+    Args:
+        bundle: What is deployed.
+        shown: What the pipelines are shown.
+        count: Frames of each way; a tenth of it where the geometry graph runs for each.
+    """
+    frames, touched_V = shown.frames, shown.one_V
+    found = {}
+    if bundle.gate_arrays() is not None:
+        found["untouched"] = untouched(bundle, frames, shown.bent_V, touched_V, count)
+    found["cloud_unchanged"] = cloud_unchanged(bundle, frames, touched_V, max(count // 10, 20))
+    found["no_subscriber"] = no_subscriber(bundle, frames, touched_V, count)
+    found["unchanged"] = unchanged(bundle, frames, touched_V, shown.two_V)
+    return found
+
+
+def untouched(bundle: Bundle, frames: Frames, bent_V: Array, touched_V: Array, count: int) -> dict[str, Any]:
+    """Return the row of "nothing touched", beside what a touched frame costs."""
+    files = {name: data for name, data in bundle.files.items() if name != "gate.npz"}
+    without = replace(bundle, files=files)
+    ways = {
+        "with": Way(frames, frames.pipeline(bundle), bent_V),
+        "without": Way(frames, frames.pipeline(without), bent_V),
+        "touched": Way(frames, frames.pipeline(bundle), touched_V),
+    }
+    row = saving(interleaved(ways, count))
+    row["untouched_to_touched"] = round(row["us"]["with"]["cpu_mean"] / row["us"]["touched"]["cpu_mean"], 4)
+    return row
+
+
+class Redone(Way):
+    """A way that runs the geometry graph for every frame."""
+
+    def __init__(self, frames: Frames, bundle: Bundle, voltages: Array) -> None:
+        super().__init__(frames, frames.pipeline(bundle), voltages)
+        self._graph, self._cloud = GeometryGraph(bundle), bundle.skin.grid.flat_cloud_mm()
+
+    def __call__(self) -> bool:
+        """Take the prepared frame."""
+        self.pipeline.start_with(self._graph.geometry(self._cloud, None, 1))
+        return super().__call__()
+
+
+def cloud_unchanged(bundle: Bundle, frames: Frames, touched_V: Array, count: int) -> dict[str, Any]:
+    """Return the row of "cloud unchanged": the map is the same to the last bit."""
+    kept = Way(frames, frames.pipeline(bundle), touched_V)
+    kept.pipeline.start_with(GeometryGraph(bundle).geometry(bundle.skin.grid.flat_cloud_mm(), None, 1))
+    redone = Redone(frames, bundle, touched_V)
+    row = saving(interleaved({"with": kept, "without": redone}, count))
+    return {**row, "largest_map_error": _largest(kept, redone)}
+
+
+def no_subscriber(bundle: Bundle, frames: Frames, touched_V: Array, count: int) -> dict[str, Any]:
+    """Return the row of "nobody subscribed"; whoever subscribes gets the next frame's map, as if always there."""
+    alone = Way(frames, frames.pipeline(bundle), touched_V, wanted=False)
+    watched = Way(frames, frames.pipeline(bundle), touched_V)
+    row = saving(interleaved({"with": alone, "without": watched}, count))
+    return {**row, "largest_map_error": _largest(Way(frames, alone.pipeline, touched_V), watched)}
+
+
+def unchanged(bundle: Bundle, frames: Frames, resting_V: Array, changed_V: Array) -> dict[str, Any]:
+    """Return the row of "map unchanged": a touch at rest, then a second one beside it.
+
+    Args:
+        bundle: What is deployed.
+        frames: Makes payloads.
+        resting_V: (n, 104) noisy frames of one touch.
+        changed_V: (m, 104) noisy frames of two.
+    """
+    stream = np.concatenate([resting_V, changed_V])
+    kept = Way(frames, frames.pipeline(bundle, skip_unchanged=True), stream)
+    computed = Way(frames, frames.pipeline(bundle), stream)
+    row = saving(interleaved({"with": kept, "without": computed}, len(stream)))
+    kept = Way(frames, frames.pipeline(bundle, skip_unchanged=True), stream)
+    computed = Way(frames, frames.pipeline(bundle), stream)
+    likeness, fresh = [], []
+    for index in range(len(stream)):
+        for way in (kept, computed):
+            way.prepare(index)
+            way()
+        fresh.append(kept.pipeline.record.inferred)
+        likeness.append(float(np.corrcoef(kept.pipeline.buffers.map[0], computed.pipeline.buffers.map[0])[0, 1]))
+    first = len(resting_V)
+    late = np.flatnonzero(fresh[first:])
+    row["share_skipped_at_rest"] = round(1.0 - float(np.mean(fresh[1:first])), 4)
+    row["cc_with_computed_map"] = {"mean": float(np.mean(likeness)), "least": float(np.min(likeness))}
+    row["frames_until_change_is_seen"] = int(late[0]) if len(late) else None
+    return row
+
+
+def _largest(one: Way, other: Way, count: int = 20) -> float:
+    """Return the largest difference of two ways' maps over the same frames."""
+    largest = 0.0
+    for index in range(count):
+        for way in (one, other):
+            way.prepare(index)
+            way()
+        difference = one.pipeline.buffers.map[0] - other.pipeline.buffers.map[0]
+        largest = max(largest, float(np.abs(difference).max()))
+    return largest
+
+
+def bends_of(family: str, count: int) -> tuple[Bend, ...]:
+    """Return deformations of a family by name; the flat one alone is "flat"."""
+    return (Bend(),) if family == "flat" else draw("A" if family == "A" else "B", count, SEED)
+
+
+@cache
+def still(family: str, count: int) -> Array:
+    """Return (count, 104) log(V / V0) of untouched sheets at rest; what was solved is kept for the next gate."""
+    return untouched_logs(bends_of(family, count), PAPER)
+
+
+def logits_of(gate: Gate, rows: npt.NDArray[np.intp] | slice = slice(None)) -> Judge:
+    """Return a function from (n, 104) dV to (n,) logits of a gate that judges some of the rows."""
+
+    def judge(dv: Array) -> Array:
+        found = np.empty(len(dv))
+        for index, row in enumerate(dv[:, rows]):
+            gate.change[:] = row
+            gate.touched()
+            found[index] = gate.logit
+        return found
+
+    return judge
+
+
+def errors(judge: Judge, threshold: float, reference: Array, bends: int, rng: np.random.Generator) -> Row:
+    """Return what a gate does on fresh deformations: false alarms with their interval, and touches that it misses.
+
+    Args:
+        judge: (n, 104) dV -> (n,) logits.
+        threshold: Above which a frame counts as touched.
+        reference: (104,) V0.
+        bends: Of A and of B for false alarms; a tenth of it for touches.
+        rng: Source of the noise.
+    """
+    alarms: dict[str, Row] = {}
+    for family in ("flat", "A", "B"):
+        logits = untouched_logits(judge, still(family, bends), reference, rng, PAPER)
+        for noise, values in logits.items():
+            rate, interval = rate_and_interval((values > threshold).mean(axis=1))
+            entry = {"rate": rate, "interval_95": interval, "bends": len(values)}
+            alarms.setdefault(family, {})[noise] = entry
+    empty, solved = np.empty((0, len(reference))), probes(max(bends // 10, 2), SEED, PAPER)
+    missed = missed_probes(judge, threshold, Bends(empty, empty, empty, probes=solved), reference, rng)
+    return {"false_alarms": alarms, "missed": missed}
+
+
+def idle(arrays: Mapping[str, Any], reference: Array, bends: int, rng: np.random.Generator) -> Row:
+    """Return the row of idle acquisition: its drives, times of a scan, and the errors of its gate.
+
+    Args:
+        arrays: Of the bundle's gates.
+        reference: (104,) V0.
+        bends: Fresh bends of A and of B.
+        rng: Source of noise.
+    """
+    drives = int(np.asarray(arrays[f"{PREFIX}drives"]).reshape(-1)[0])
+    rows = table_rows(False, drives)
+    gate = Gate({name: arrays[PREFIX + name] for name in (*FIELDS, *EXTRAS) if PREFIX + name in arrays}, len(rows))
+    configuration = config_toml.load("paper")
+    whole_us, idle_us = configuration.scan_us(), configuration.scan_us(drives)
+    idle_ms = 1e6 / configuration.idle_rate_mHz
+    return {
+        "drives": drives_to_list(drives),
+        "rows": len(rows),
+        "drives_of_a_whole_scan": drive_count(False, configuration.drives),
+        "largest_rate_gain": round(whole_us / idle_us, 2),
+        "soonest_full_frame_mean_ms": round(idle_ms / 2 + (idle_us + whole_us) / 1000, 2),
+        "soonest_full_frame_largest_ms": round(idle_ms + (idle_us + whole_us) / 1000, 2),
+        "error": errors(logits_of(gate, rows), gate.threshold, reference, bends, rng),
+    }

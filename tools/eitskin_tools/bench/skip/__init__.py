@@ -1,1 +1,0 @@
-"""What each skip of the frame loop saves and what it costs in error; measured by 'eitskin bench skip'."""

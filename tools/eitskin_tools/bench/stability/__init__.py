@@ -1,1 +1,0 @@
-"""What breaks a skin, and where: sweeps of every disturbance, a module a family, for ``eitskin bench stability``."""

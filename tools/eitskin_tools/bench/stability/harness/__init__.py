@@ -1,1 +1,0 @@
-"""What every sweep uses: samples, solvers, the stressed stream, the sweep itself and the rows it makes."""

@@ -1,1 +1,0 @@
-"""The disturbances, a module a family."""

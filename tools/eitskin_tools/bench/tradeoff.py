@@ -1,0 +1,374 @@
+"""``eitskin bench tradeoff``: run time against error for every solver and variant, as a table and a picture.
+
+Error is 1 - CC: the mean over the phantoms of each file and the noise draws, on the data of ``eitskin evaluate``, or
+over the touches of each trial on devices unlike the nominal one (``--devices``), of which no solver is told. Run time
+is one call a 5 ms period, the variants taking turns on one thread, as a robot sees it; classical solvers have their
+operators of the sheet ready, as the network has its geometry, and V_pred as reference, which a robot can have. What no
+variant that gives a map beats in both is on the Pareto front (``pareto``); the gate gives none (``whole`` is false).
+
+::
+
+    tikhonov, l1 of N steps, sbl    with V_pred as reference; on the grid of the labels
+    tikhonov, one matrix            the runtime's fall-back: flat sheet, reference before the deformation
+    vd2t, vd2t-int8                 of the shipped bundles, and of every --bundle (other widths)
+    vd2t, geometry a frame          without the skip "cloud unchanged"
+    verified                        the network's map checked by physics, the search included, its set-up not
+    gate alone                      an untouched frame, or nobody subscribed; its error is the touches it misses
+"""
+
+import argparse
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.model.buffers import Buffers
+from eitskin.model.bundle import load_bundle
+from eitskin.model.engine import engines
+from eitskin.model.gate import Gate
+from eitskin.model.geometry import GeometryGraph
+from eitskin.reference.predicted import log_ratio
+from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.evaluation.device import Device
+from eitskin_sim.evaluation.device_runs import Plan, Trial, cases, devices
+from eitskin_sim.evaluation.harness import Case, Conditions, Run, evaluate_all, solve_l1, solve_sbl, solve_tikhonov
+from eitskin_sim.evaluation.metrics import correlation
+from eitskin_sim.evaluation.truth import truth_map
+from eitskin_sim.measurement.noise import Kind
+from eitskin_sim.scene.parts import Phantom
+from eitskin_sim.scene.scene import load_phantoms
+from eitskin_sim.surface.predict import flat_voltages
+from eitskin_tools.bench.harness import Row, machine, paced, say
+from eitskin_tools.command_line import files
+from eitskin_tools.demo.score import percentiles_us
+from eitskin_tools.errors import UsageError
+from eitskin_tools.evaluation.devices import rows_of, trials_of
+from eitskin_tools.evaluation.solvers import VERIFIED, Request, bundle_for, named
+from eitskin_tools.pictures import save
+
+GATE: Final = "gate alone"
+"""Judges and gives no map; its error is of another kind."""
+
+L1_STEPS: Final = (10, 50, 200, 400)
+"""Iterations of FISTA that are compared; the last is the solver's own."""
+
+SMALLEST_ERROR: Final = 1e-4
+"""Where the picture's axis ends."""
+
+BESIDE: Final = 2
+"""Panels of the picture side by side; more stand below each other."""
+
+OFFSET: Final = "offset points"
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """Cases of one kind, which are averaged over.
+
+    Args:
+        name: What the table and the picture call it.
+        labels: What the truth's pixels mean.
+        touches: Which way they change conductance.
+        cases: What may be seen, and the true map (rows, columns).
+    """
+
+    name: str
+    labels: Literal["units", "area"]
+    touches: TouchKind
+    cases: list[tuple[Case, npt.NDArray[np.float64]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One way from a case to a map.
+
+    Args:
+        name: What the table calls it.
+        solve: Gives the (rows, columns) map of a case.
+        error: Gives the error of a case, where it is not 1 - CC of the whole map.
+    """
+
+    name: str
+    solve: Callable[[Case], Any]
+    error: Callable[[Case, Any, Any], float]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "--phantoms", action="append", default=[], metavar="FILE", help="a file, paper_units or paper_mm; repeatable"
+    )
+    parser.add_argument(
+        "--devices", metavar="NAME", help="trials on devices unlike the nominal one: lab, random, single, drift or FILE"
+    )
+    parser.add_argument("--trials", default="single,press04", metavar="A,B", help="which (default: single,press04)")
+    parser.add_argument("--draws", type=int, default=2, metavar="N", help="devices of each mismatch (default: 2)")
+    parser.add_argument("--deformations", type=int, default=4, metavar="N", help="of drawn trials (default: 4)")
+    parser.add_argument("--each", type=int, default=2, metavar="N", help="touches at each of them (default: 2)")
+    parser.add_argument(
+        "--bundle", type=files.bundle, action="append", default=[], metavar="FILE", help="another network; repeatable"
+    )
+    parser.add_argument("--noise", choices=["N1", "N2", "N3", "none"], default="N2", help="default: N2")
+    parser.add_argument("--seeds", type=int, default=1, metavar="K", help="noise draws of phantoms (default 1)")
+    parser.add_argument("--calls", type=int, default=60, metavar="N", help="timed calls of each variant (default 60)")
+    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the picture")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure and report."""
+    if not arguments.phantoms and arguments.devices is None:
+        raise UsageError(
+            "--phantoms FILE is missing: the error is measured on phantoms, such as the paper's eight, or on --devices"
+        )
+    if arguments.calls < 10:
+        raise UsageError("--calls must be at least 10")
+    if min(arguments.seeds, arguments.draws, arguments.deformations, arguments.each) < 1:
+        raise UsageError("--seeds, --draws, --deformations and --each must be at least 1")
+    if arguments.plot is not None:
+        files.picture(arguments.plot)
+    found: dict[str, list[Row]] = {}
+    for panel in _panels(arguments):
+        say("tradeoff", f"{panel.name}, {len(panel.cases)} maps")
+        found[panel.name] = measure(panel, arguments.bundle, arguments.noise, arguments.calls)
+    if arguments.plot is not None:
+        plot(found, arguments.plot)
+    if arguments.json:
+        told = {"rows": flat_rows(found), "summary": summary(found), "files": found}
+        print(json.dumps({"noise": arguments.noise, "seeds": arguments.seeds, **told, "machine": machine()}))
+    else:
+        for name, rows in found.items():
+            print(f"\n{name}\n")
+            print(markdown(rows))
+    return 0
+
+
+def _panels(arguments: argparse.Namespace) -> Iterator[Panel]:
+    for path in arguments.phantoms:
+        yield from of_phantoms(path, arguments.noise, arguments.seeds)
+    if arguments.devices is not None:
+        plan = Plan(arguments.draws, noise=arguments.noise)
+        kinds = arguments.trials.split(",")
+        yield from of_devices(arguments.devices, kinds, arguments.deformations, arguments.each, plan)
+
+
+def measure(panel: Panel, bundles: Sequence[Path], noise: Any, calls: int) -> list[Row]:
+    """Return a row for each variant: error, paced percentiles and whether it is on the front.
+
+    Args:
+        panel: The cases.
+        bundles: More networks.
+        noise: Definition of the noise.
+        calls: Timed calls of each variant.
+    """
+    ways = variants(panel.labels, panel.touches, bundles, Conditions(noise=noise))
+    errors = {
+        way.name: float(np.mean([way.error(case, truth, way.solve(case)) for case, truth in panel.cases]))
+        for way in ways
+    }
+    case = panel.cases[-1][0]
+    spans = paced({way.name: partial(way.solve, case) for way in ways}, calls)
+    rows: list[Row] = [
+        {"variant": way.name, "error": round(errors[way.name], 5), **percentiles_us(spans[way.name])} for way in ways
+    ]
+    for row, way in zip(rows, ways, strict=True):
+        row["whole"] = way.error is whole_error
+    mark_front(rows)
+    return rows
+
+
+def of_phantoms(path: str, noise: Kind, seeds: int) -> Iterator[Panel]:
+    """Yield a panel for each kind of labels and touches in a file of phantoms; those that nothing touches have no CC.
+
+    Raises:
+        ValueError: Nothing is touched in any of them.
+    """
+    phantoms = [one for one in load_phantoms(files.find(path, files.PHANTOMS)) if one.scene.touches]
+    if not phantoms:
+        raise ValueError(f"{path} holds no phantom that anything touches; expected at least one: the error is 1 - CC")
+    kinds = dict.fromkeys((one.truth, one.scene.touch_kind) for one in phantoms)
+    for labels, touches in kinds:
+        group = [one for one in phantoms if (one.truth, one.scene.touch_kind) == (labels, touches)]
+        lower = ", touches lower" if touches == "lower" else ""
+        yield Panel(f"{Path(path).stem}, {labels} labels{lower}", labels, touches, _ideal(group, noise, seeds))
+
+
+def _ideal(phantoms: Sequence[Phantom], noise: Kind, seeds: int) -> list[tuple[Case, npt.NDArray[np.float64]]]:
+    seen: list[Case] = []
+
+    def keep(case: Case) -> npt.NDArray[np.float64]:
+        seen.append(case)
+        return np.zeros_like(truth_map(phantoms[0]))
+
+    evaluate_all(phantoms, [Run(keep, "predicted")], Conditions(noise=noise, seeds=seeds))
+    truths = [truth_map(phantom) for phantom in phantoms for _ in range(seeds)]
+    return list(zip(seen, truths, strict=True))
+
+
+def of_devices(name: str, kinds: Sequence[str], deformations: int, each: int, plan: Plan) -> Iterator[Panel]:
+    """Yield a panel for each mismatch and trial that go together.
+
+    Args:
+        name: As ``--devices`` takes it.
+        kinds: Trials by name.
+        deformations: Of drawn trials.
+        each: Touches at each of them.
+        plan: Devices a mismatch, seed, noise.
+
+    Raises:
+        ValueError, OSError: There is no such list or trial.
+    """
+    for row, mismatch in rows_of(name):
+        drawn = list(devices(mismatch, plan))
+        for kind in trials_of(kinds, deformations, each):
+            if kind.labels == "units" and any(device.mismatch.alters_touches for _, device in drawn):
+                continue  # the grid's truth has neither soft borders nor other contrasts
+            touches: TouchKind = "lower" if kind.lowering else "raise"
+            found = [pair for number, device in drawn for pair in _of_device(number, device, kind, plan)]
+            yield Panel(f"{row}, {kind.name}", kind.labels, touches, found)
+
+
+def _of_device(number: int, device: Device, kind: Trial, plan: Plan) -> list[tuple[Case, npt.NDArray[np.float64]]]:
+    return [(case, truth_map(phantom)) for case, phantom in cases(device, kind, "predicted", plan, number)]
+
+
+def whole_error(case: Case, truth: Any, image: Any) -> float:
+    """Return 1 - CC of a map (rows, columns)."""
+    return 1.0 - float(correlation(image, truth))
+
+
+def variants(labels: str, touches: TouchKind, more: Sequence[Path], conditions: Conditions) -> list[Variant]:
+    """Return all ways to maps of some labels.
+
+    Args:
+        labels: ``"units"`` or ``"area"``.
+        touches: Which way they change conductance.
+        more: Networks beside the shipped one; those of other labels are left out.
+        conditions: Whose noise the verifier is told.
+    """
+    found = [Variant("tikhonov", solve_tikhonov, whole_error), Variant("sbl", solve_sbl, whole_error)]
+    found += [Variant(f"l1, {steps} steps", partial(solve_l1, iterations=steps), whole_error) for steps in L1_STEPS]
+    shipped = bundle_for(Request("vd2t"), labels, touches).path
+    for path in [shipped, *map(Path, more)]:
+        found += _networks(path, labels, "" if path == shipped else f" of {path.name}")
+    verified = named(Request(VERIFIED), labels, touches=touches, conditions=conditions)
+    return [*found, Variant(VERIFIED, verified.run.solver, whole_error)]
+
+
+def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
+    """Return the variants that a bundle offers; none where its labels are not these."""
+    bundle = load_bundle(path)
+    if bundle.labels != labels:
+        return []
+    buffers, graph = Buffers(bundle), GeometryGraph(bundle)
+    shown: list[Any] = [None]
+
+    def geometry(case: Case) -> None:
+        predicted = log_ratio(case.sheet.predicted(), flat_voltages(bundle.skin)) if bundle.uses_prediction else None
+        buffers.take(graph.geometry(case.sheet.cloud_mm, predicted, buffers.revision + 1))
+        shown[0] = case.sheet
+
+    def solver(engine: Any, *, every: bool = False) -> Callable[[Case], Any]:
+        def solve(case: Case) -> Any:
+            if every or shown[0] is not case.sheet:
+                geometry(case)
+            buffers.change[0] = relative_change(case.voltages, case.flat_reference)
+            engine.infer()
+            return np.asarray(buffers.map, dtype=np.float64).reshape(bundle.skin.grid.shape)
+
+        return solve
+
+    whole = engines(bundle, buffers)
+    found = [
+        Variant(("tikhonov, one matrix" if one.name == "tikhonov" else one.name) + suffix, solver(one), whole_error)
+        for one in whole
+    ]
+    found.append(Variant(f"{whole[0].name}, geometry a frame{suffix}", solver(whole[0], every=True), whole_error))
+    arrays = bundle.gate_arrays()
+    if arrays is not None:
+        gate = Gate(arrays)
+
+        def judge(case: Case) -> bool:
+            gate.change[:] = relative_change(case.voltages, case.flat_reference).astype(np.float32)
+            return gate.touched()
+
+        found.append(Variant(f"{GATE}{suffix}", judge, lambda case, truth, touched: float(not touched)))
+    return found
+
+
+def mark_front(rows: Sequence[Row]) -> None:
+    """Say of each row in ``pareto`` whether it gives a map and nothing that gives one beats it in both."""
+    for row in rows:
+        row["pareto"] = row["whole"] and not _beaten(row, rows)
+
+
+def _beaten(row: Row, rows: Sequence[Row]) -> bool:
+    """Return whether another variant, one that gives a whole map, is as good in both and not the same."""
+    return any(
+        other["whole"] and other["error"] <= row["error"] and other["p50"] <= row["p50"] and other is not row
+        for other in rows
+    )
+
+
+def flat_rows(panels: Mapping[str, Sequence[Row]]) -> list[Row]:
+    """Return the rows of all panels in one list, each with its panel's name."""
+    return [{"panel": name, **row} for name, rows in panels.items() for row in rows]
+
+
+def summary(panels: Mapping[str, Sequence[Row]]) -> Row:
+    """Return, by panel, what gives the most accurate whole map, and what is on the front."""
+    return {
+        name: {
+            "most_accurate": min((row for row in rows if row["whole"]), key=lambda row: row["error"])["variant"],
+            "on_front": [row["variant"] for row in rows if row["pareto"]],
+        }
+        for name, rows in panels.items()
+    }
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """Return the table, the most accurate first."""
+    lines = ["| variant | 1 - CC | p50, us | p99, us | on the front |", "|---|---|---|---|---|"]
+    for row in sorted(rows, key=lambda row: row["error"]):
+        front = "yes" if row["pareto"] else ""
+        lines.append(f"| {row['variant']} | {row['error']:.4f} | {row['p50']:.0f} | {row['p99']:.0f} | {front} |")
+    return "\n".join(lines)
+
+
+def plot(found: Mapping[str, Sequence[Row]], path: Path) -> None:
+    """Draw error against run time, a panel for each list of rows: red is what no variant beats in both, grey the rest.
+
+    Args:
+        found: Rows of ``measure`` by the name of their panel.
+        path: The PNG file.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = min(len(found), BESIDE)
+    lines = -(-len(found) // columns)
+    figure = Figure(figsize=(7.0 * columns, 5.2 * lines), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(lines, columns, squeeze=False).ravel()
+    for empty in panels[len(found) :]:
+        empty.set_axis_off()
+    for axes, (name, rows) in zip(panels, found.items(), strict=False):
+        shown = [(row["p50"], max(row["error"], SMALLEST_ERROR), row) for row in rows if row["whole"]]
+        front = sorted((x, y) for x, y, row in shown if row["pareto"])
+        axes.plot(*zip(*front, strict=True), color="tab:red", zorder=1)
+        for number, (x, y, row) in enumerate(sorted(shown, key=lambda point: point[:2])):
+            axes.scatter([x], [y], color="tab:red" if row["pareto"] else "tab:grey", zorder=2)
+            above = number % 2 == 0  # neighbours' names would lie over each other
+            axes.annotate(row["variant"], (x, y), fontsize=7, xytext=(4, 4 if above else -10), textcoords=OFFSET)
+        axes.set(xscale="log", yscale="log", xlabel="paced run time, us (p50)", ylabel="1 - CC", title=name)
+        axes.grid(alpha=0.3)
+    save(figure, path)

@@ -1,1 +1,0 @@
-"""``eitskin bench tradeoff``: the benchmark in ``bench``, its helpers beside it."""

@@ -1,1 +1,0 @@
-"""What the verifier of touches survives, and whether its p-values keep their word."""
