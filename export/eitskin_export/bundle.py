@@ -22,8 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError
-from eitskin.model.bundle import load_bundle
-from eitskin.model.bundle_skin import SKIN_FILE
+from eitskin.model.bundle import SKIN_FILE, load_bundle
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.writing import replacing

@@ -1,6 +1,6 @@
 """When a map may overrule the gate: at more touched pixels than the network ever shows of an untouched sheet.
 
-The runtime infers one in fifty of the frames that the gate calls untouched (:mod:`eitskin.pipeline.gate_audit`). A
+The runtime infers one in fifty of the frames that the gate calls untouched (:mod:`eitskin.pipeline.frame_pipeline`). A
 network shows ghosts now and then, most of all of a bent sheet without a cloud; so the number of pixels above one half
 that counts as a strong touch is taken from untouched sheets at bends that neither network nor gate learned from, twice
 their largest.
@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.pipeline.gate_audit import STRONG_VALUE
+from eitskin.pipeline.frame_pipeline import STRONG_VALUE
 from eitskin_export import parity
 from eitskin_proto.skin.cloud import network_input
 from eitskin_proto.skin.grid import Grid

@@ -70,8 +70,7 @@ if TYPE_CHECKING:
     from eitskin.robot.config import Robot, RobotSkin, load_robot
     from eitskin.robot.described import robot_skins
     from eitskin.robot.pose import Pose
-    from eitskin.serving import serve
-    from eitskin.skin import Skin
+    from eitskin.skin import Skin, serve
     from eitskin.touches.force import ForceTable
     from eitskin.touches.touch import Touch, TouchEvent, TouchList
     from eitskin_proto.skin.cloud import pixel_centres_mm
@@ -177,7 +176,7 @@ _HOMES: Final = {
     "request": "eitskin.messaging.control_client",
     "robot_skins": "eitskin.robot.described",
     "send_cloud": "eitskin.messaging.control_client",
-    "serve": "eitskin.serving",
+    "serve": "eitskin.skin",
     "subscribe": "eitskin.messaging.subscription",
     "subscribe_all": "eitskin.robot.all_frames",
     "subscribe_streams": "eitskin.messaging.streams.subscription",

@@ -5,12 +5,15 @@ solvers. Then :mod:`eitskin.frame_loop` runs. Clouds, new references and ``stop`
 time; the loop picks them up between two frames.
 """
 
+import threading
 import time
-from collections.abc import Generator, Iterator
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
+import numpy as np
 import numpy.typing as npt
 
 from eitskin.acquisition.device import Device
@@ -19,21 +22,86 @@ from eitskin.acquisition.serial_port import DEFAULT_BAUD
 from eitskin.acquisition.transport import Transport
 from eitskin.errors import SkinError
 from eitskin.frame_loop import FrameLoop, Taker
+from eitskin.frame_record import READ, FrameRecord
 from eitskin.health.monitor import health_of
 from eitskin.messaging.frame import Frame, unpack_frame
 from eitskin.messaging.frame_message import LastMessage
-from eitskin.messaging.frame_record import FrameRecord
+from eitskin.messaging.publish import Publisher
 from eitskin.model.bundle import Bundle
-from eitskin.model.skin_in_use import Given, bundle_and_skin
-from eitskin.pipeline.cloud_change import CloudChange
-from eitskin.pipeline.frame_pipeline import Pipeline
+from eitskin.model.geometry import GeometryGraph, GivenCloud
+from eitskin.model.skin_in_use import SkinChoice, bundle_and_skin
+from eitskin.pipeline.frame_pipeline import Pipeline, prediction_against
 from eitskin.pipeline.idle import IdleGate, IdleMode
 from eitskin.pipeline.latency_budget import in_ns
 from eitskin.reference import captured as references
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference
-from eitskin.status import status_of
-from eitskin.stream_source import with_streams
+from eitskin.reference.plausible import check_prediction
+from eitskin.stream_source import status_of, with_streams
+from eitskin_proto.skin.sheet_cloud import check_sheet
 from eitskin_proto.skin.touch_kind import TouchKind
+
+
+class CloudChange:
+    """Gives a pipeline the flat sheet first, and then every cloud that comes.
+
+    Args:
+        pipeline: It has not seen a frame yet.
+
+    Raises:
+        BundleError: The geometry graph cannot be loaded or has another signature.
+    """
+
+    def __init__(self, pipeline: Pipeline) -> None:
+        self._pipeline = pipeline
+        self._graph = GeometryGraph(pipeline.bundle)
+        self._lock = threading.Lock()
+        self._revision = 0
+        pipeline.start_with(self._graph.geometry(None, None, 0))
+        self._graph.rest()
+
+    def use(
+        self,
+        cloud: npt.ArrayLike | None,
+        predicted: npt.ArrayLike | None,
+        predicted_flat: npt.ArrayLike | None,
+        reference: Reference | None,
+    ) -> tuple[int, tuple[str, ...]]:
+        """Use a surface from the next frame on, and return its revision and what is doubtful; from any thread.
+
+        Args:
+            cloud: (3, rows, columns) mm in any pose; None for the flat sheet.
+            predicted: (104,) V of this surface untouched; None for no prediction.
+            predicted_flat: (104,) V of the flat sheet by the same model; None takes the reference.
+            reference: What frames are held against.
+
+        Raises:
+            ValueError: The cloud or the voltages are malformed, or cannot be of this sheet; with value and bound.
+            BadReference: There is a prediction, but nothing to hold it against.
+        """
+        skin, doubts = self._pipeline.skin, tuple[str, ...]()
+        if cloud is not None:
+            cloud, doubts = check_sheet(cloud, skin)
+            cloud = cloud.astype(np.float32).astype(np.float64)  # as control requests and streams carry it
+        ratio: npt.NDArray[np.float32] | None = None
+        if predicted is not None:
+            surface = skin.grid.flat_cloud_mm() if cloud is None else cloud
+            check_prediction(surface, predicted, predicted_flat, reference, skin)
+            fills = self._pipeline.health is not None
+            ratio = prediction_against(predicted, predicted_flat, reference, fills=fills)
+        with self._lock:
+            geometry = self._graph.geometry(cloud, ratio, self._revision + 1)
+            self._revision += 1
+            self._pipeline.use_geometry(replace(geometry, given=_given(cloud, predicted, predicted_flat)))
+            return geometry.revision, doubts
+
+
+def _given(
+    cloud: npt.ArrayLike | None, predicted: npt.ArrayLike | None, predicted_flat: npt.ArrayLike | None
+) -> GivenCloud:
+    """Return copies of what was given, for whoever wants to compute it once more."""
+    points = None if cloud is None else np.array(cloud, dtype=np.float32)
+    volts = [None if one is None else np.array(one, dtype=np.float64) for one in (predicted, predicted_flat)]
+    return GivenCloud(points, volts[0], volts[1], time.perf_counter_ns(), time.time_ns())
 
 
 class Skin:
@@ -80,7 +148,7 @@ class Skin:
         idle_after_s: float | None = None,
         exclude: tuple[int, ...] = (),
         compensate_drift: bool | None = None,
-        skin: Given = None,
+        skin: SkinChoice = None,
         touches: TouchKind | None = None,
     ) -> None:
         budget_ns = in_ns(budget_ms)
@@ -253,3 +321,46 @@ class Skin:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+JOIN_NS: Final = 10_000_000
+"""How often it is asked who subscribes: so long a newcomer waits, at most, for what nobody else wanted."""
+
+
+def serve(
+    skin: Skin,
+    publisher: Publisher,
+    *,
+    frames: int | None = None,
+    until_ns: int | None = None,
+    behind: Callable[[FrameRecord], None] | None = None,
+) -> None:
+    """Publish frames until ``skin.stop()``, a number of frames, or a time.
+
+    A frame that nobody subscribed to is read, decoded and judged by the gate, but neither computed nor packed.
+
+    Args:
+        skin: Open, with a reference.
+        publisher: Bound.
+        frames: How many to go through; None for no limit.
+        until_ns: When to end, on ``perf_counter_ns``; None for no limit.
+        behind: Called with each frame's record when it has gone out; the next frame waits for it.
+
+    Raises:
+        PortLost: The port vanished.
+        HandshakeError: The device fell silent and does not answer, or came back as another one.
+    """
+    next_join_ns = time.perf_counter_ns()
+    publisher.look()
+    with closing(skin.publish(publisher, until_ns)) as records:  # what is left of the last frame is done here, and now
+        for record in records:
+            if behind is not None:
+                behind(record)
+            if frames is not None and skin.statistics.frames >= frames:
+                return
+            now_ns = record.stamps[READ]
+            if now_ns >= next_join_ns:  # behind a frame, not before it
+                next_join_ns = now_ns + JOIN_NS
+                publisher.look()
+                if publisher.streams.joined:
+                    skin.pipeline.maps.renew()

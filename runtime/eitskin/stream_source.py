@@ -1,7 +1,7 @@
 """What was measured, from the frame loop to a publisher's streams.
 
 Called for each frame while somebody asks, when the frame's own message has gone out and whoever takes it has had a
-moment (:mod:`eitskin.acquisition.afterwards`): it waits for none of this.
+moment (:mod:`eitskin.frame_loop`): it waits for none of this.
 Only where somebody takes all that is sent is it told before, so that who keeps one message keeps the frame; so what is
 told of withheld frames waits for the next frame, or until ``MOST_WAITING`` of them wait. ::
 
@@ -27,7 +27,47 @@ from eitskin.messaging.streams.measured import CloudInUse, Conditions, wire_body
 from eitskin.messaging.streams.state import MOST_EVENTS, Event, SkinState
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference, stored
-from eitskin.status import status_of
+
+
+def status_of(device: Device, pipeline: Pipeline, loop: FrameLoop) -> dict[str, Any]:
+    """Return counters and ids; may be called from any thread.
+
+    Args:
+        device: The skin's.
+        pipeline: The skin's.
+        loop: Between the two.
+    """
+    record, intake, found, health = pipeline.record, pipeline.intake, loop.reference, pipeline.health
+    return {
+        "frames": loop.statistics.frames,
+        "published": loop.published,
+        "touched": loop.statistics.touched,
+        "lost": intake.counter.lost,
+        "corrupt": device.deframer.corrupt,
+        "withheld": intake.withheld_total,
+        "withheld_by_reason": dict(intake.withheld),
+        "resets": intake.counter.resets,
+        "recoveries": loop.source.recoveries,
+        "trouble": loop.source.trouble,
+        "overruns": pipeline.budget.overruns,
+        "level": pipeline.budget.level,
+        "cloud": record.cloud,
+        "idle": record.idle,
+        "mode_changes": 0 if loop.idle is None else loop.idle.switches,
+        "regions": [list(region.bounds) for region in whole(pipeline.skin.grid.shape)],
+        "clock_drift_ppm": round(intake.clock.drift_ppm, 3),
+        "wire_delay_us": intake.clock.shortest_delay_us,
+        "serial_number": device.hello.serial_number,
+        "configuration": device.configuration,
+        "bundle": pipeline.bundle.id,
+        "skin": f"{pipeline.skin.name}/{pipeline.skin.digest}",
+        "reference_utc": found.captured_utc if found else "",
+        "weak_rows": found.weak.tolist() if found else [],
+        "electrodes": [] if health is None else list(health.electrodes.texts),
+        "drift": {} if health is None else health.drift.summary(),
+        "verifier": loop.verifier_status(),
+    }
+
 
 REPEAT_NS: Final = 1_000_000_000
 """After which conditions, cloud and state are told again: who missed one waits no longer."""

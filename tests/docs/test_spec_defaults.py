@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from eitskin import frame_loop, stream_source
-from eitskin.acquisition import afterwards, greeting
+from eitskin import frame_loop, frame_record, stream_source
+from eitskin.acquisition import greeting
 from eitskin.errors import EndpointError
 from eitskin.health import drift, electrodes
 from eitskin.messaging import control, control_fields, curve_keys, endpoints, frame, publish, regions
@@ -77,7 +77,7 @@ FRAMES = [
     f"a MessagePack map with string keys, at most {frame.LARGEST_MESSAGE} bytes",
     f"[{ROWS}, {COLUMNS}] for the paper's skin, at most [{regions.MOST_PIXELS[0]}, {regions.MOST_PIXELS[1]}]",
     f"A text has at most {frame.MAX_TEXT} characters and a list at most {frame.MAX_TEXTS}.",
-    f"time at the end of {', '.join(f'`{name}`' for name in frame.STAGES)}",
+    f"time at the end of {', '.join(f'`{name}`' for name in frame_record.STAGES)}",
     f"totals since the runtime started: {', '.join(f'`{name}`' for name in frame.COUNTS)}",
     f"list of 1 to {regions.MOST} [int, int, int, int]",
     f"{publish.QUEUE_FRAMES} frames at least (and up to {publish.MOST_WAITING}) wait for a subscriber at the runtime",
@@ -105,7 +105,7 @@ TOUCHES = [
 STREAMS = [
     f"within {1e-9 * stream_source.JOIN_NS:g} s after somebody has come, and again every second",
     f"changes of the state at most {1e9 / stream_source.LEAST_NS:g} times a second",
-    f"when its subscribers have had {1e3 * afterwards.GIVE_WAY_S:g} ms to take it",
+    f"when its subscribers have had {1e3 * frame_loop.GIVE_WAY_S:g} ms to take it",
     f"or until {stream_source.MOST_WAITING} of them wait",
     f"a MessagePack map of six keys in this order, at most {frame.LARGEST_MESSAGE} bytes",
     f"| parts | int | 1 to {envelope.MOST_PARTS}:",

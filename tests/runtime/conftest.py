@@ -16,8 +16,7 @@ import pytest
 from eitskin.messaging.control import ControlServer
 from eitskin.messaging.publish import Publisher
 from eitskin.model.bundle import load_bundle
-from eitskin.serving import serve
-from eitskin.skin import Skin
+from eitskin.skin import Skin, serve
 from eitskin_proto.wire.messages import Hello
 
 HERE = Path(__file__).parent

@@ -5,9 +5,10 @@ from itertools import pairwise
 
 import pytest
 
-from eitskin.acquisition.afterwards import GIVE_WAY_S, Afterwards
 from eitskin.errors import PortLost
-from eitskin.messaging.frame import STAGES, unpack_frame
+from eitskin.frame_loop import GIVE_WAY_S, DeferredWork
+from eitskin.frame_record import STAGES
+from eitskin.messaging.frame import unpack_frame
 from eitskin.messaging.streams.desk import StreamDesk
 from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, FIRST_BYTE, STATE, TOPICS, WIRE, opened
 from eitskin.messaging.streams.measured import WireFrame
@@ -137,7 +138,7 @@ def test_what_is_left_to_do_is_done_while_the_line_rests_or_when_bytes_come_and_
             return self.answer
 
     line, done, spans = Line(), [], []
-    left = Afterwards(lambda begin_ns, end_ns: spans.append(end_ns - begin_ns))
+    left = DeferredWork(lambda begin_ns, end_ns: spans.append(end_ns - begin_ns))
     line.answer = [b"next"]
     assert left.payloads(line) == []
     assert not line.said  # nothing is left: whoever waits for the line waits by himself

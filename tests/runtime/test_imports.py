@@ -28,7 +28,7 @@ def test_a_subscriber_loads_neither_inference_nor_serial_ports():
 
 def test_the_whole_runtime_loads_neither_torch_nor_scipy():
     loaded = modules_after(
-        "import eitskin; eitskin.Skin; import eitskin.serving, eitskin.diagnostics.doctor, eitskin.diagnostics.realtime"
+        "import eitskin; eitskin.Skin; import eitskin.skin, eitskin.diagnostics.doctor, eitskin.diagnostics.realtime"
     )
     assert not loaded & {"torch", "scipy", "onnx", "eitskin_sim"}
     assert "onnxruntime" in loaded
@@ -36,7 +36,7 @@ def test_the_whole_runtime_loads_neither_torch_nor_scipy():
 
 def test_a_host_that_takes_frames_by_itself_finds_what_it_needs_at_the_top():
     code = (
-        "import eitskin, eitskin.serving\n"
+        "import eitskin, eitskin.skin\n"
         "assert callable(eitskin.serve) and eitskin.pixel_centres_mm().shape == (30, 45, 2)\n"
         "assert {'read', 'write', 'cancel', 'report', 'close'} <= set(dir(eitskin.Transport))\n"
         "assert eitskin.Publisher.send and eitskin.ControlServer.close\n"

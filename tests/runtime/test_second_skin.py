@@ -15,7 +15,7 @@ from eitskin.acquisition.capture import capture
 from eitskin.errors import BundleError, ControlError, FrameError, MismatchError
 from eitskin.messaging.control import ControlServer
 from eitskin.messaging.frame import unpack_frame
-from eitskin.messaging.frame_packer import FramePacker
+from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.publish import Publisher
 from eitskin.messaging.regions import Region
 from eitskin.model.buffers import Buffers
@@ -23,7 +23,7 @@ from eitskin.model.bundle import load_bundle
 from eitskin.model.engine import engines
 from eitskin.model.geometry import GeometryGraph
 from eitskin.model.skin_in_use import use_skin
-from eitskin.pipeline.gate_audit import GateAudit
+from eitskin.pipeline.frame_pipeline import GateAudit
 from eitskin.reference import captured as references
 from eitskin.reference.builder import ReferenceBuilder
 from eitskin.reference.plausible import check_prediction

@@ -85,7 +85,7 @@ def again(bundle, items, frames):
                 cloud = clouds[found.cloud]
                 given = cloud.cloud if cloud.why == "given" else None
                 made.start_with(graph.geometry(given, cloud.log_predicted, cloud.revision))
-            if health is not None and health.use_conditions(found):
+            if health is not None and health.use_recorded(found.drift, found.electrodes):
                 made.maps.change_projection(health.projection)
             now = found
         if item.solver != "none" and item.map_seq == item.seq:

@@ -8,7 +8,7 @@ at a threshold that cured that.) ::
     l_m = E[l_m | the others, untouched]            l = log(V / V0), Gaussian over deformations of the bundle
 
 A gate of matched filters does that by itself, with the Gaussian that it is made of, and makes up for what its filters
-lose (:mod:`eitskin.model.matched_filters`): rows filled in from outside left it blind where two electrodes were gone.
+lose (:mod:`eitskin.model.gate`): rows filled in from outside left it blind where two electrodes were gone.
 
 Its threshold then follows: of ``BLOCKS`` * ``BLOCK`` sheets drawn from that Gaussian, with this device's own noise by
 the spread of its reference, a share of ``FALSE_ALARMS`` lies above it. Where no row is missing the bundle's threshold,
@@ -61,13 +61,9 @@ class GateWithoutRows:
         self._filling = Imputation(self._mean, self._precision, consistency.ratio_range)
         self._logits: list[npt.NDArray[np.float32]] = []
         self._rng = np.random.default_rng(SEED)
-        self._calibrating = False
+        self.due = False
+        """Sheets are still to be judged."""
         self.leave_out(np.zeros(N_ROWS, dtype=np.bool_))
-
-    @property
-    def due(self) -> bool:
-        """Whether sheets are still to be judged."""
-        return self._calibrating
 
     def leave_out(self, rows: Rows) -> None:
         """Do without these rows from the next frame on, with the bundle's threshold until there is a better one.
@@ -82,7 +78,7 @@ class GateWithoutRows:
         self._gate.forget()
         self._logits = []
         self._rng = np.random.default_rng(SEED)
-        self._calibrating = bool(rows.any() or (self._sigma > LEARNED_NOISE).any())
+        self.due = bool(rows.any() or (self._sigma > LEARNED_NOISE).any())
 
     def fill(self, change: npt.NDArray[np.float32]) -> None:
         """Overwrite the missing rows of (104,) dV by an untouched sheet's."""
@@ -94,7 +90,7 @@ class GateWithoutRows:
 
     def step(self) -> None:
         """Judge a block of drawn sheets; the last one sets the threshold."""
-        if not self._calibrating:
+        if not self.due:
             return
         logs = self._mean + product(self._rng.standard_normal((BLOCK, N_ROWS)), self._half.T)
         changes = np.expm1(logs) + self._sigma * self._rng.standard_normal(logs.shape)
@@ -103,9 +99,9 @@ class GateWithoutRows:
             found = float(np.quantile(np.concatenate(self._logits), 1.0 - FALSE_ALARMS))
             whole = not self._missing.any()
             self._gate.threshold = max(found, self._gate.usual_threshold) if whole else found
-            self._calibrating = False
+            self.due = False
 
     def finish(self) -> None:
         """Judge all of them now."""
-        while self._calibrating:
+        while self.due:
             self.step()

@@ -129,7 +129,8 @@ class Health:
         alters = self.electrodes.alters
         if alters:
             self.electrodes.rearrange(change)
-        self.drift.correct(change)
+        if self.drift.active:
+            self.drift.correct(change)
         if alters and self.gate_without_rows is not None:
             self.gate_without_rows.fill(change)
 

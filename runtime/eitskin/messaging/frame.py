@@ -1,7 +1,7 @@
 """A tactile frame: what is published, byte by byte, and what a subscriber gets.
 
 On the wire a frame is one MessagePack map (firmware_proto/SPEC.md lists the fields); the publisher's half is
-:mod:`eitskin.messaging.frame_packer`.
+:mod:`eitskin.messaging.frame_message`.
 
 A subscriber that said it can do without gets a short message, which lacks shape and map, while the map is that of an
 earlier frame: ``map_seq`` says which.
@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import FrameError
+from eitskin.frame_record import STAGES
 from eitskin.messaging.received.parts import map_of, regions_of, strict_map
 from eitskin.messaging.regions import MOST_PIXELS, Regions
 from eitskin.touches.touch import NAMES, Touch, TouchList, unpack_touches
@@ -28,9 +29,6 @@ from eitskin_proto.files.plain import plain
 
 VERSION: Final = 1
 """Of the message; a subscriber refuses another one."""
-
-STAGES: Final = ("read", "decode", "normalise", "gate", "infer", "pack", "publish")
-"""The end of each stage is stamped with ``perf_counter_ns``; read is when the last byte was in hand."""
 
 COUNTS: Final = ("lost", "corrupt", "withheld", "overrun")
 """Totals since the runtime started."""

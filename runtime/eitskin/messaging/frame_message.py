@@ -1,4 +1,12 @@
-"""From a frame's record to its message: numbered, the map copied only when it is another one, stamped at the very end.
+"""From a frame's record to its message, in the memory of one message that each frame overwrites.
+
+Everything that changes with each frame has a fixed width and stands first, so that it is overwritten in place and the
+time of publishing can be stamped last. Only the texts at the end vary in length. ::
+
+    v n seq device_us ... weak_rows map_seq host_ns{..} counts{..} shape map | solver skipped events regions ...
+
+While somebody asks for touches they follow at the very end. A touch message is the same without shape and map, of
+version 2, and begins with another byte.
 
 Packing has two halves, since between them the frame is held against its latency budget::
 
@@ -7,12 +15,212 @@ Packing has two halves, since between them the frame is held against its latency
 """
 
 import os
+import struct
 import time
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
-from eitskin.messaging.frame import TOUCHED
-from eitskin.messaging.frame_packer import FramePacker
-from eitskin.messaging.frame_record import PACK, PUBLISH, FrameRecord
+import msgpack  # type: ignore[import-untyped]
+
+from eitskin.frame_record import PACK, PUBLISH, STAGES, FrameRecord
+from eitskin.messaging.frame import (
+    COUNTS,
+    FIRST_BYTE,
+    LARGEST_REST,
+    MAX_TEXT,
+    MAX_TEXTS,
+    NUMBERS,
+    TOUCH_FIRST_BYTE,
+    TOUCH_VERSION,
+    TOUCHED,
+    VERSION,
+    host_id,
+)
+from eitskin.messaging.regions import whole
+from eitskin.touches.touch import KEYS, LAYOUT
+
+HEAD_END: Final = 6
+"""Bytes of a message up to its version."""
+
+TOUCH_HEAD: Final = bytes(msgpack.packb("v") + msgpack.packb(TOUCH_VERSION))
+TOUCHES_KEY: Final = bytes(msgpack.packb("touches"))
+BYTES_ENTRY: Final = bytes(msgpack.packb("touch_bytes") + msgpack.packb(LAYOUT.size))
+EVENTS_KEY: Final = bytes(msgpack.packb("touch_events"))
+MORE_KEY: Final = bytes(msgpack.packb("touches_more"))
+
+
+class FramePacker:
+    """One message in memory, overwritten for each frame.
+
+    Args:
+        configuration: Name and digest of the device's configuration.
+        bundle: Id.
+        serial_number: Of the device.
+        run: Differs after each start.
+        shape: Rows and columns of the map.
+    """
+
+    __slots__ = (
+        "_arguments", "_at", "_buffer", "_constant", "_end", "_entries", "_extra", "_layout", "_map", "_map_at",
+        "_short", "_short_end", "_short_view", "_slots", "_tail_at", "_tails", "_texts", "_view", "_whole_map",
+    )  # fmt: skip
+
+    _KINDS: Final = {"u": (0xCF, ">Q", 8), "f": (0xCB, ">d", 8), "b": (0xC2, ">B", 0)}
+
+    def __init__(
+        self, *, configuration: str, bundle: str, serial_number: str, run: str, shape: tuple[int, int]
+    ) -> None:
+        map_bytes = 4 * shape[0] * shape[1]
+        self._whole_map = whole(shape)
+        head = bytearray()
+        self._slots: dict[str, tuple[struct.Struct, int]] = {}
+
+        def key(name: str) -> None:
+            head.extend(msgpack.packb(name))
+
+        def slot(name: str, kind: str) -> None:
+            code, layout, width = self._KINDS[kind]
+            head.append(code)
+            self._slots[name] = (struct.Struct(layout), len(head) - (width == 0))
+            head.extend(bytes(width))
+
+        constant = {"configuration": configuration, "bundle": bundle, "serial": serial_number, "run": run}
+        self._constant: dict[str, object] = {**constant, "host": host_id()}
+        plain = (("n", "u"), ("seq", "u"), ("device_us", "u"), ("age_us", "u"), ("touched", "b"), ("gate_logit", "f"),
+                 ("cloud", "u"), ("weak_rows", "u"), ("map_seq", "u"), ("drift", "f"), ("drift_sd", "f"),
+                 ("drift_uneven", "f"))  # fmt: skip
+        assert tuple(name for name, _ in plain) == NUMBERS[: len(plain)]
+        entries = 1 + len(plain) + 4 + 5 + len(self._constant)
+        self._entries, self._extra = entries, 0
+        head += FIRST_BYTE + struct.pack(">H", entries)
+        key("v")
+        head.append(VERSION)
+        for name, kind in plain:
+            key(name)
+            slot(name, kind)
+        for group, names in (("host_ns", STAGES), ("counts", COUNTS)):
+            key(group)
+            head.append(0x80 | len(names))
+            for name in names:
+                key(name)
+                slot(name, "u")
+        self._map_at = len(head)
+        head += msgpack.packb("shape") + msgpack.packb(list(shape)) + msgpack.packb("map")
+        head += b"\xc5" + struct.pack(">H", map_bytes)
+        map_at = len(head)
+        self._tail_at = map_at + map_bytes
+        self._buffer = bytearray(head) + bytes(map_bytes + LARGEST_REST - len(head))
+        self._view = memoryview(self._buffer)
+        self._map = self._view[map_at : self._tail_at]
+        self._short = bytearray(LARGEST_REST)
+        self._short[: self._map_at] = head[: self._map_at]
+        struct.pack_into(">H", self._short, 1, entries - 2)
+        self._short_view = memoryview(self._short)
+        self._at, self._layout, self._arguments = self._whole()
+        self._tails: dict[tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]], bytes] = {}
+        self._texts: object = None
+        self._end = self._tail_at
+        self._short_end = self._map_at
+
+    def _whole(self) -> tuple[int, struct.Struct, list[Any]]:
+        """Return where the numbers begin, and what writes all of them, and the names between them, in one call."""
+        first = end = self._slots[NUMBERS[0]][1]
+        layout, arguments = ">", list[Any]()
+        for name in NUMBERS:
+            one, at = self._slots[name]
+            between = bytes(self._buffer[end:at])
+            layout += f"{len(between)}s{one.format.lstrip('>')}"
+            arguments += [between, 0]
+            end = at + one.size
+        return first, struct.Struct(layout), arguments
+
+    def put_numbers(self, numbers: tuple[float, ...]) -> None:
+        """Overwrite all numbers.
+
+        Args:
+            numbers: In the order of ``NUMBERS``; touched as ``TOUCHED[bool]``.
+        """
+        self._arguments[1::2] = numbers
+        self._layout.pack_into(self._buffer, self._at, *self._arguments)
+
+    def put(self, name: str, value: float) -> None:
+        """Overwrite one number of ``NUMBERS``."""
+        layout, at = self._slots[name]
+        layout.pack_into(self._buffer, at, value)
+
+    def put_map(self, values: memoryview) -> None:
+        """Copy the map.
+
+        Args:
+            values: 4 bytes a pixel, float32 little-endian.
+        """
+        self._map[:] = values
+
+    def put_texts(
+        self,
+        solver: str,
+        skipped: tuple[str, ...],
+        events: tuple[str, ...],
+        electrodes: tuple[str, ...] = (),
+    ) -> None:
+        """Replace the texts; recurring combinations are kept ready."""
+        wanted = (solver, skipped, events, electrodes)
+        if wanted == self._texts:
+            return  # it is there already
+        self._texts = wanted
+        tail = self._tails.get(wanted)
+        if tail is None:
+            content = {
+                "solver": solver,
+                "skipped": [text[:MAX_TEXT] for text in skipped[:MAX_TEXTS]],
+                "events": [text[:MAX_TEXT] for text in events[:MAX_TEXTS]],
+                "regions": [list(region.bounds) for region in self._whole_map],
+                "electrodes": [text[:MAX_TEXT] for text in electrodes[:MAX_TEXTS]],
+                **self._constant,
+            }
+            tail = b"".join(msgpack.packb(name) + msgpack.packb(value) for name, value in content.items())
+            if len(self._tails) < 256:  # bounded, since events can combine in many ways
+                self._tails[wanted] = tail
+        self._end = self._tail_at + len(tail)
+        self._view[self._tail_at : self._end] = tail
+        self._short_end = self._map_at + len(tail)
+
+    def put_touches(self, touches: tuple[bytes, bytes, int] | None) -> None:
+        """Replace the touches, behind the texts.
+
+        Args:
+            touches: Their bytes, their events' bytes, and how many are not listed; None for a message without.
+        """
+        if touches is None and not self._extra:
+            return
+        extra, entries = b"", self._entries
+        if touches is not None:
+            listed, events, more = touches
+            pack = msgpack.packb
+            extra = b"".join((TOUCHES_KEY, pack(listed), BYTES_ENTRY, EVENTS_KEY, pack(events), MORE_KEY, pack(more)))
+            entries += KEYS
+        self._extra = len(extra)
+        self._view[self._end : self._end + len(extra)] = extra
+        struct.pack_into(">H", self._buffer, 1, entries)
+        struct.pack_into(">H", self._short, 1, entries - 2)
+
+    def message(self) -> memoryview:
+        """Return the message as it stands; the next ``put`` changes it."""
+        return self._view[: self._end + self._extra]
+
+    def short_message(self) -> memoryview:
+        """Return the message as it stands without shape and map; the next call changes it."""
+        short, whole, at = self._short_view, self._view, self._map_at
+        short[3:at] = whole[3:at]
+        end = self._short_end + self._extra
+        short[at:end] = whole[self._tail_at : self._end + self._extra]
+        return short[:end]
+
+    def touch_message(self) -> bytes:
+        """Return the message of those that take touches without maps."""
+        head, tail = self._view[HEAD_END : self._map_at], self._view[self._tail_at : self._end + self._extra]
+        entries = self._entries - 2 + (KEYS if self._extra else 0)
+        return b"".join((TOUCH_FIRST_BYTE, struct.pack(">I", entries), TOUCH_HEAD, head, tail))
+
 
 MAP_UNCHANGED: Final = ("map:unchanged",)
 """What is skipped in a message without its map."""

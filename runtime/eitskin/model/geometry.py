@@ -23,7 +23,7 @@ OWN: Final = "geometry.onnx"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Given:
+class GivenCloud:
     """A surface as somebody gave it."""
 
     cloud: npt.NDArray[np.float32] | None
@@ -52,7 +52,7 @@ class Geometry:
     """Counts clouds since the start; 0 is the flat sheet."""
     surface: Surface
     """The cloud in the pose in which it was given."""
-    given: Given | None = None
+    given: GivenCloud | None = None
     """What it was made of; None for the flat sheet that a runtime starts with."""
 
 

@@ -12,12 +12,12 @@ from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind, knows
 
-Given = Skin | str | Path | None
+SkinChoice = Skin | str | Path | None
 """A description, or the path of its file; None for the bundle's."""
 
 
 def bundle_and_skin(
-    bundle: Bundle | str | Path | None, wanted: Given, touches: TouchKind | None = None
+    bundle: Bundle | str | Path | None, wanted: SkinChoice, touches: TouchKind | None = None
 ) -> tuple[Bundle, Skin]:
     """Return a bundle, read if it is a path or a shipped one, and the skin to use with it.
 
@@ -89,7 +89,7 @@ def knowing(touches: TouchKind, bundle: Bundle | str | Path | None = None) -> Bu
     raise MismatchError(f"{found.path}: touches", found=found.touch_kind, expected=touches, hint=hint)
 
 
-def use_skin(bundle: Bundle, wanted: Given) -> Skin:
+def use_skin(bundle: Bundle, wanted: SkinChoice) -> Skin:
     """Return the skin to use with a bundle: its own, another description of the same sheet, or that sheet calibrated.
 
     Args:

@@ -1,35 +1,247 @@
 """One frame through decode, normalise, gate and inference, each stage stamped, nothing allocated.
 
 The pipeline owns the memory that a frame passes through and the decisions about it; it knows no socket and no port.
-What it finds it puts into a record (:mod:`eitskin.messaging.frame_record`). What it leaves out is stated there:
+What it finds it puts into a record (:mod:`eitskin.frame_record`). What it leaves out is stated there:
 ``inference:untouched``, ``inference:no_subscriber``, ``inference:unchanged``, ``map:untouched``,
 ``acquisition:idle``, ``geometry:cloud_unchanged``. Frames that are not fit to publish are withheld
 (:mod:`eitskin.pipeline.intake`).
+
+A look at the map itself, now and then: a gate that is wrong must not hide a touch and say nothing.
+
+Of the frames that the gate calls untouched, one in ``AUDIT_FRAMES`` is inferred all the same. If the network's map then
+shows a strong touch, the gate is overruled: the frame is published with its map, the event ``gate_overruled`` says so,
+and every frame is looked at until a map shows no strong touch any more. What a wrong gate can hide is thus a touch for
+``AUDIT_FRAMES`` frames, or one that the network does not see either. Where rows are missing, which a gate needs more
+than a network that learned without them, one in ``WITHOUT_ROWS`` is looked at.
+
+How many pixels make a strong touch is known when the bundle is made: more than the network ever shows of an untouched
+sheet. A bundle that does not say (``audit_pixels`` in gate.npz) is not looked after.
 """
 
 import time
-from typing import Final
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final, Protocol
 
-from eitskin.errors import BundleError
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.errors import BadReference, BundleError
+from eitskin.frame_record import DECODE, GATE, INFER, NORMALISE, READ, FrameRecord
 from eitskin.health.imputation import MISSING
 from eitskin.health.monitor import Health
-from eitskin.messaging.frame_record import DECODE, GATE, INFER, NORMALISE, READ, FrameRecord
 from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import Bundle
+from eitskin.model.denormals import flushed
 from eitskin.model.gate import RememberingGate, begin_anew
 from eitskin.model.geometry import Geometry
-from eitskin.pipeline.front_end_watch import FrontEndWatch
-from eitskin.pipeline.gate_audit import GateAudit, audit_pixels
-from eitskin.pipeline.held_prediction import HeldPrediction
 from eitskin.pipeline.idle import IdleGate
 from eitskin.pipeline.intake import Intake
 from eitskin.pipeline.map_source import MapSource
 from eitskin.pipeline.recorded import FrameDecisions
 from eitskin.reference.captured import Reference
+from eitskin.reference.front_end import patience, stuck
 from eitskin.reference.normaliser import Normaliser
+from eitskin.reference.predicted import log_ratio
 from eitskin.reference.row_noise import with_rounding
+from eitskin_proto.sensor.table import N_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL
 from eitskin_proto.skin.skin import Skin as SkinDescription
 from eitskin_proto.wire.answers import Hello
+from eitskin_proto.wire.frames import full_scale
+
+AUDIT_FRAMES: Final = 50
+"""Of so many untouched frames one is inferred: four a second at 200 frames/s, for 2 % of an inference a frame."""
+
+WITHOUT_ROWS: Final = 4
+"""The same while rows are missing: then the gates of random devices miss more of the light touches, beside the gap."""
+
+STRONG_VALUE: Final = 0.5
+"""A pixel above it is touched."""
+
+
+def audit_pixels(arrays: Mapping[str, npt.NDArray[np.generic]] | None, n_pixels: int) -> int | None:
+    """Return how many pixels make a strong touch, by a bundle's gate.npz, or None if it does not say.
+
+    Args:
+        arrays: Of gate.npz.
+        n_pixels: Of a map.
+
+    Raises:
+        BundleError: It says nonsense.
+    """
+    if arrays is None or "audit_pixels" not in arrays:
+        return None
+    found = np.asarray(arrays["audit_pixels"])
+    if found.size != 1 or found.dtype.kind not in "iu" or not 1 <= int(found.reshape(-1)[0]) <= n_pixels:
+        raise BundleError(
+            f"gate.npz: audit_pixels is {found.tolist()}, expected one whole number from 1 to {n_pixels}; make the "
+            "bundle again with 'eitskin export'"
+        )
+    return int(found.reshape(-1)[0])
+
+
+class Rows(Protocol):
+    """Who knows whether rows are missing."""
+
+    @property
+    def lacks_rows(self) -> bool:
+        """Whether some are filled in."""
+
+
+class GateAudit:
+    """Counts untouched frames and judges the maps of those that are looked at; allocates nothing a frame.
+
+    Args:
+        pixels: A map with at least so many pixels above ``STRONG_VALUE`` shows a strong touch; None to look at none.
+        n_pixels: Of a map.
+    """
+
+    __slots__ = ("_above", "_pixels", "_since_look", "_suspicious", "overruled")
+
+    def __init__(self, pixels: int | None, n_pixels: int) -> None:
+        self._pixels = pixels
+        self._above = np.zeros(n_pixels, dtype=np.bool_)
+        self._since_look = 0
+        self._suspicious = False
+        self.overruled = 0
+        """Frames in which a map overruled the gate so far."""
+
+    def looks(self, rows: Rows | None) -> bool:
+        """Return whether an untouched frame is to be inferred all the same; asked once for each of them.
+
+        Args:
+            rows: Knows whether some are missing; None where nobody does.
+        """
+        if self._pixels is None:
+            return False
+        self._since_look += 1
+        each = AUDIT_FRAMES if rows is None or not rows.lacks_rows else WITHOUT_ROWS
+        if self._suspicious or self._since_look >= each:
+            self._since_look = 0
+            return True
+        return False
+
+    def overrules(self, touch_map: npt.NDArray[np.float32]) -> bool:
+        """Return whether the map of a frame that was to be looked at shows a strong touch.
+
+        Args:
+            touch_map: (pixels,) of a network; a projection's is scaled to 1 whatever it shows, and says nothing.
+        """
+        np.greater(touch_map, STRONG_VALUE, out=self._above)
+        self._suspicious = self._pixels is not None and int(np.count_nonzero(self._above)) >= self._pixels
+        self.overruled += self._suspicious
+        return self._suspicious
+
+
+class FrontEndWatch:
+    """Judges the frame in hand.
+
+    Args:
+        sample_bytes: Of the device's samples.
+        intake: Has the frame's counts; is told how many repetitions are chance.
+        idle_gate: Has the rows of a scan of a few drives.
+    """
+
+    __slots__ = ("_idle_gate", "_intake", "_limit", "_reference")
+
+    def __init__(self, sample_bytes: int, intake: Intake, idle_gate: IdleGate | None) -> None:
+        self._limit = full_scale(sample_bytes)
+        self._intake, self._idle_gate = intake, idle_gate
+        self._reference: npt.NDArray[np.float64] | None = None
+
+    def use(self, reference: Reference, step_V: float) -> None:
+        """Judge by another reference from the next frame on.
+
+        Args:
+            reference: The reference.
+            step_V: Of one count.
+        """
+        self._reference = reference.voltages_V / step_V
+        self._reference[reference.weak] = 0.0
+        spread = reference.spread_V / step_V
+        idle = None if self._idle_gate is None else patience(spread[self._idle_gate.rows])
+        self._intake.most_repeats = (patience(spread), idle)
+
+    def look(self, normaliser: Normaliser) -> str:
+        """Return what no sheet reads in the rows of a whole frame, or "".
+
+        Args:
+            normaliser: Has the frame.
+        """
+        cut_off = self._intake.saturation
+        if cut_off and len(self._intake.counts) != N_ROWS:
+            bits = np.array([cut_off >> row & 1 for row in range(len(self._intake.counts))], dtype=bool)
+            both = bits[ROW_IN_FULL] | bits[RECIPROCAL_IN_FULL]
+            cut_off = int.from_bytes(np.packbits(both, bitorder="little").tobytes(), "little")
+        return stuck(normaliser.counts, self._reference, cut_off, self._limit)
+
+    def look_idle(self) -> str:
+        """Return the same of a frame of a few drives."""
+        assert self._idle_gate is not None
+        reference = None if self._reference is None else self._reference[self._idle_gate.rows]
+        return stuck(self._intake.counts, reference, self._intake.saturation, self._limit)
+
+
+def prediction_against(
+    predicted: npt.ArrayLike, predicted_flat: npt.ArrayLike | None, reference: Reference | None, *, fills: bool
+) -> npt.NDArray[np.float32]:
+    """Return the (104,) log(V_pred / V0) of a prediction.
+
+    Args:
+        predicted: (104,) V of a surface untouched.
+        predicted_flat: (104,) V of the flat sheet by the same model; None takes the reference.
+        reference: What frames are held against; None while there is none.
+        fills: Whether weak rows are filled in, and so can be held against a whole prediction; else they say nothing.
+
+    Raises:
+        BadReference: There is nothing to hold it against.
+        ValueError: The voltages are malformed, or cannot be of one sheet.
+    """
+    against = predicted_flat
+    if against is None:
+        if reference is None:
+            raise BadReference("a prediction needs predicted_flat, or a captured reference to hold it against")
+        against = reference.flat().voltages_V
+    ratio = log_ratio(predicted, against)
+    if reference is not None and (predicted_flat is None or not fills):
+        ratio[reference.weak] = 0.0
+    return ratio
+
+
+class HeldPrediction:
+    """Gives a pipeline's buffers geometries whose predictions are held against the reference in use.
+
+    Args:
+        buffers: Of the pipeline.
+        fills: As in :func:`prediction_against`.
+    """
+
+    def __init__(self, buffers: Buffers, *, fills: bool) -> None:
+        self._buffers, self._fills = buffers, fills
+        self._reference: Reference | None = None
+
+    def use(self, reference: Reference) -> None:
+        """Hold what is in use against another reference, and all that comes."""
+        self._reference = reference
+        if self._buffers.geometry is not None:
+            self.take(self._buffers.geometry)
+
+    def take(self, geometry: Geometry) -> None:
+        """Use another geometry."""
+        self._buffers.take(self._held(geometry))
+
+    def _held(self, geometry: Geometry) -> Geometry:
+        """Return the same object where that changes nothing, or where no sheet is like that: then it stays as it is."""
+        given, reference = geometry.given, self._reference
+        if reference is None or given is None or given.predicted is None:
+            return geometry
+        try:
+            found = prediction_against(given.predicted, given.predicted_flat, reference, fills=self._fills)
+        except ValueError:
+            return geometry
+        ratio = flushed(found[None])
+        return geometry if np.array_equal(ratio, geometry.log_predicted) else replace(geometry, log_predicted=ratio)
+
 
 CLOUD_UNCHANGED: Final = ("geometry:cloud_unchanged",)
 UNTOUCHED: Final = ("inference:untouched", *CLOUD_UNCHANGED)
@@ -299,6 +511,6 @@ class Pipeline:
     def judge(self, now_ns: int) -> None:
         """Hold the frame against the budget; an overrun is an event of this very frame."""
         record, budget = self.record, self.budget
-        if budget.judge(now_ns - record.stamps[READ], inferred=record.inferred):
+        if budget.budget_ns is not None and budget.judge(now_ns - record.stamps[READ], inferred=record.inferred):
             record.events += ("overrun",)
         record.overrun = budget.overruns

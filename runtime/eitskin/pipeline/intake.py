@@ -23,8 +23,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.acquisition.clock import DeviceClock
-from eitskin.messaging.frame_record import READ, FrameRecord
+from eitskin.acquisition.device import DeviceClock
+from eitskin.frame_record import READ, FrameRecord
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.sensor.table import N_FULL_ROWS
 from eitskin_proto.wire.answers import Hello

@@ -47,29 +47,32 @@ class LatencyBudget:
         level: The first one.
     """
 
-    __slots__ = ("_easy", "_hold", "_last", "_risen", "budget_ns", "level", "overruns")
+    __slots__ = ("_easy", "_hold", "_last", "_level", "_risen", "budget_ns", "drops_stale", "engine", "overruns")
 
     def __init__(self, budget_ns: int | None, engines: int, level: int = 0) -> None:
         if budget_ns is not None and budget_ns <= 0:
             raise ValueError(f"a budget of {budget_ns} ns is not positive")
         self.budget_ns = budget_ns
-        self.level = level
         self.overruns = 0
         """Frames over budget so far."""
         self._last = engines  # one beyond the last engine: drop stale input
+        self.level = level
         self._easy = 0
         self._hold = HOLD_FRAMES
         self._risen = False
 
     @property
-    def engine(self) -> int:
-        """Which engine computes the next frame."""
-        return min(self.level, self._last - 1)
+    def level(self) -> int:
+        """0 for the most accurate engine; with each overrun one more."""
+        return self._level
 
-    @property
-    def drops_stale(self) -> bool:
-        """Whether only the newest of several waiting frames is computed."""
-        return self.level == self._last
+    @level.setter
+    def level(self, level: int) -> None:
+        self._level = level
+        self.engine = min(level, self._last - 1)
+        """Which engine computes the next frame."""
+        self.drops_stale = level == self._last
+        """Only the newest of several waiting frames is computed."""
 
     def judge(self, elapsed_ns: int, *, inferred: bool) -> bool:
         """Return whether a frame overran the budget, and move for the next one.

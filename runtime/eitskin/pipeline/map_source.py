@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BudgetError
-from eitskin.messaging.frame_record import FrameRecord
+from eitskin.frame_record import FrameRecord
 from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import ProjectionEngine, engines, longest

@@ -6,6 +6,7 @@ part of a recording lacks those frames. So each decision can be given to the pip
 electrodes and drift are taken from the recorded conditions (:class:`RecordedHealth`).
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,6 @@ import numpy.typing as npt
 from eitskin.health.explanation import Finding
 from eitskin.health.imputation import Consistency
 from eitskin.health.monitor import Health
-from eitskin.messaging.streams.measured import Conditions
 
 Distance = tuple[float, float, float]
 """Of a reference in percent: alike in all rows, its standard deviation, uneven; not a number while unknown."""
@@ -78,10 +78,17 @@ class RecordedHealth(Health):
             self.gate_without_rows.finish()
         return changed
 
-    def use_conditions(self, conditions: Conditions) -> bool:
-        """Use recorded drift and electrodes from the next frame on, and return whether other rows are missing."""
-        self.drift.go_on_with(conditions.drift)
-        findings = tuple(Finding(*finding) for finding in conditions.electrodes)
+    def use_recorded(
+        self, drift: npt.NDArray[np.float32] | None, electrodes: Iterable[tuple[int, str, int | None]]
+    ) -> bool:
+        """Use recorded conditions from the next frame on, and return whether other rows are missing.
+
+        Args:
+            drift: (104,) what 1 + dV is multiplied with; None for nothing.
+            electrodes: Number, state and partner of each that has failed or is excluded.
+        """
+        self.drift.go_on_with(drift)
+        findings = tuple(Finding(*finding) for finding in electrodes)
         if (by_hand := self.by_hand) is not None:
             recorded = (one for one in findings if one.state != "excluded" and one.electrode not in by_hand)
             both = (*recorded, *(Finding(electrode, "excluded") for electrode in by_hand))

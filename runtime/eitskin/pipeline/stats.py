@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.messaging.frame import STAGES
+from eitskin.frame_record import STAGES
 
 RING: Final = 1 << 14
 """Frames whose stamps are kept: 82 s at 200 frames/s, 0.9 MB."""

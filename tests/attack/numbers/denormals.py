@@ -13,9 +13,9 @@ import numpy as np
 
 from eitskin.health.monitor import health_of
 from eitskin.model.bundle import Bundle, default_path, load_bundle
-from eitskin.pipeline.cloud_change import CloudChange
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
+from eitskin.skin import CloudChange
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.wire.frames import Frame

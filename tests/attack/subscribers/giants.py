@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any
 
 import eitskin
-from eitskin.messaging.frame_packer import FramePacker
+from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.streams.envelope import FIRST_BYTE, WIRE
 from eitskin.messaging.streams.envelope import packed as enveloped
 from eitskin.messaging.verified.message import COUNTS, TOPIC, head, rest

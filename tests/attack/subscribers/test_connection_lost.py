@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 
 import eitskin
-from eitskin.messaging.frame_packer import FramePacker
+from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.streams.envelope import FIRST_BYTE
 from eitskin.messaging.streams.envelope import packed as enveloped
 from eitskin.messaging.verified.message import TOPIC

@@ -3,7 +3,7 @@ import time
 import numpy as np
 import pytest
 
-from eitskin.acquisition.clock import DeviceClock, TimeSample
+from eitskin.acquisition.device import DeviceClock, TimeSample
 from eitskin.acquisition.serial_port import SerialPort
 from eitskin.skin import Skin
 

@@ -11,8 +11,7 @@ from eitskin.health.gate_without_rows import BLOCKS, FALSE_ALARMS, GateWithoutRo
 from eitskin.health.imputation import Consistency
 from eitskin.health.monitor import Health
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.gate import Gate
-from eitskin.model.matched_filters import Filters, patterns_of
+from eitskin.model.gate import Filters, Gate, patterns_of
 from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ROWS
 

@@ -6,7 +6,7 @@ import zmq
 
 from eitskin.messaging.control import ControlServer
 from eitskin.messaging.curve_keys import make_keys
-from eitskin.messaging.frame_packer import FramePacker
+from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.publish import Publisher
 from eitskin_proto.skin.sheet_cloud import check_sheet
 from eitskin_proto.skin.skin import PAPER

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from eitskin.errors import FrameError
-from eitskin.messaging.frame import COUNTS, NUMBERS, STAGES, TOUCHED, Frame, unpack_frame
-from eitskin.messaging.frame_packer import FramePacker
+from eitskin.frame_record import STAGES
+from eitskin.messaging.frame import COUNTS, NUMBERS, TOUCHED, Frame, unpack_frame
+from eitskin.messaging.frame_message import FramePacker
 from eitskin_proto.skin.skin import PAPER
 
 

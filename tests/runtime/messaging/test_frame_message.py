@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from eitskin.messaging.frame import STAGES, unpack_frame
-from eitskin.messaging.frame_message import FrameMessages, LastMessage
-from eitskin.messaging.frame_packer import FramePacker
-from eitskin.messaging.frame_record import FrameRecord
+from eitskin.frame_record import STAGES, FrameRecord
+from eitskin.messaging.frame import unpack_frame
+from eitskin.messaging.frame_message import FrameMessages, FramePacker, LastMessage
 from eitskin_proto.skin.skin import PAPER
 
 

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.changes import FEWEST, GONE, SLOW, Changes
-from eitskin.model.gate import Gate, RememberingGate
-from eitskin.model.matched_filters import Filters
+from eitskin.model.gate import FEWEST, GONE, SLOW, Changes, Filters, Gate, RememberingGate
 
 WHITENED, COUNT, LIMIT, STILL = 60, 24, 7.0, 0.25
 NOISE = 0.2

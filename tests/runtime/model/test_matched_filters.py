@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.gate import Gate
-from eitskin.model.matched_filters import LEFT_OF_IT, Filters, patterns_of
+from eitskin.model.gate import LEFT_OF_IT, Filters, Gate, patterns_of
 from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ROWS
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eitskin.frame_source import MOST_EVENTS
+from eitskin.frame_loop import MOST_EVENTS
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
 from eitskin_proto.wire.frames import Frame

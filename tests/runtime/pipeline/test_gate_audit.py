@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.errors import BundleError
-from eitskin.pipeline.frame_pipeline import Pipeline
-from eitskin.pipeline.gate_audit import AUDIT_FRAMES, WITHOUT_ROWS, GateAudit, audit_pixels
+from eitskin.pipeline.frame_pipeline import AUDIT_FRAMES, WITHOUT_ROWS, GateAudit, Pipeline, audit_pixels
 from eitskin.reference.captured import Reference
 
 from .passing import go, payload

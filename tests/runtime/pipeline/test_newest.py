@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from eitskin.acquisition.afterwards import GIVE_WAY_S
-from eitskin.frame_source import FrameSource
+from eitskin.frame_loop import GIVE_WAY_S, FrameSource
 from eitskin_proto.wire.answers import Event
 from eitskin_proto.wire.codes import EventCode
 
@@ -100,5 +99,5 @@ def test_a_stop_that_comes_while_the_line_is_given_a_moment_is_not_waited_out(pi
 
     line.payloads = payloads
     for _ in source.accepted(None):
-        source.afterwards.put(None, list)
+        source.deferred.put(None, list)
     assert waits[-1] == GIVE_WAY_S

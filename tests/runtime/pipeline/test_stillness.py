@@ -9,7 +9,7 @@ import pytest
 import eitskin
 from eitskin.errors import FrameError
 from eitskin.messaging.frame import MapMissing, unpack_frame
-from eitskin.messaging.frame_packer import FramePacker
+from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.publish import Publisher
 from eitskin.pipeline.stillness import LARGEST_SPREAD, REFRESH_FRAMES, Stillness
 from eitskin_proto.skin.skin import PAPER

@@ -10,7 +10,7 @@ import pytest
 import eitskin
 from eitskin.errors import RobotError, SilentSkin, StaleFrame
 from eitskin.messaging.frame import EVERY_FRAME
-from eitskin.messaging.frame_packer import FramePacker
+from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.publish import Publisher
 from eitskin.messaging.received.subscriber import LARGEST_TAKEN
 from eitskin.touches.surface import Surface

@@ -106,7 +106,7 @@ def measured(
             if step.frame.seq == 100 + frames // 2:
                 skin.set_cloud(CLOUD, RATIO * volts, volts)
             if step.frame.seq == reference_at:
-                skin.loop.source.afterwards.do()  # streams tell of the frame before, by what held for it
+                skin.loop.source.deferred.do()  # streams tell of the frame before, by what held for it
                 skin.loop.use(reference(1.01))
 
         line.before = before

@@ -14,10 +14,9 @@ from typing import Any
 import pytest
 
 import eitskin
-from eitskin.messaging.frame_record import FrameRecord
+from eitskin.frame_record import FrameRecord
 from eitskin.messaging.publish import Publisher
-from eitskin.serving import serve
-from eitskin.skin import Skin
+from eitskin.skin import Skin, serve
 from eitskin_tools.processes.children import Backoff
 from eitskin_tools.verifier.child import Place, VerifierProcess
 from eitskin_tools.verifier.feed import VerifierFeed

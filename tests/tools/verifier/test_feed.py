@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from eitskin.messaging.frame_record import PUBLISH, FrameRecord
+from eitskin.frame_record import PUBLISH, FrameRecord
 from eitskin.messaging.verified.message import READY, STARTING
 from eitskin.reference.captured import Reference
 from eitskin_proto.skin.skin import PAPER

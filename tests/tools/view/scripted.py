@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from eitskin.messaging.frame_packer import FramePacker
+from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.publish import Publisher
 from eitskin.touches.surface import Surface
 from eitskin.touches.watch import TouchWatch

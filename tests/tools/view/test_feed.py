@@ -7,7 +7,7 @@ import pytest
 
 import eitskin
 from eitskin.messaging.frame import FIRST_BYTE, patient_topics, unpack_frame
-from eitskin.messaging.frame_packer import FramePacker
+from eitskin.messaging.frame_message import FramePacker
 from eitskin.touches.surface import Surface
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.view.board import Board

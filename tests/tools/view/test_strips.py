@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from eitskin.messaging.frame import STAGES
+from eitskin.frame_record import STAGES
 
 from .chromium import PROGRAM
 from .conftest import browser, draws_again, ink, picture

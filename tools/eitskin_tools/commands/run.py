@@ -185,7 +185,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _load_what_serves() -> None:
     """Load the modules of :func:`_serve` now, while SIGTERM still ends the process at once."""
-    for name in ("eitskin.messaging.control", "eitskin.serving", "eitskin_tools.console.run_status"):
+    for name in ("eitskin.messaging.control", "eitskin.skin", "eitskin_tools.console.run_status"):
         importlib.import_module(name)
 
 
@@ -211,7 +211,7 @@ def _serve(
     from eitskin.messaging.control import ControlServer
     from eitskin.messaging.publish import Publisher
     from eitskin.reference.captured import DEFAULT_FRAMES
-    from eitskin.serving import serve
+    from eitskin.skin import serve
     from eitskin_tools.console.run_status import RunStatus
     from eitskin_tools.service.watchdog import WatchedLine
 

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from eitskin.messaging.frame_record import PUBLISH, READ, FrameRecord
+from eitskin.frame_record import PUBLISH, READ, FrameRecord
 from eitskin.messaging.publish import Publisher
 from eitskin.messaging.verified.message import FAILED, PREPARING, READY, STARTING, WAITING, head, rest
 from eitskin.pipeline.stillness import Stillness

@@ -12,7 +12,7 @@ from eitskin_tools.command_line.parser import expected_one_of
 from eitskin_tools.errors import UsageError
 
 if TYPE_CHECKING:
-    from eitskin.messaging.frame_record import FrameRecord
+    from eitskin.frame_record import FrameRecord
 
 MODES: Final = ("off", "idle", "always")
 

@@ -19,7 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import FrameError
-from eitskin.messaging.frame import COUNTS, MAX_TEXT, MAX_TEXTS, STAGES, Frame
+from eitskin.frame_record import STAGES
+from eitskin.messaging.frame import COUNTS, MAX_TEXT, MAX_TEXTS, Frame
 from eitskin.messaging.streams.measured import WireFrame
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import default_solver

@@ -21,7 +21,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.messaging.frame import STAGES, Frame
+from eitskin.frame_record import STAGES
+from eitskin.messaging.frame import Frame
 from eitskin.messaging.streams.state import SkinState
 from eitskin.robot.pose import Pose
 from eitskin.touches.touch import Touch

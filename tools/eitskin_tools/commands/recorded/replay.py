@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin.messaging.control import ControlServer
     from eitskin.messaging.curve_keys import load_server_keys
     from eitskin.messaging.publish import Publisher
-    from eitskin.serving import serve
+    from eitskin.skin import serve
     from eitskin_tools.console.run_log import RunLog
     from eitskin_tools.recording.replay.play import Manner, Player
     from eitskin_tools.recording.script import Script

@@ -125,7 +125,7 @@ class Player:
         self._decide(step)
         if step.conditions is None:
             return
-        self.skin.loop.source.afterwards.do()  # streams tell of the frame before, by what held for it
+        self.skin.loop.source.deferred.do()  # streams tell of the frame before, by what held for it
         if step.reference is not None and step.conditions.reference != self._reference:
             self._reference = step.conditions.reference
             try:
@@ -172,7 +172,7 @@ class Player:
             pipeline.normaliser.use_scale(conditions.volts_per_count)
         if self._health is None:
             return
-        if self._health.use_conditions(conditions):
+        if self._health.use_recorded(conditions.drift, conditions.electrodes):
             pipeline.maps.change_projection(self._health.projection)
         threshold = conditions.gate_threshold
         if pipeline.gate is not None and threshold is not None and self._health.by_hand is None:

@@ -10,8 +10,10 @@ Whoever needs more than one frame of it copies what it needs.
 """
 
 import math
+from typing import Final
 
-from eitskin.messaging.frame import STAGES
+STAGES: Final = ("read", "decode", "normalise", "gate", "infer", "pack", "publish")
+"""The end of each stage is stamped with ``perf_counter_ns``; read is when the last byte was in hand."""
 
 READ, DECODE, NORMALISE, GATE, INFER, PACK, PUBLISH = range(len(STAGES))
 """Where each stage's stamp stands."""
