@@ -217,7 +217,10 @@ ELEMENT_MM: Final = 4.5
 """The largest element: fitted centres are off by up to 0.1 mm by it, sizes by 0.2 mm."""
 
 MESH_ERROR: Final = 1e-3
-"""Of V over V0: what each row may be off by alone."""
+"""Of V over V0: what each row may be off by alone. A floor of 2 % hides wrong answers: keep it this low."""
+
+MIN_SD_OF_DV: Final = 1e-5
+"""A row at nearly 0 V is still read by a converter."""
 
 VOLTAGE_RATIO_BOUNDS: Final = (0.3, 3.0)
 """Of a frame's V over the untouched model's, by which what may differ is scaled row by row."""
@@ -323,3 +326,29 @@ CHANGED_BY_TOUCH: Final = 0.25
 
 ROW_ERROR_BY_TOUCH: Final = 0.1
 """Part of what was seen beside the model, row by row, that a touch may change."""
+
+# Units: a map of units is snapped from shapes. 16 of 16 sets of paper_units, 94 of 97 sets of 1 to 6 units at random.
+
+MAX_UNITS: Final = 6
+"""That the network shows where units are verified: sets of 7 to 10 came out right in 4 of 9 frames."""
+
+MIN_COVERED_SHARE: Final = 0.5
+"""Of a touched unit, by the verified map."""
+
+COVERED_SHARES_IN_DOUBT: Final = (0.1, 0.9)
+"""Between which a unit may be touched or not."""
+
+MAX_UNITS_IN_DOUBT: Final = 10
+"""That are put in or taken out, those nearest to ``MIN_COVERED_SHARE``."""
+
+MIN_P_OF_SURE_UNITS: Final = 0.5
+"""From which a set is left as it is. As p is cautious, most right sets reach it."""
+
+COST_OF_UNIT: Final = 6.0
+"""Chi-squared that a unit must explain."""
+
+MODEL_ERROR_OF_UNITS: Final = 0.01
+"""What the model is off by of what units change, as a share."""
+
+MAX_STEPS_OF_UNITS: Final = 6
+"""Of a fit of their contrasts."""

@@ -18,6 +18,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
+from eitskin_sim.verification import constants as c
+
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.bool_]
 
@@ -26,12 +28,6 @@ Law = Literal["N1", "N2", "N3", "none", "measured"]
 
 LAWS: Final[tuple[str, ...]] = get_args(Law)
 """The laws."""
-
-FLOOR: Final = 1e-3
-"""What no model is better than, of each row's V over V0. A floor of 2 % hides wrong answers: keep it this low."""
-
-LEAST: Final = 1e-5
-"""The least standard deviation of dV: a row at nearly 0 V is still read by a converter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +98,12 @@ class Whitener:
     """
 
     def __init__(
-        self, sd: Array, columns: Array, size: Array | None = None, rows: Rows | None = None, floor: float = FLOOR
+        self,
+        sd: Array,
+        columns: Array,
+        size: Array | None = None,
+        rows: Rows | None = None,
+        floor: float = c.MESH_ERROR,
     ) -> None:
         self.rows: Rows = np.ones(len(sd), dtype=np.bool_) if rows is None else np.asarray(rows, dtype=np.bool_)
         if columns.ndim != 2 or len(columns) != len(sd) or self.rows.shape != sd.shape:
@@ -110,7 +111,7 @@ class Whitener:
         if self.rows.sum() < 2:
             raise ValueError(f"{int(self.rows.sum())} rows are left; a verdict needs at least 2")
         around = floor * (np.ones(len(sd)) if size is None else np.abs(size))
-        variance = (np.square(sd) + np.square(around) + LEAST**2)[self.rows]
+        variance = (np.square(sd) + np.square(around) + c.MIN_SD_OF_DV**2)[self.rows]
         self.columns: Array = np.ascontiguousarray(columns[self.rows])
         """(kept rows, m)"""
         covariance = self.columns @ self.columns.T

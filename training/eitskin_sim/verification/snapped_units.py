@@ -5,13 +5,12 @@ touched if the verified map covers half of it. Then each unit is a rectangle of 
 modelled with just these. Where that leaves more than it should, units are put in or taken out one at a time, as long as
 what is minimised falls ::
 
-    chi-squared + sum of ((log contrast - its mean) / spread)^2 + PRICE * units
+    chi-squared + sum of ((log contrast - its mean) / spread)^2 + COST_OF_UNIT * units
 
 Only units in doubt are tried: those that the verified map covers in part, and those on which the network disagrees.
 """
 
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -31,35 +30,6 @@ from eitskin_sim.verification.touch_prior import TouchPrior
 from eitskin_sim.verification.verdict import Verdict
 
 Bits = npt.NDArray[np.bool_]
-
-MOST_UNITS: Final = 6
-"""Units that the network shows at most where units are verified: sets of 7 to 10 came out right in 4 of 9 frames."""
-
-COVERED: Final = 0.5
-"""Share of a unit that the verified map covers, or it is not touched."""
-
-DOUBT: Final = (0.1, 0.9)
-"""Shares of a unit between which it may be touched or not."""
-
-MOST_IN_DOUBT: Final = 10
-"""Units that are put in or taken out at most, those nearest to ``COVERED``."""
-
-SURE: Final = 0.5
-"""p from which a set is left as it is. As p is cautious, most right sets reach it: of 97 sets, 94."""
-
-PRICE: Final = 6.0
-"""Chi-squared that a unit must take away, or it is not touched."""
-
-MODEL_ERROR: Final = 0.01
-"""What the model is off of what units change, as a share."""
-
-UNKNOWN_LOG_CONTRAST: Final = 3.0
-"""Where a fit of units begins on a skin whose touches go either way, and no shape says more."""
-
-STEPS: Final = 6
-"""Steps of a fit of contrasts at most; ``ENOUGH`` of what is minimised ends it."""
-
-ENOUGH: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +56,7 @@ def too_many(shown: Bits) -> str:
         shown: (units,) what it shows.
     """
     count = int(shown.sum())
-    return f"{count} units are shown, and at most {MOST_UNITS} are verified" if count > MOST_UNITS else ""
+    return f"{count} units are shown, and at most {c.MAX_UNITS} are verified" if count > c.MAX_UNITS else ""
 
 
 def unit_shares(image: Array, grid: Grid) -> Array:
@@ -109,7 +79,7 @@ class _Set:
 
     @property
     def cost(self) -> float:
-        return self.misfit + PRICE * len(self.logs)
+        return self.misfit + c.COST_OF_UNIT * len(self.logs)
 
     @property
     def p(self) -> float:
@@ -155,14 +125,15 @@ class UnitFrame:
         """
         grid = self._model.skin.grid
         covered = unit_shares(found.map(grid), grid)
-        best = self._fitted(covered >= COVERED, found.pieces)
-        if best.p < SURE and not np.array_equal(best.bits, shown):
+        best = self._fitted(covered >= c.MIN_COVERED_SHARE, found.pieces)
+        if best.p < c.MIN_P_OF_SURE_UNITS and not np.array_equal(best.bits, shown):
             best = min(best, self._fitted(shown, found.pieces), key=lambda one: one.cost)
-        in_doubt = (covered > DOUBT[0]) & (covered < DOUBT[1]) | ((covered >= COVERED) != shown)
-        doubted = np.flatnonzero(in_doubt)
-        doubted = doubted[np.argsort(np.abs(covered[doubted] - COVERED), kind="stable")][:MOST_IN_DOUBT]
-        while best.p < SURE and len(doubted) and not budget.search_over():
-            other = min((self._flipped(best, int(unit), found.pieces) for unit in doubted), key=lambda one: one.cost)
+        low, high = c.COVERED_SHARES_IN_DOUBT
+        units = np.flatnonzero((covered > low) & (covered < high) | ((covered >= c.MIN_COVERED_SHARE) != shown))
+        nearest = np.argsort(np.abs(covered[units] - c.MIN_COVERED_SHARE), kind="stable")
+        units = units[nearest[: c.MAX_UNITS_IN_DOUBT]]
+        while best.p < c.MIN_P_OF_SURE_UNITS and len(units) and not budget.search_over():
+            other = min((self._flipped(best, int(unit), found.pieces) for unit in units), key=lambda one: one.cost)
             if other.cost >= best.cost:
                 break
             best = other
@@ -191,7 +162,7 @@ class UnitFrame:
         self.sets += 1
         units = np.flatnonzero(bits)
         table = _rectangles(units, self._model.skin.grid)
-        logs = np.full(len(units), self._prior.log_contrast or UNKNOWN_LOG_CONTRAST)
+        logs = np.full(len(units), self._prior.log_contrast or c.START_LOG_CONTRAST_OF_BOTH)
         if len(pieces) and len(units):
             apart = np.hypot(*(table[:, None, 1:3] - pieces[None, :, 1:3]).transpose(2, 0, 1))
             logs = np.log(pieces[apart.argmin(axis=1), 6])
@@ -199,17 +170,17 @@ class UnitFrame:
         own[:, LOG_CONTRAST] = True
         alike = (np.eye(len(units)) - 1.0 / max(len(units), 1)) / self._prior.own_contrast_sd
         best: _Set | None = None
-        for _ in range(STEPS):
+        for _ in range(c.MAX_STEPS_OF_UNITS):
             table[:, 6] = np.exp(logs)
             solved, change = self._model.solve(table)
-            signal = MODEL_ERROR * np.abs(change - self._model.untouched)
+            signal = c.MODEL_ERROR_OF_UNITS * np.abs(change - self._model.untouched)
             white = self._model.whitener(self._change, self._reference, self._noise, rows=self._rows, own=signal)
             residual, unlike = white.whiten(self._change - self._expected - change), alike @ logs
             misfit = float(residual @ residual + unlike @ unlike)
             gain = np.inf if best is None else best.misfit - misfit
             if gain > 0.0:
                 best = _Set(bits, logs, misfit, max(len(residual) - len(units), 1))
-            if gain < ENOUGH or not len(units):
+            if gain < c.MIN_GAIN_OF_STEP or not len(units):
                 break
             by = -white.whiten(self._model.jacobian(solved, own).T).T
             square = by.T @ by + alike.T @ alike + 1e-2 * np.eye(len(units))
