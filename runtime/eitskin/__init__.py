@@ -60,10 +60,9 @@ if TYPE_CHECKING:
     from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
     from eitskin.messaging.streams.state import SkinState
     from eitskin.messaging.streams.subscription import StreamSubscription, subscribe_streams
+    from eitskin.messaging.streams.verified import VerifiedFrame, VerifiedTouch
+    from eitskin.messaging.streams.verified_subscription import VerifiedSubscription, subscribe_verified
     from eitskin.messaging.subscription import Subscription, subscribe
-    from eitskin.messaging.verified.message import VerifiedFrame
-    from eitskin.messaging.verified.subscription import VerifiedSubscription, subscribe_verified
-    from eitskin.messaging.verified.touch import VerifiedTouch
     from eitskin.model.bundle import Bundle, load_bundle
     from eitskin.reference.captured import Reference
     from eitskin.robot.all_frames import RobotSubscription, SkinFrame, subscribe_all
@@ -164,9 +163,9 @@ _HOMES: Final = {
     "TouchEvent": "eitskin.touches.touch",
     "TouchList": "eitskin.touches.touch",
     "Transport": "eitskin.acquisition.transport",
-    "VerifiedFrame": "eitskin.messaging.verified.message",
-    "VerifiedSubscription": "eitskin.messaging.verified.subscription",
-    "VerifiedTouch": "eitskin.messaging.verified.touch",
+    "VerifiedFrame": "eitskin.messaging.streams.verified",
+    "VerifiedSubscription": "eitskin.messaging.streams.verified_subscription",
+    "VerifiedTouch": "eitskin.messaging.streams.verified",
     "WireFrame": "eitskin.messaging.streams.measured",
     "load_bundle": "eitskin.model.bundle",
     "load_client_keys": "eitskin.messaging.curve_keys",
@@ -180,7 +179,7 @@ _HOMES: Final = {
     "subscribe": "eitskin.messaging.subscription",
     "subscribe_all": "eitskin.robot.all_frames",
     "subscribe_streams": "eitskin.messaging.streams.subscription",
-    "subscribe_verified": "eitskin.messaging.verified.subscription",
+    "subscribe_verified": "eitskin.messaging.streams.verified_subscription",
 }
 """Where each public name lives; the errors live in ``eitskin.errors``."""
 

@@ -31,7 +31,7 @@ from eitskin.acquisition.device import Device, DeviceClock
 from eitskin.errors import BadReference, HandshakeError, NotReady, PortReturned, SkinError, TransportError
 from eitskin.frame_record import INFER, PACK, PUBLISH, READ, FrameRecord
 from eitskin.messaging.frame_message import Asked, FrameMessages
-from eitskin.messaging.streams.teller import Teller, begin
+from eitskin.messaging.streams.publisher import StreamFeed, begin
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.idle import IdleMode
 from eitskin.pipeline.stats import Statistics
@@ -427,7 +427,7 @@ class Taker(Protocol):
     """Who takes the messages of frames: a publisher, or this process.
 
     One may also have ``asked``, an :class:`eitskin.messaging.frame_message.Asked`; one without takes frames, and no
-    touches. One may have ``streams`` (:mod:`eitskin.messaging.streams.teller`).
+    touches. One may have ``streams`` (:mod:`eitskin.messaging.streams.publisher`).
     """
 
     @property
@@ -461,7 +461,7 @@ class FrameLoop:
         self.reference: Reference | None = None
         self._recapture: Recapture | None = None
         self._capturing = threading.Lock()
-        self.teller: Teller | None = None
+        self.feed: StreamFeed | None = None
         """Of what was measured, where a taker has streams."""
         self.verifier_status: Callable[[], dict[str, Any]] = dict
         """What who verifies frames says of itself; from any thread. Nothing where nobody does."""
@@ -494,8 +494,8 @@ class FrameLoop:
                 "with reference=FILE"
             )
         pipeline, record = self._pipeline, self._pipeline.record
-        streams, teller = begin(self.teller, taker, self._messages.run)
-        self.source.tell_withheld = teller.withheld
+        streams, feed = begin(self.feed, taker, self._messages.run)
+        self.source.tell_withheld = feed.withheld
         try:
             for _ in self._accepted(until_ns):
                 recapture = self._recapture
@@ -506,17 +506,17 @@ class FrameLoop:
                     self._choose_mode(whole=recapture is not None)
                     asked, first, number = streams.asked, streams.first, self.published + 1 if wanted else None
                     if asked and first:
-                        teller.frame(self.source.payload, number)
+                        feed.frame(self.source.payload, number)
                     if wanted:
                         self._hand_over(taker)
                     else:
                         record.stamps[PACK] = record.stamps[INFER]
                     record.stamps[PUBLISH] = time.perf_counter_ns()
-                    self._finish(teller if asked and not first else None, number)
+                    self._finish(feed if asked and not first else None, number)
                     yield record
                     self.statistics.ready(time.perf_counter_ns())
                 elif streams.asked:
-                    teller.withheld(self.source.payload, record.stamps[READ])
+                    feed.withheld(self.source.payload, record.stamps[READ])
         finally:
             self.source.deferred.do()
             self._give_up_recapture("the stream ended")
@@ -581,14 +581,14 @@ class FrameLoop:
         record.corrupt = self._device.deframer.corrupt
         return self._messages.finish(record)
 
-    def _finish(self, teller: Teller | None, number: int | None) -> None:
+    def _finish(self, feed: StreamFeed | None, number: int | None) -> None:
         """Take note of the frame, after it was handed over; what it was computed under is told before that changes."""
         record = self._pipeline.record
         self.statistics.add(record.stamps, record.solver, record.touched, record.skipped, record.events)
-        if teller is None:
+        if feed is None:
             self._pipeline.note_health()
         else:
-            self.source.deferred.put(self._pipeline.note_health, teller.frame, self.source.payload, number)
+            self.source.deferred.put(self._pipeline.note_health, feed.frame, self.source.payload, number)
 
     def use(self, found: Reference, *, fresh: bool = False) -> None:
         """Normalise against a reference from the next frame on; before the loop runs, or in its thread.

@@ -21,9 +21,9 @@ from eitskin.acquisition.device import Device
 from eitskin.frame_loop import FrameLoop
 from eitskin.messaging.frame import host_id
 from eitskin.messaging.regions import whole
-from eitskin.messaging.streams.desk import StreamDesk
 from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, STATE, WIRE
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, wire_body
+from eitskin.messaging.streams.publisher import StreamPublisher
 from eitskin.messaging.streams.state import MOST_EVENTS, Event, SkinState
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference, stored
@@ -89,7 +89,7 @@ MOST_WAITING: Final = 8
 
 
 class StreamSource:
-    """Tells one desk at a time.
+    """Feeds one publisher at a time.
 
     Args:
         device: The skin's.
@@ -99,7 +99,7 @@ class StreamSource:
 
     def __init__(self, device: Device, pipeline: Pipeline, loop: FrameLoop) -> None:
         self._device, self._pipeline, self._loop = device, pipeline, loop
-        self._desk = StreamDesk(lambda message: None)
+        self._streams = StreamPublisher(lambda message: None)
         self._waiting: list[bytes] = []
         self._reference: Reference | None = None
         self._file, self._digest = b"", ""
@@ -116,9 +116,9 @@ class StreamSource:
         except metadata.PackageNotFoundError:
             self._version = ""
 
-    def begin(self, desk: StreamDesk) -> None:
-        """Tell this desk from now on, everything anew."""
-        self._desk = desk
+    def begin(self, streams: StreamPublisher) -> None:
+        """Send to this publisher from now on, everything anew."""
+        self._streams = streams
         self._conditions_key = self._state_key = ()
         self._geometry, self._repeat_ns = None, 0
         self._waiting.clear()
@@ -131,20 +131,20 @@ class StreamSource:
             payload: As it came.
             number: Of its published frame; None if there is none.
         """
-        record, desk = self._pipeline.record, self._desk
+        record, streams = self._pipeline.record, self._streams
         self._send_waiting()
         now_ns = record.stamps[0]
-        if desk.state:
+        if streams.state:
             self._events.extend((record.sequence, text) for text in record.events)
-        joined, repeat = desk.joined, self._is_time(now_ns)
+        joined, repeat = streams.joined, self._is_time(now_ns)
         self._tell_conditions(repeat=repeat or joined)
-        if desk.cloud and (repeat or self._pipeline.buffers.geometry is not self._geometry):
+        if streams.cloud and (repeat or self._pipeline.buffers.geometry is not self._geometry):
             self._tell_cloud()
-        if desk.state:
+        if streams.state:
             self._tell_state(now_ns, repeat=repeat)
-        if desk.wire:
+        if streams.wire:
             published = number is not None
-            desk.send(
+            streams.send(
                 WIRE,
                 wire_body(
                     payload, record.sequence, record.device_us, now_ns, "", number, bool(record.touched),
@@ -160,10 +160,10 @@ class StreamSource:
             payload: As it came.
             read_ns: When its last byte was in hand.
         """
-        desk, intake = self._desk, self._pipeline.intake
-        if not desk.asked:
+        streams, intake = self._streams, self._pipeline.intake
+        if not streams.asked:
             return
-        if desk.wire:
+        if streams.wire:
             known = intake.last_reason != "malformed"
             seq = intake.counter.sequence if known else None
             device_us = intake.counter.device_us if known else None
@@ -173,22 +173,22 @@ class StreamSource:
             )  # fmt: skip
         if len(self._waiting) >= MOST_WAITING:
             self._send_waiting()
-        if desk.state and read_ns - self._state_ns >= REPEAT_NS:
+        if streams.state and read_ns - self._state_ns >= REPEAT_NS:
             self._tell_state(read_ns, repeat=True)
 
     def _send_waiting(self) -> None:
         if self._waiting:
             for body in self._waiting:
-                self._desk.send(WIRE, body)
+                self._streams.send(WIRE, body)
             self._waiting.clear()
 
     def _is_time(self, now_ns: int) -> bool:
         """Return whether everything is to be told again."""
         if now_ns - self._joined_ns >= JOIN_NS:
             self._joined_ns, self._joins = now_ns, 0
-        joined = self._desk.joined and self._joins < MOST_JOINS
+        joined = self._streams.joined and self._joins < MOST_JOINS
         if joined:
-            self._desk.joined, self._states = False, 0
+            self._streams.joined, self._states = False, 0
             self._joins += 1
         if not joined and now_ns - self._repeat_ns < REPEAT_NS:
             return False
@@ -231,8 +231,8 @@ class StreamSource:
             )
         elif not repeat:
             return
-        if self._desk.conditions and self._conditions is not None:
-            self._desk.send(CONDITIONS, self._conditions.body())
+        if self._streams.conditions and self._conditions is not None:
+            self._streams.send(CONDITIONS, self._conditions.body())
 
     def _tell_cloud(self) -> None:
         pipeline = self._pipeline
@@ -251,7 +251,7 @@ class StreamSource:
             seq=pipeline.record.cloud_sequence,
             utc_ns=0 if given is None else given.utc_ns,
         )
-        self._desk.send(CLOUD, told.body())
+        self._streams.send(CLOUD, told.body())
 
     def _tell_state(self, now_ns: int, *, repeat: bool) -> None:
         device, pipeline, loop = self._device, self._pipeline, self._loop
@@ -284,10 +284,10 @@ class StreamSource:
             utc_ns=time.time_ns(),
         )
         self._events.clear()
-        self._desk.send(STATE, told.body())
+        self._streams.send(STATE, told.body())
 
 
 def with_streams(loop: FrameLoop, device: Device, pipeline: Pipeline) -> FrameLoop:
     """Return a frame loop that tells streams what its device measured."""
-    loop.teller = StreamSource(device, pipeline, loop)
+    loop.feed = StreamSource(device, pipeline, loop)
     return loop

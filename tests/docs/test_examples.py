@@ -12,8 +12,7 @@ import pytest
 from eitskin.acquisition.serial_port import SerialPort
 from eitskin.errors import TransportError
 from eitskin.messaging.publish import Publisher
-from eitskin.messaging.verified.message import head, rest
-from eitskin.messaging.verified.touch import VerifiedTouch
+from eitskin.messaging.streams.verified import VerifiedTouch, head, rest
 from eitskin_proto.skin.cloud import align_cloud
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.bend import surface

@@ -14,10 +14,9 @@ from eitskin import frame_loop, frame_record, stream_source
 from eitskin.acquisition import greeting
 from eitskin.errors import EndpointError
 from eitskin.health import drift, electrodes
-from eitskin.messaging import control, control_fields, curve_keys, endpoints, frame, publish, regions
+from eitskin.messaging import control, control_commands, curve_keys, endpoints, frame, publish, regions
 from eitskin.messaging.control_commands import REFERENCE_FRAMES
-from eitskin.messaging.streams import envelope, state
-from eitskin.messaging.verified import message as verified
+from eitskin.messaging.streams import envelope, state, verified
 from eitskin.pipeline import intake, stillness
 from eitskin.reference import captured, normaliser
 from eitskin.touches import moments, pieces, touch, tracking
@@ -115,7 +114,7 @@ STREAMS = [
 ]
 
 CONTROL = [
-    f"one MessagePack map of at most {control_fields.LARGEST_REQUEST} bytes, and 12 more for each pixel beyond the "
+    f"one MessagePack map of at most {control_commands.LARGEST_REQUEST} bytes, and 12 more for each pixel beyond the "
     f"paper's {PAPER.grid.n_pixels}",
     f"At most {control.MOST_CONNECTIONS} connections at once.",
     f"before the delimiter, {control.MOST_PARTS - 1} parts at most",

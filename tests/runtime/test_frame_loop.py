@@ -9,9 +9,9 @@ from eitskin.errors import PortLost
 from eitskin.frame_loop import GIVE_WAY_S, DeferredWork
 from eitskin.frame_record import STAGES
 from eitskin.messaging.frame import unpack_frame
-from eitskin.messaging.streams.desk import StreamDesk
 from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, FIRST_BYTE, STATE, TOPICS, WIRE, opened
 from eitskin.messaging.streams.measured import WireFrame
+from eitskin.messaging.streams.publisher import StreamPublisher
 from eitskin.pipeline.stats import Statistics
 from eitskin.skin import Skin
 
@@ -73,8 +73,8 @@ class Both(Taker):
 
     def __init__(self, topics):
         super().__init__()
-        self.streams = StreamDesk(self.told)
-        self.streams.judge(topics)
+        self.streams = StreamPublisher(self.told)
+        self.streams.set_topics(topics)
 
     def send(self, message):
         self.got.append(unpack_frame(bytes(message), 0).number)
@@ -117,7 +117,7 @@ def test_a_newcomer_is_told_at_once_whatever_it_asks_for(streaming):
             break
         if len(begins) < len(topics):
             asked.append(TOPICS[topics[len(begins)]])
-        taker.streams.judge(asked)
+        taker.streams.set_topics(asked)
         begins.append(len(taker.got))
     told = [taker.got[one:two] for one, two in pairwise([*begins, None])]
     for name, found in zip(topics, told[: len(topics)], strict=True):

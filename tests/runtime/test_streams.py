@@ -213,13 +213,13 @@ def test_nothing_is_made_while_nobody_asks(virtual_skin, running, tmp_path):
             first = next(frames)
             until(frames, lambda frame: frame.number > first.number + 20)
             assert frames.passed_over == frames.rejected == 0
-        desk = runtime.publisher.streams
-        assert not desk.asked
-        assert set(desk.numbers.values()) == {0}
+        sending = runtime.publisher.streams
+        assert not sending.asked
+        assert set(sending.numbers.values()) == {0}
         with eitskin.subscribe_streams(runtime.publisher.endpoint, clouds=False, state=False) as streams:
             until(streams, lambda item: isinstance(item, WireFrame))
-        assert desk.numbers["wire"] > 0
-        assert desk.numbers["cloud"] == desk.numbers["state"] == 0
+        assert sending.numbers["wire"] > 0
+        assert sending.numbers["cloud"] == sending.numbers["state"] == 0
 
 
 def test_the_wire_alone_computes_no_map(virtual_skin, running, tmp_path):

@@ -39,8 +39,7 @@ from typing import Any, Final
 import zmq
 
 from eitskin.errors import ControlError
-from eitskin.messaging.control_commands import Answer, Commands, Controlled, answer_of, refusal
-from eitskin.messaging.control_fields import largest_request
+from eitskin.messaging.control_commands import Answer, Commands, Controlled, answer_of, largest_request, refusal
 from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
 from eitskin.messaging.listener import Listener, sender_of
 from eitskin_proto.skin.skin import PAPER

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import zmq
 
 from eitskin.errors import CloudWarning, ControlError, EndpointError
-from eitskin.messaging.control_fields import LARGEST_REQUEST, unpack_fields
+from eitskin.messaging.control_commands import LARGEST_REQUEST, unpack_fields
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import CONTROL, ROBOT, check_client_keys, default_control
 from eitskin.messaging.reachability import who_else

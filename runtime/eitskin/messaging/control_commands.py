@@ -8,11 +8,18 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import ControlError, SkinError
-from eitskin.messaging.control_fields import array_field, largest_request, unpack_fields
+from eitskin.messaging.unpacking import require, unpacked
 from eitskin.reference.captured import DEFAULT_FRAMES
-from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.fields import Fields
+from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS
+from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.made_for import check_made_for
+from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.skin import Skin as SkinDescription
+
+LARGEST_REQUEST: Final = 32768
+"""Bytes to a runtime of the paper's skin; a cloud with both predictions has 18,000. libzmq drops a client that sends
+more, before it takes memory."""
 
 REFERENCE_FRAMES: Final = (2, 10_000)
 """Fewest and most frames of a reference that is asked for."""
@@ -22,6 +29,29 @@ SLOW: Final = ("reference",)
 
 Request = Mapping[str, Any]
 Answer = Mapping[str, object]
+
+
+def largest_request(grid: Grid) -> int:
+    """Return the same for any skin: as much more as its clouds are larger."""
+    return LARGEST_REQUEST + 12 * max(0, grid.n_pixels - PAPER.grid.n_pixels)
+
+
+def unpack_fields(parts: list[bytes], largest: int = LARGEST_REQUEST) -> dict[str, Any]:
+    """Return the map of a message.
+
+    Args:
+        parts: Of the message.
+        largest: Bytes.
+
+    Raises:
+        ControlError: It is no map, or too large.
+    """
+    if len(parts) != 1:
+        raise ControlError(f"a message of {len(parts)} parts; expected one")
+    what = "a MessagePack map"
+    return unpacked(
+        parts[0], what, largest=largest, longest_text=2048, longest_list=64, longest_map=64, error=ControlError
+    )
 
 
 class Controlled(Protocol):
@@ -88,34 +118,34 @@ class Commands:
         return lambda: self._table[command](request), command in SLOW
 
     def _cloud(self, request: Request) -> Answer:
+        fields = Fields(request, "", error=ControlError)
         digest = request.get("skin_digest")
         if digest is not None:
             grid_id, hint = request.get("grid_id"), "send a cloud of the runtime's skin ('eitskin surface --skin FILE')"
             check_made_for("the cloud", self._skin, grid_id=grid_id, skin_digest=digest, hint=hint)
-        cloud = array_field(request, "cloud", np.dtype("<f4"), self._skin.grid.cloud_shape)
-        if cloud is None:
+        if request.get("cloud") is None:
             raise ControlError("a cloud request needs the field 'cloud'")
-        predicted = array_field(request, "predicted", np.dtype("<f8"), (N_ROWS,))
-        flat = array_field(request, "predicted_flat", np.dtype("<f8"), (N_ROWS,))
+        cloud = fields.array("cloud", "<f4", self._skin.grid.cloud_shape)
+        predicted, flat = (
+            None if request.get(name) is None else fields.array(name, "<f8", (N_ROWS,))
+            for name in ("predicted", "predicted_flat")
+        )
         revision, doubts = self._controlled.use_cloud(cloud, predicted, flat)
         return {"cloud": revision, "warnings": list(doubts)}
 
     def _reference(self, request: Request) -> Answer:
-        frames = request.get("frames", DEFAULT_FRAMES)
         low, high = REFERENCE_FRAMES
-        if isinstance(frames, bool) or not isinstance(frames, int) or not low <= frames <= high:
-            raise ControlError(f"frames is {str(frames)[:40]}, expected {low} to {high}")
-        force = request.get("force", False)
-        if not isinstance(force, bool):
-            raise ControlError(f"force is {str(force)[:40]}, expected true or false")
+        fields = Fields(request, "", error=ControlError)
+        frames = fields.whole("frames", DEFAULT_FRAMES, low=low, high=high)
+        force = fields.truth("force", False)
         return self._controlled.recapture(frames, force=force)
 
     def _exclude(self, request: Request) -> Answer:
-        electrodes = request.get("electrodes")
-        if not isinstance(electrodes, list) or not all(type(number) is int for number in electrodes):
-            raise ControlError(f"electrodes is {str(electrodes)[:40]}, expected a list of numbers from 0 to 15")
-        self._controlled.exclude(tuple(electrodes))
-        return {"electrodes": electrodes}
+        fields = Fields(request, "", error=ControlError)
+        require(fields, "electrodes")
+        electrodes = fields.wholes("electrodes", high=N_ELECTRODES - 1)
+        self._controlled.exclude(electrodes)
+        return {"electrodes": list(electrodes)}
 
     def _stop(self, _: Request) -> Answer:
         self._controlled.stop()

@@ -10,6 +10,7 @@ A subscriber trusts nothing: sizes, types, shape and finiteness are checked, wha
 """
 
 import math
+import operator
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,8 +23,8 @@ import numpy.typing as npt
 
 from eitskin.errors import FrameError
 from eitskin.frame_record import STAGES
-from eitskin.messaging.received.parts import map_of, regions_of, strict_map
-from eitskin.messaging.regions import MOST_PIXELS, Regions
+from eitskin.messaging.regions import MOST, MOST_PIXELS, Region, Regions, whole
+from eitskin.messaging.unpacking import unpacked
 from eitskin.touches.touch import NAMES, Touch, TouchList, unpack_touches
 from eitskin_proto.files.plain import plain
 
@@ -208,7 +209,9 @@ def unpack_frame(message: bytes, received_ns: int, known: Frame | None = None) -
         MapMissing: It has no map, and means another one than ``known`` has.
         FrameError: It is no frame, or one of another version.
     """
-    fields = strict_map(message, LARGEST_MESSAGE, LARGEST_MAP, MAX_TEXTS)
+    fields = unpacked(
+        message, "a frame", largest=LARGEST_MESSAGE, longest_text=256, longest_list=MAX_TEXTS, longest_map=64
+    )
     alone = message[:1] == TOUCH_FIRST_BYTE
     if fields.get("v") != (expected := TOUCH_VERSION if alone else VERSION):
         found = plain(str(fields.get("v"))[:20])
@@ -219,12 +222,12 @@ def unpack_frame(message: bytes, received_ns: int, known: Frame | None = None) -
     if alone:
         values = NO_MAP
     elif "map" in fields:
-        values = map_of(fields)
+        values = _map(fields)
     elif known is not None and (known.run, known.map_sequence) == (fields.get("run"), map_sequence):
         values, regions = known.map, known.regions
     else:
         raise MapMissing(f"frame {sequence} has the map of frame {map_sequence}, which was not received")
-    claimed = regions_of(fields, MOST_PIXELS if alone else (values.shape[0], values.shape[1]))
+    claimed = _regions(fields, MOST_PIXELS if alone else (values.shape[0], values.shape[1]))
     if not isinstance(fields.get("touched"), bool):
         raise FrameError("frame touched: expected true or false")
     gate_logit = fields.get("gate_logit")
@@ -259,6 +262,37 @@ def unpack_frame(message: bytes, received_ns: int, known: Frame | None = None) -
         same_host=_text(fields, "host") == host_id(),
         touch_list=unpack_touches(*map(fields.get, NAMES)) if NAMES[0] in fields else None,
     )
+
+
+def _map(fields: Mapping[str, Any]) -> npt.NDArray[np.float32]:
+    """Return the map, (rows, columns) and read-only."""
+    shape, raw = fields.get("shape"), fields.get("map")
+    if (
+        not isinstance(shape, list)
+        or len(shape) != 2
+        or not all(type(size) is int and 1 <= size <= most for size, most in zip(shape, MOST_PIXELS, strict=True))
+    ):
+        raise FrameError(f"frame shape: found {str(shape)[:40]}, expected [rows, columns] up to {list(MOST_PIXELS)}")
+    if not isinstance(raw, bytes) or len(raw) != 4 * shape[0] * shape[1]:
+        raise FrameError(f"frame map: expected {4 * shape[0] * shape[1]} bytes")
+    values = np.frombuffer(raw, dtype="<f4").reshape(shape)  # of immutable bytes: read-only
+    if not np.isfinite(values).all():
+        raise FrameError("frame map: holds values that are not finite")
+    return values
+
+
+def _regions(fields: Mapping[str, Any], shape: tuple[int, int]) -> Regions:
+    """Return what a message says was computed of a map of this shape."""
+    found = fields.get("regions")
+    if found is None:
+        return whole(shape)
+    try:
+        regions = tuple(Region(*map(operator.index, bounds)).check(shape) for bounds in found)
+    except (TypeError, ValueError) as error:
+        raise FrameError(f"frame regions: found {str(found)[:60]}, expected rectangles on the sheet") from error
+    if not 1 <= len(regions) <= MOST:
+        raise FrameError(f"frame regions: found {len(regions)}, expected 1 to {MOST}")
+    return regions
 
 
 def _count(fields: Mapping[str, Any], name: str) -> int:

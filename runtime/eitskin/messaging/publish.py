@@ -18,7 +18,7 @@ shorter, do not wait for it. ::
     b"eitskin/touches"             besides: the list of touches, in every frame
     b"\xdf"                        touches without maps, alone
     b"\x86\xa4wire"                what was measured (:mod:`eitskin.messaging.streams.envelope` has the list)
-    b"\x8f\xa8verified"            what physics says of frames (:mod:`eitskin.messaging.verified.message`)
+    b"\x8f\xa8verified"            what physics says of frames (:mod:`eitskin.messaging.streams.verified`)
 
 Those with the empty topic get touch messages and streams too, and leave them alone for their version. Touch messages
 are sent first, so that who keeps one message keeps the frame; streams go behind the frame, unless there is such a one.
@@ -38,8 +38,8 @@ from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE, patient_topics
 from eitskin.messaging.frame_message import Asked
 from eitskin.messaging.listener import Listener, sender_of
 from eitskin.messaging.regions import ALWAYS, TOUCHES, UNCHANGED
-from eitskin.messaging.streams.desk import StreamDesk
-from eitskin.messaging.verified.message import asked_for
+from eitskin.messaging.streams.publisher import StreamPublisher
+from eitskin.messaging.streams.verified import asked_for
 from eitskin_proto.skin.skin import PAPER
 
 QUEUE_FRAMES: Final = 400
@@ -103,7 +103,7 @@ class Publisher:
         """Whether every subscriber does without a map that has not changed."""
         self.joined = True
         """Somebody came or went since the last frame was sent: the next one must carry its map."""
-        self.streams = StreamDesk(self.send_beside)
+        self.streams = StreamPublisher(self.send_beside)
         """Where messages of what was measured are handed in."""
         self._topics: set[bytes] = set()
         self._asked_s = 0.0
@@ -170,7 +170,7 @@ class Publisher:
         self.verified = any(map(asked_for, topics))
         self.wanted = frames or alone or self.verified
         self.takes_short = UNCHANGED in topics and ALWAYS not in topics and not plain
-        self.streams.judge(topics)
+        self.streams.set_topics(topics)
         self.joined = True
 
     @property

@@ -4,196 +4,84 @@
 frame old, not seconds. ``all`` queues frames for a recorder and counts the gaps when it is too slow even for that.
 
 A subscriber may say that it does without maps that have not changed; it still finds one in every ``frame.map``. The
-runtime does less if all its subscribers say so. Then ``latest`` reads all that waits and
-returns the newest: libzmq's own way of keeping one message would keep only one of the topics as well.
+runtime does less if all its subscribers say so. Then ``latest`` reads all that waits and returns the newest: libzmq's
+own way of keeping one message would keep only one of the topics as well.
 
-Nobody waits for ever on an address where nobody is: unless told otherwise, the first frame must come within
-``FIRST_FRAME_S``. Once one has come, the next may take as long as it likes.
+Nobody waits for ever on an address where nobody is: unless told otherwise, the first frame must come within 5 s. Once
+one has come, the next may take as long as it likes.
 """
 
-import math
-import time
+from dataclasses import dataclass
 from typing import Final, Self
 
-import zmq
-
-from eitskin.errors import FrameError, NoFrame, StaleFrame
+from eitskin.errors import StaleFrame
 from eitskin.messaging.curve_keys import ClientKeys
-from eitskin.messaging.endpoints import default_publish
-from eitskin.messaging.frame import Frame, MapMissing
-from eitskin.messaging.received.subscriber import LONGEST_WAIT_MS, Subscriber
-from eitskin.messaging.received.wishes import NotAsked, Wishes
-from eitskin.messaging.regions import other_skin
+from eitskin.messaging.frame import (
+    EVERY_FRAME,
+    FIRST_BYTE,
+    TOUCH_FIRST_BYTE,
+    Frame,
+    MapMissing,
+    patient_topics,
+    unpack_frame,
+)
+from eitskin.messaging.regions import ALWAYS, EVERYWHERE, TOUCHES, UNCHANGED, WHOLE, Region, other_skin
+from eitskin.messaging.subscriber import Subscriber
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.skin import Skin as SkinDescription
-
-MODES: Final = ("latest", "all")
 
 QUEUE_FRAMES: Final = 2000
 """Frames that wait in mode ``all``: 10 s at 200 frames/s, 12 MB."""
 
-FIRST_FRAME_S: Final = 5.0
-"""How long the first frame may take where no time was named; a runtime that is there sends one within 0.1 s."""
 
+@dataclass(frozen=True, slots=True)
+class SubscriptionOptions:
+    """What a subscriber asks for (:mod:`eitskin.messaging.publish` lists the topics)."""
 
-class Subscription(Subscriber):
-    """An open subscription: iterate it, or call ``next_frame``; leave it with ``close`` or as a context manager.
+    region: Region
+    """What of the map is needed."""
+    grid: Grid | None
+    """Whose pixels the region means; None without one."""
+    topics: tuple[bytes, ...]
+    """To subscribe to, in this order: the frames last, when all that is needed has been said."""
+    touches: bool
+    """Whether a frame without touches is of no use."""
+    skip_unchanged: bool
+    """Whether frames that are not returned must be looked at too: a later one may lack the map that they have."""
 
-    Args:
-        endpoint: Where the runtime publishes; None takes the one of ``eitskin run``.
-        mode: ``latest`` or ``all``.
-        timeout_s: How long to wait for a frame; None waits 5 s for the first and then for ever; ``math.inf`` waits for
-            ever from the start.
-        max_age_s: Oldest frame that is good enough; None takes any.
-        region_mm: A rectangle (x0, y0, x1, y1) of the flat sheet, whose pixels are ``region``.
-        skin: The runtime's, for ``region_mm``; None for the paper's.
-        skip_unchanged: Do without maps that have not changed; ``frame.map`` is then the one from before.
-        touches: Each frame has its list of touches; ``maps=False`` for these alone, a sixth of the bytes.
-        patient: Be served after the others.
-        keys: CURVE keys, which TCP needs.
-
-    Raises:
-        ValueError: A bound is not positive, the mode does not exist, or the region is not on the sheet.
-        EndpointError: ZeroMQ cannot make sense of the endpoint, or there is no folder for the default one.
-    """
-
-    def __init__(
-        self,
-        endpoint: str | None = None,
+    @classmethod
+    def of(
+        cls,
+        region_mm: tuple[float, float, float, float] | None,
+        skin: SkinDescription | None,
         *,
-        mode: str = "latest",
-        timeout_s: float | None = None,
-        max_age_s: float | None = None,
-        region_mm: tuple[float, float, float, float] | None = None,
-        skin: SkinDescription | None = None,
-        skip_unchanged: bool = False,
-        touches: bool = False,
-        maps: bool = True,
-        patient: bool = False,
-        keys: ClientKeys | None = None,
-    ) -> None:
-        if mode not in MODES:
-            raise ValueError(f"mode {mode!r} does not exist; expected one of {', '.join(MODES)}")
-        for name, value in (("timeout_s", timeout_s), ("max_age_s", max_age_s)):
-            if value is not None and not value > 0:
-                raise ValueError(f"{name} is {value}, expected more than 0")
-        self._wishes = wishes = Wishes.of(
-            region_mm, skin, skip_unchanged=skip_unchanged, touches=touches, maps=maps, patient=patient
-        )
-        self.region = wishes.region
-        """What this side needs, in pixels; ``frame.map[region.slices]``."""
-        self._timeout_ms = _milliseconds(math.inf if timeout_s is None else timeout_s)
-        self._first_ms = _milliseconds(FIRST_FRAME_S) if timeout_s is None else self._timeout_ms
-        self._waits_ms = -1
-        """What the socket waits at most, as it was told last. It waits by itself: a ``poll`` would delay frames."""
-        self._max_age_s = max_age_s
-        self.received = 0
-        """Frames taken so far."""
-        self.lost = 0
-        """Frames published but not taken, because this side was too slow; in mode ``latest`` that is intended."""
-        self.mapless = 0
-        """Frames without a map whose map had not come either: just after the start, or after a loss."""
-        self.passed_over = 0
-        """Frames without the touches that were asked for."""
-        self._known: Frame | None = None
-        self._newest_only = mode == "latest" and len(wishes.topics) > 1
-        self._run = ""
-        self._number = 0
-        super().__init__(
-            default_publish() if endpoint is None else endpoint, wishes.topics, QUEUE_FRAMES,
-            newest=mode == "latest" and not self._newest_only, keys=keys,
-        )  # fmt: skip
-
-    def next_frame(self) -> Frame:
-        """Return the next frame, waiting for it.
+        skip_unchanged: bool,
+        touches: bool,
+        maps: bool,
+        patient: bool,
+    ) -> Self:
+        """Return what the arguments of :class:`Subscription` mean.
 
         Raises:
-            NoFrame: None came in time; the text says whether anybody is there, and what to do.
-            StaleFrame: One came, but it is older than ``max_age_s``.
-            MismatchError: A region is needed, and the maps are another skin's.
+            ValueError: The region is not on the sheet, or something is asked of maps that are not wanted.
         """
-        timeout_ms = self._timeout_ms if self.received else self._first_ms
-        deadline_ns = time.perf_counter_ns() + timeout_ms * 1_000_000
-        left_ms = timeout_ms
-        while True:
-            waits_ms = LONGEST_WAIT_MS if left_ms < 0 else min(left_ms, LONGEST_WAIT_MS)
-            if waits_ms != self._waits_ms:
-                self._waits_ms = waits_ms
-                self._socket.setsockopt(zmq.RCVTIMEO, waits_ms)
-            try:
-                frame = self._take()
-            except zmq.Again:
-                self._look_at_connection()
-                if left_ms == waits_ms:
-                    why = f"{self.passed_over} came without touches: the runtime is older than they are"
-                    if self.received or not self.passed_over:
-                        why = self.silence(timeout_ms / 1000)
-                    raise NoFrame(f"no frame from {self.endpoint} within {timeout_ms / 1000:g} s: {why}") from None
-                frame = None
-            if frame is None:
-                if left_ms >= 0:
-                    left_ms = max(0, (deadline_ns - time.perf_counter_ns()) // 1_000_000)
-                continue
-            age_s = frame.age_s
-            if self._max_age_s is not None and age_s > self._max_age_s:
-                raise StaleFrame(f"the newest frame is {age_s:.3f} s old, expected at most {self._max_age_s:g} s")
-            return frame
-
-    def _take(self) -> Frame | None:
-        """Return the frame of the next message, or of the newest one that waits; None if there is none in it."""
-        frame = None
-        while True:
-            message = self._recv()
-            if self._newest_only and not self._wishes.each and self.waits:
-                continue
-            try:
-                frame = self._wishes.frame(message, self._heard_ns, self._known)
-            except MapMissing:
-                self.mapless += 1
-            except NotAsked:
-                self.passed_over += 1
-            except FrameError as error:
-                self._reject(error)
-            else:
-                self._known, self._unusable = frame, (0, "")
-                if (grid := self._wishes.grid) is not None and frame.map.shape != grid.shape:
-                    raise other_skin(self.endpoint, frame.map.shape, grid)
-            if not self._newest_only or not self.waits:
-                if frame is not None:
-                    self._count(frame)
-                return frame
-
-    def _count(self, frame: Frame) -> None:
-        if frame.run == self._run and frame.number > self._number:
-            self.lost += frame.number - self._number - 1
-        self._run, self._number = frame.run, frame.number
-        self.received += 1
-
-    __next__ = next_frame
-
-    def __iter__(self) -> Self:
-        return self
+        if not maps and (region_mm is not None or skip_unchanged):
+            raise ValueError("maps=False takes no maps at all: leave region_mm and skip_unchanged out")
+        grid = None if region_mm is None else (skin or PAPER).grid
+        region = EVERYWHERE if region_mm is None or grid is None else Region.from_mm(*region_mm, grid)
+        first = FIRST_BYTE if maps else TOUCH_FIRST_BYTE
+        topics = patient_topics(first) if patient else (first,)
+        if maps and (skip_unchanged or touches or patient):
+            needed = (TOUCHES,) if touches else ()
+            topics = (WHOLE, UNCHANGED if skip_unchanged else ALWAYS, *needed, *topics)
+        elif maps:
+            topics = (EVERY_FRAME,)
+        return cls(region, grid, topics, touches or not maps, skip_unchanged)
 
 
-def _milliseconds(timeout_s: float) -> int:
-    """Return what libzmq takes; -1 for ever."""
-    return -1 if math.isinf(timeout_s) else max(1, round(timeout_s * 1000))
-
-
-def subscribe(
-    endpoint: str | None = None,
-    mode: str = "latest",
-    *,
-    timeout_s: float | None = None,
-    max_age_s: float | None = None,
-    region_mm: tuple[float, float, float, float] | None = None,
-    skin: SkinDescription | None = None,
-    skip_unchanged: bool = False,
-    touches: bool = False,
-    maps: bool = True,
-    patient: bool = False,
-    keys: ClientKeys | None = None,
-) -> Subscription:
-    """Return an open subscription to a runtime's frames, to be iterated.
+class Subscription(Subscriber[Frame]):
+    """An open subscription to a runtime's frames; iterate it, leave it with ``close`` or as a context manager.
 
     In a control loop, which must know when it is blind::
 
@@ -221,18 +109,91 @@ def subscribe(
 
     Raises:
         ValueError: A bound is not positive, the mode does not exist, or the region is not on the sheet.
-        EndpointError: ZeroMQ cannot make sense of the endpoint, or there is no folder for the default one.
+        EndpointError: ZeroMQ cannot make sense of the endpoint, or it is TCP and there are no keys, or there is no
+            folder for the default one.
     """
-    return Subscription(
-        endpoint,
-        mode=mode,
-        timeout_s=timeout_s,
-        max_age_s=max_age_s,
-        region_mm=region_mm,
-        skin=skin,
-        skip_unchanged=skip_unchanged,
-        touches=touches,
-        maps=maps,
-        patient=patient,
-        keys=keys,
-    )
+
+    def __init__(
+        self,
+        endpoint: str | None = None,
+        mode: str = "latest",
+        *,
+        timeout_s: float | None = None,
+        max_age_s: float | None = None,
+        region_mm: tuple[float, float, float, float] | None = None,
+        skin: SkinDescription | None = None,
+        skip_unchanged: bool = False,
+        touches: bool = False,
+        maps: bool = True,
+        patient: bool = False,
+        keys: ClientKeys | None = None,
+    ) -> None:
+        if max_age_s is not None and not max_age_s > 0:
+            raise ValueError(f"max_age_s is {max_age_s}, expected more than 0")
+        self._options = options = SubscriptionOptions.of(
+            region_mm, skin, skip_unchanged=skip_unchanged, touches=touches, maps=maps, patient=patient
+        )
+        self.region = options.region
+        """What this side needs, in pixels; ``frame.map[region.slices]``."""
+        self._max_age_s = max_age_s
+        self.lost = 0
+        """Frames published but not taken, because this side was too slow; in mode ``latest`` that is intended."""
+        self.mapless = 0
+        """Frames without a map whose map had not come either: just after the start, or after a loss."""
+        self.passed_over = 0
+        """Frames without the touches that were asked for."""
+        self._known: Frame | None = None
+        self._run, self._number = "", 0
+        super().__init__(
+            endpoint, options.topics, QUEUE_FRAMES, mode=mode, conflate=len(options.topics) == 1, timeout_s=timeout_s,
+            keys=keys,
+        )  # fmt: skip
+
+    def next_frame(self) -> Frame:
+        """Return the next frame, waiting for it.
+
+        Raises:
+            NoFrame: None came in time; the text says whether anybody is there, and what to do.
+            StaleFrame: One came, but it is older than ``max_age_s``.
+            MismatchError: A region is needed, and the maps are another skin's.
+        """
+        frame = self._next()
+        if self._max_age_s is not None and (age_s := frame.age_s) > self._max_age_s:
+            raise StaleFrame(f"the newest frame is {age_s:.3f} s old, expected at most {self._max_age_s:g} s")
+        return frame
+
+    __next__ = next_frame
+
+    def _taken(self, message: bytes) -> Frame | None:
+        frame = super()._taken(message)
+        if frame is not None:
+            if frame.run == self._run and frame.number > self._number:
+                self.lost += frame.number - self._number - 1
+            self._run, self._number = frame.run, frame.number
+        return frame
+
+    def _item(self, message: bytes) -> Frame | None:
+        options = self._options
+        if self._newest_only and not options.skip_unchanged and self.waits:
+            return None  # a newer one waits
+        try:
+            frame = unpack_frame(message, self._heard_ns, self._known)
+        except MapMissing:
+            self.mapless += 1
+            return None
+        if options.touches and frame.touch_list is None:
+            self.passed_over += 1
+            return None
+        self._known = frame
+        if options.grid is not None and frame.map.shape != options.grid.shape:
+            raise other_skin(self.endpoint, frame.map.shape, options.grid)
+        return frame
+
+    def _why(self, waited_s: float) -> str:
+        if self.passed_over and not self.received:
+            return f"{self.passed_over} came without touches: the runtime is older than they are"
+        return self.silence(waited_s)
+
+
+subscribe = Subscription
+"""Opens a subscription to a runtime's frames, to be iterated."""

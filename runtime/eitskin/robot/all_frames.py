@@ -18,7 +18,8 @@ import zmq
 from eitskin.errors import RobotError, SilentSkin, StaleFrame
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.frame import Frame
-from eitskin.messaging.subscription import FIRST_FRAME_S, Subscription
+from eitskin.messaging.subscriber import FIRST_S
+from eitskin.messaging.subscription import Subscription
 from eitskin.robot.config import RobotSkin
 from eitskin.robot.described import Source, robot_skins
 from eitskin.robot.pose import Pose
@@ -48,44 +49,23 @@ class SkinFrame:
         return tuple(self.pose.touch(touch) for touch in self.frame.touches)
 
 
-class _Polled(Subscription):
-    """A subscription that somebody else waits for."""
-
-    def __init__(self, endpoint: str, **options: Any) -> None:
-        super().__init__(endpoint, **options)
-        self.socket.setsockopt(zmq.RCVTIMEO, 0)
-
-    @property
-    def socket(self) -> Any:
-        """To be polled."""
-        return self._socket
-
-    def taken(self) -> Frame | None:
-        """Return the frame that waits; None if none does, or what waited is none."""
-        try:
-            return self._take()
-        except zmq.Again:
-            return None
-
-    def look(self) -> None:
-        """Connect anew where the connection was lost for good."""
-        self._look_at_connection()
-
-
 class RobotSubscription:
     """Open subscriptions to all skins of a robot; iterate it, leave it with ``close`` or as a context manager.
 
     Args:
-        source: See :func:`subscribe_all`, as for all else.
-        mode: ``latest`` or ``all``.
-        timeout_s: Longest silence of each skin.
-        max_age_s: Oldest frame that is good enough.
-        touches: Each frame has its list of touches.
-        maps: False for touches alone.
-        keys: CURVE keys, of all skins or by name.
+        source: Path of the robot.toml, or the folder in which ``eitskin run --config`` runs; None takes the folder that
+            it uses unless told otherwise.
+        mode: ``latest`` for a control loop, ``all`` for a recorder.
+        timeout_s: How long each skin may send nothing before :class:`eitskin.SilentSkin`, which names it. None gives
+            the first frame of each 5 s, and then goes on for ever; ``math.inf`` waits for ever from the start.
+        max_age_s: Oldest frame that is good enough; an older one raises :class:`eitskin.StaleFrame`.
+        touches: Each frame has its list of touches; ``one.touches`` has them in the robot's frame.
+        maps: False for touches alone, a sixth of the bytes; ``frame.map`` is then (0, 0).
+        keys: CURVE keys, which TCP needs: one for all skins, or by name.
 
     Raises:
         RobotError: There are no skins, or the file is wrong.
+        OSError: There is no such file.
         ValueError: A bound is not positive, or the mode does not exist.
         EndpointError: ZeroMQ cannot make sense of an endpoint.
     """
@@ -108,17 +88,17 @@ class RobotSubscription:
                 raise ValueError(f"{name} is {value}, expected more than 0")
         if isinstance(keys, Mapping) and (strange := sorted(set(keys) - set(self.skins))):
             raise RobotError(f"keys are for {', '.join(strange)}, expected names of {', '.join(self.skins)}")
-        self._first_s = FIRST_FRAME_S if timeout_s is None else timeout_s
+        self._first_s = FIRST_S if timeout_s is None else timeout_s
         self._timeout_s = math.inf if timeout_s is None else timeout_s
         self._max_age_s = max_age_s
-        self._subscriptions: dict[str, _Polled] = {}
+        self._subscriptions: dict[str, Subscription] = {}
         self._poller = zmq.Poller()
         self._turns: deque[str] = deque()
         self._by_socket: dict[Any, str] = {}
         try:
             for name, one in self.skins.items():
                 own = keys.get(name) if isinstance(keys, Mapping) else keys
-                found = _Polled(one.publish, mode=mode, touches=touches, maps=maps, keys=own)
+                found = Subscription(one.publish, mode=mode, touches=touches, maps=maps, keys=own)
                 self._subscriptions[name] = found
                 self._by_socket[found.socket] = name
                 self._poller.register(found.socket, zmq.POLLIN)
@@ -159,7 +139,7 @@ class RobotSubscription:
                 self._wait()
                 continue
             name = self._turns.popleft()
-            if (frame := self._subscriptions[name].taken()) is None:
+            if (frame := self._subscriptions[name].waiting()) is None:
                 continue
             self._heard_s[name] = now_s = time.monotonic()
             self._due_s[name] = now_s + self._timeout_s
@@ -176,7 +156,7 @@ class RobotSubscription:
         if (now_s := time.monotonic()) >= self._look_s:
             self._look_s = now_s + LOOK_MS / 1000
             for name in self._subscriptions.keys() - self._turns:
-                self._subscriptions[name].look()
+                self._subscriptions[name].check_connection()
 
     def _raise_if_silent(self) -> None:
         now_s = time.monotonic()
@@ -184,7 +164,7 @@ class RobotSubscription:
         if now_s < self._due_s[late] or late in self._turns:
             return
         for name in (name for name in self.skins if name not in self._turns and now_s >= self._due_s[name]):
-            if self._subscriptions[name].socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+            if self._subscriptions[name].waits:
                 self._turns.append(name)  # it was us who did not ask
                 continue
             allowed_s = self._timeout_s if self._subscriptions[name].received else self._first_s
@@ -209,35 +189,5 @@ class RobotSubscription:
             one.close()
 
 
-def subscribe_all(
-    source: Source = None,
-    mode: str = "latest",
-    *,
-    timeout_s: float | None = None,
-    max_age_s: float | None = None,
-    touches: bool = False,
-    maps: bool = True,
-    keys: ClientKeys | Mapping[str, ClientKeys] | None = None,
-) -> RobotSubscription:
-    """Return open subscriptions to the frames of all skins of a robot, to be iterated.
-
-    Args:
-        source: Path of the robot.toml, or the folder in which ``eitskin run --config`` runs; None takes the folder that
-            it uses unless told otherwise.
-        mode: ``latest`` for a control loop, ``all`` for a recorder.
-        timeout_s: How long each skin may send nothing before :class:`eitskin.SilentSkin`, which names it. None gives
-            the first frame of each 5 s, and then goes on for ever; ``math.inf`` waits for ever from the start.
-        max_age_s: Oldest frame that is good enough; an older one raises :class:`eitskin.StaleFrame`.
-        touches: Each frame has its list of touches; ``one.touches`` has them in the robot's frame.
-        maps: False for touches alone, a sixth of the bytes; ``frame.map`` is then (0, 0).
-        keys: CURVE keys, which TCP needs: one for all skins, or by name.
-
-    Raises:
-        RobotError: There are no skins, or the file is wrong.
-        OSError: There is no such file.
-        ValueError: A bound is not positive, or the mode does not exist.
-        EndpointError: ZeroMQ cannot make sense of an endpoint.
-    """
-    return RobotSubscription(
-        source, mode, timeout_s=timeout_s, max_age_s=max_age_s, touches=touches, maps=maps, keys=keys
-    )
+subscribe_all = RobotSubscription
+"""Opens subscriptions to the frames of all skins of a robot, to be iterated."""

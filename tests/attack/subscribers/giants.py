@@ -15,7 +15,7 @@ import eitskin
 from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.streams.envelope import FIRST_BYTE, WIRE
 from eitskin.messaging.streams.envelope import packed as enveloped
-from eitskin.messaging.verified.message import COUNTS, TOPIC, head, rest
+from eitskin.messaging.streams.verified import COUNTS, TOPIC, head, rest
 from eitskin_proto.skin.skin import PAPER
 
 from ..outcome import Effort, Outcome

@@ -11,7 +11,7 @@ import eitskin
 from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.streams.envelope import FIRST_BYTE
 from eitskin.messaging.streams.envelope import packed as enveloped
-from eitskin.messaging.verified.message import TOPIC
+from eitskin.messaging.streams.verified import TOPIC
 from eitskin_proto.skin.skin import PAPER
 
 from ...runtime.messaging.streams.test_bodies import WIRE

@@ -11,7 +11,7 @@ import eitskin
 from eitskin.errors import ControlError, EndpointError
 from eitskin.messaging.control import ControlServer
 from eitskin.messaging.control_client import request
-from eitskin.messaging.control_fields import LARGEST_REQUEST
+from eitskin.messaging.control_commands import LARGEST_REQUEST
 from eitskin.messaging.curve_keys import load_client_keys, load_server_keys, make_keys
 from eitskin_proto.skin.cloud import flat_cloud
 

@@ -101,9 +101,8 @@ def test_a_flood_of_topics_costs_others_no_frame(publisher, packer):
         while len(publisher.topics) < publish.MOST_TOPICS:
             number += 1
             send(publisher, packer, number)
+            assert next(honest).number == number
         assert publisher.wanted
-        assert [next(honest).number for _ in range(number)] == list(range(1, number + 1))
-        assert honest.lost == 0
         assert not publisher.takes_short
 
 

@@ -56,7 +56,7 @@ def test_a_recorder_that_is_too_slow_even_for_its_queue_counts_the_gap(publisher
         while recorder._number <= sent and number < 2 * sent:  # one that comes after the gap tells of it
             number += 1
             send(publisher, packer, number)
-            while recorder._socket.poll(50):
+            while recorder.socket.poll(50):
                 recorder.next_frame()
         assert recorder.lost > 0
         assert recorder.received + recorder.lost == recorder._number

@@ -4,8 +4,8 @@ import pytest
 
 import eitskin
 from eitskin.messaging.frame import unpack_frame
-from eitskin.messaging.received.subscriber import Subscriber
 from eitskin.messaging.regions import Region, whole
+from eitskin.messaging.subscriber import Subscriber
 from eitskin_proto.skin.skin import PAPER
 
 EVERY = whole(PAPER.grid.shape)
@@ -30,7 +30,7 @@ def test_whoever_asks_for_a_region_gets_whole_maps_and_slices_them(virtual_skin,
     with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, running(port, tmp_path) as runtime:
         endpoint = runtime.publisher.endpoint
         topics = b"eitskin/region/0/10/5/20", b"eitskin/unchanged", b"\xde"  # of an earlier release
-        older = Subscriber(endpoint, topics, 1000, newest=False, keys=None)
+        older = Subscriber(endpoint, topics, 1000, timeout_s=60, keys=None)
         with older, eitskin.subscribe(endpoint, region_mm=(0.0, 0.0, 50.0, 30.0), timeout_s=60) as frames:
             frame = next(frame for frame in frames if frame.solver != "none")
             assert frame.map[frames.region.slices].any()

@@ -1,6 +1,5 @@
 """A subscriber to whom nothing comes: where it waited, who is there, what to do; the endpoint it takes unasked."""
 
-import math
 import os
 import socket
 
@@ -9,14 +8,14 @@ import zmq
 
 import eitskin
 from eitskin.errors import ControlError, EndpointError, NoFrame
-from eitskin.messaging import endpoints, subscription
+from eitskin.messaging import endpoints, subscriber
 from eitskin.messaging.control_client import request
 from eitskin.messaging.publish import Publisher
 from eitskin.messaging.reachability import explain_silence
 from eitskin.messaging.streams.envelope import packed
 from eitskin.messaging.streams.subscription import subscribe_streams
-from eitskin.messaging.verified.message import TOPIC
-from eitskin.messaging.verified.subscription import subscribe_verified
+from eitskin.messaging.streams.verified import TOPIC
+from eitskin.messaging.streams.verified_subscription import subscribe_verified
 
 
 @pytest.fixture
@@ -46,16 +45,10 @@ def test_without_a_session_both_fall_back_to_the_same_folder(monkeypatch, sessio
 
 
 def test_the_first_frame_is_waited_for_five_seconds_and_later_ones_for_ever(session, monkeypatch):
-    assert subscription.FIRST_FRAME_S == 5.0
-    monkeypatch.setattr(subscription, "FIRST_FRAME_S", 0.05)
+    assert subscriber.FIRST_S == 5.0
+    monkeypatch.setattr(subscriber, "FIRST_S", 0.05)
     with eitskin.subscribe() as frames, pytest.raises(NoFrame, match=r"within 0\.05 s"):
         next(frames)
-
-
-def test_who_wants_to_wait_for_ever_says_so(session):
-    frames = eitskin.subscribe(timeout_s=math.inf)
-    assert frames._first_ms == frames._timeout_ms == -1
-    frames.close()
 
 
 def test_an_endpoint_where_nobody_ever_was_is_named_with_what_to_do(session):
@@ -171,7 +164,7 @@ def said_after(newer, opened, message, ask):
     with opened(newer[1], timeout_s=0.05) as found:
         assert newer[0].poll(60_000)  # it has subscribed
         newer[0].send(message)
-        assert found._socket.poll(60_000)
+        assert found.socket.poll(60_000)
         with pytest.raises(NoFrame) as caught:
             ask(found)
         with pytest.raises(NoFrame, match="somebody listens there"):

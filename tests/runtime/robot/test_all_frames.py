@@ -12,7 +12,7 @@ from eitskin.errors import RobotError, SilentSkin, StaleFrame
 from eitskin.messaging.frame import EVERY_FRAME
 from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.publish import Publisher
-from eitskin.messaging.received.subscriber import LARGEST_TAKEN
+from eitskin.messaging.subscriber import LARGEST_TAKEN
 from eitskin.touches.surface import Surface
 from eitskin.touches.watch import TouchWatch
 from eitskin_proto.skin.skin import PAPER

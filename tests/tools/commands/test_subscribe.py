@@ -8,8 +8,7 @@ from contextlib import contextmanager
 import pytest
 
 from eitskin.messaging.publish import Publisher
-from eitskin.messaging.verified.message import head, rest
-from eitskin.messaging.verified.touch import VerifiedTouch
+from eitskin.messaging.streams.verified import VerifiedTouch, head, rest
 from eitskin_tools import cli
 
 TOUCH = VerifiedTouch(

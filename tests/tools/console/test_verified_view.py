@@ -4,8 +4,7 @@ import dataclasses
 
 import pytest
 
-from eitskin.messaging.verified.message import FLAGS, VerifiedFrame
-from eitskin.messaging.verified.touch import VerifiedTouch
+from eitskin.messaging.streams.verified import FLAGS, VerifiedFrame, VerifiedTouch
 from eitskin.touches.force import ForceTable
 from eitskin_tools.console.stream_view import FLAGGED, describe_verdict
 

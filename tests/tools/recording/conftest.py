@@ -9,8 +9,8 @@ import pytest
 import eitskin
 from eitskin.messaging.frame import Frame, unpack_frame
 from eitskin.messaging.streams import envelope
-from eitskin.messaging.streams.desk import StreamDesk
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
+from eitskin.messaging.streams.publisher import StreamPublisher
 from eitskin.messaging.streams.state import SkinState
 from eitskin.model.bundle import Bundle, load_bundle
 from eitskin.reference.captured import Reference
@@ -68,9 +68,9 @@ class Taker:
 
     def __init__(self) -> None:
         self.items: list[Any] = []
-        self.streams = StreamDesk(self._send)
-        self.streams.judge([b"\x86"])
-        self._joiner = envelope.Joiner()
+        self.streams = StreamPublisher(self._send)
+        self.streams.set_topics([b"\x86"])
+        self._joiner = envelope.BodyJoiner()
 
     def send(self, message: memoryview) -> None:
         self.items.append(unpack_frame(bytes(message), 0))

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from eitskin.messaging.verified.message import head, unpack_verified
+from eitskin.messaging.streams.verified import head, unpack_verified
 from eitskin_proto.sensor.row_gaussian import rows_of as rows_of_electrodes
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import to_toml

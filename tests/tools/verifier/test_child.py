@@ -10,7 +10,7 @@ import threading
 
 import pytest
 
-from eitskin.messaging.verified.message import STARTING, WAITING
+from eitskin.messaging.streams.verified import STARTING, WAITING
 from eitskin_tools.processes.children import Backoff
 from eitskin_tools.verifier.child import Place, VerifierProcess
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from eitskin.frame_record import PUBLISH, FrameRecord
-from eitskin.messaging.verified.message import READY, STARTING
+from eitskin.messaging.streams.verified import READY, STARTING
 from eitskin.reference.captured import Reference
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.evaluation.verified.resting import FRAMES

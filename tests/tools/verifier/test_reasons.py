@@ -2,7 +2,7 @@
 
 import pytest
 
-from eitskin.messaging.verified.message import TIME, UNEXPLAINED
+from eitskin.messaging.streams.verified import TIME, UNEXPLAINED
 from eitskin_sim.verification.shape_verdict import ShapeVerdict
 from eitskin_sim.verification.verdict import Verdict
 from eitskin_tools.verifier.reasons import reason_of

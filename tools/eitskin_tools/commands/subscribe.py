@@ -125,7 +125,7 @@ def _within(frame: Any, region: Any) -> Any:
 
 def _verified(arguments: argparse.Namespace, keys: Any) -> int:
     """Print verdicts, or count them."""
-    from eitskin.messaging.verified.subscription import subscribe_verified
+    from eitskin.messaging.streams.verified_subscription import subscribe_verified
     from eitskin.touches.force import ForceTable
     from eitskin_tools.console.stream_view import describe_verdict
 

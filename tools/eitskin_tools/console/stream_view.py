@@ -11,7 +11,7 @@ from typing import Any, Final, TextIO
 
 import numpy as np
 
-from eitskin.messaging.verified.message import CONTESTED, TIME, UNEXPLAINED
+from eitskin.messaging.streams.verified import CONTESTED, TIME, UNEXPLAINED
 from eitskin.touches.force import ForceTable
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER

@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from eitskin.messaging.verified.touch import VerifiedTouch
+from eitskin.messaging.streams.verified import VerifiedTouch
 from eitskin.touches.surface import Surface
 from eitskin_proto.sensor.normalise import inverse_reference
 from eitskin_proto.skin.touch_kind import TouchKind

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from struct import Struct
 from typing import Final
 
-from eitskin.messaging.verified.message import FAILED, STARTING, WAITING
+from eitskin.messaging.streams.verified import FAILED, STARTING, WAITING
 from eitskin_tools.processes.children import Backoff, ChildProcess, how_it_ended, last_line
 from eitskin_tools.processes.lookout import Lookout
 from eitskin_tools.verifier.letters import LARGEST_PACKET

@@ -16,7 +16,7 @@ import numpy as np
 
 from eitskin.frame_record import PUBLISH, READ, FrameRecord
 from eitskin.messaging.publish import Publisher
-from eitskin.messaging.verified.message import FAILED, PREPARING, READY, STARTING, WAITING, head, rest
+from eitskin.messaging.streams.verified import FAILED, PREPARING, READY, STARTING, WAITING, head, rest
 from eitskin.pipeline.stillness import Stillness
 from eitskin.reference.captured import Reference
 from eitskin.skin import Skin

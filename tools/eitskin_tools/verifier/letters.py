@@ -144,7 +144,7 @@ def verdict_answer(message: bytes, flagged: bool | None, spent_ms: float) -> byt
     """Return what a verifier says of the frame that it has.
 
     Args:
-        message: The verifier's part of the message (:mod:`eitskin.messaging.verified.message`).
+        message: The verifier's part of the message (:mod:`eitskin.messaging.streams.verified`).
         flagged: None where there is no verdict.
         spent_ms: What it took.
     """

@@ -74,7 +74,7 @@ class Worker:
                 handlers[kind](*items)
 
     def _prepare(self, number: int, fields: dict[str, Any]) -> None:
-        from eitskin.messaging.verified.message import FAILED, PREPARING, READY
+        from eitskin.messaging.streams.verified import FAILED, PREPARING, READY
         from eitskin_tools.verifier.checkers import Checker
         from eitskin_tools.verifier.letters import Setup, state_answer
 
@@ -92,7 +92,7 @@ class Worker:
         self._line.send(state_answer(READY, number, setup_ms=1e3 * (time.perf_counter() - begin)))
 
     def _rest(self, *items: Any) -> None:
-        from eitskin.messaging.verified.message import READY
+        from eitskin.messaging.streams.verified import READY
         from eitskin_tools.verifier.letters import RestLetter, state_answer
 
         rest = RestLetter.of(*items)
@@ -106,7 +106,7 @@ class Worker:
         self._line.send(state_answer(READY, self._setup, why))
 
     def _verify(self, *items: Any) -> None:
-        from eitskin.messaging.verified.message import READY, rest
+        from eitskin.messaging.streams.verified import READY, rest
         from eitskin_tools.verifier.letters import FrameLetter, verdict_answer
 
         frame = FrameLetter.of(*items)

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from eitskin.messaging.verified.message import TIME, UNEXPLAINED
+from eitskin.messaging.streams.verified import TIME, UNEXPLAINED
 from eitskin_sim.verification.verdict import Verdict
 
 

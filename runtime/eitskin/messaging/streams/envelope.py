@@ -13,11 +13,13 @@ since a subscriber ends a connection over which more comes: a long body is cut i
 
 import struct
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import msgpack  # type: ignore[import-untyped]
 
 from eitskin.errors import FrameError
+from eitskin.messaging.unpacking import unpacked
+from eitskin_proto.fields import Fields
 
 WIRE, CLOUD, CONDITIONS, STATE = NAMES = ("wire", "cloud", "conditions", "state")
 """The streams."""
@@ -95,34 +97,26 @@ def opened(message: bytes) -> Envelope:
     Raises:
         FrameError: It is no message of a stream, or one of another version.
     """
-    try:
-        fields = msgpack.unpackb(
-            message, raw=False, strict_map_key=True, max_str_len=256, max_bin_len=PIECE, max_array_len=0,
-            max_map_len=6, max_ext_len=0,
-        )  # fmt: skip
-    except Exception as error:  # msgpack's exceptions have no common base
-        raise FrameError(f"a message of {len(message)} bytes is of no stream ({type(error).__name__})") from error
-    name = next(iter(fields), None) if isinstance(fields, dict) else None
+    fields = unpacked(message, "of a stream", longest_text=256, longest_list=0, longest_map=6)
+    name = next(iter(fields), None)
     if name not in NAMES:
-        raise FrameError(f"a message of {len(message)} bytes is of no stream; expected one of {', '.join(NAMES)} first")
+        raise FrameError(f"a message is not of a stream: found {str(name)[:20]!r}, expected one of {', '.join(NAMES)}")
     if fields.get("v") != VERSION:
         found = fields.get("v")
         raise FrameError(f"stream version: found {str(found)[:20]}, expected {VERSION}; use the runtime's release")
-    number, run, part, parts, body = (fields.get(key) for key in (name, "run", "part", "parts", "body"))
-    if not (_is_count(number) and _is_count(part) and _is_count(parts) and 0 <= part < parts <= MOST_PARTS):
-        raise FrameError(
-            f"stream {name}: found part {str(part)[:20]} of {str(parts)[:20]}, expected at most {MOST_PARTS}"
-        )
-    if not isinstance(run, str) or len(run) > MAX_RUN or not isinstance(body, bytes):
-        raise FrameError(f"stream {name}: expected a run of at most {MAX_RUN} characters, and a body")
-    return Envelope(name, number, run, part, parts, body)
+    checked = Fields(fields, f"stream {name}", error=FrameError, joint=", ")
+    parts = checked.whole("parts", low=1, high=MOST_PARTS)
+    return Envelope(
+        name,
+        number=checked.whole(name),
+        run=checked.text("run", least=0, longest=MAX_RUN),
+        part=checked.whole("part", high=parts - 1),
+        parts=parts,
+        body=checked.raw("body", most=PIECE),
+    )
 
 
-def _is_count(value: Any) -> bool:
-    return type(value) is int and 0 <= value < 1 << 64
-
-
-class Joiner:
+class BodyJoiner:
     """Puts bodies together whose parts come one after the other."""
 
     __slots__ = ("_pieces", "_which", "broken")
@@ -133,7 +127,7 @@ class Joiner:
         self.broken = 0
         """Bodies of which a part did not come."""
 
-    def take(self, found: Envelope) -> bytes | None:
+    def add(self, found: Envelope) -> bytes | None:
         """Return a body that is whole now, else None."""
         if found.parts == 1:
             return found.body

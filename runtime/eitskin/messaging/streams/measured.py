@@ -5,8 +5,9 @@ which solver and under which conditions they became a map, :class:`CloudInUse` t
 runtime had found out by itself. :class:`eitskin.messaging.streams.state.SkinState` says who measured.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Any, Final, Self, TypeVar
 
 import msgpack  # type: ignore[import-untyped]
 import numpy as np
@@ -14,11 +15,17 @@ import numpy.typing as npt
 
 from eitskin.messaging.regions import MOST, MOST_PIXELS, Region, Regions
 from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, WIRE
-from eitskin.messaging.streams.fields import Fields
+from eitskin.messaging.unpacking import fields_of, require
+from eitskin_proto.fields import Fields
 from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS
 
 LARGEST_PAYLOAD: Final = 1024
 """Bytes of a packet's payload (SPEC.md, section 1)."""
+
+MAX_TEXT: Final = 256
+"""Characters."""
+
+Value = TypeVar("Value")
 
 Finding = tuple[int, str, int | None]
 """An electrode that is not well: its number, its state, and the other one of a short or an exchange."""
@@ -96,20 +103,20 @@ class WireFrame:
         Raises:
             FrameError: It is malformed.
         """
-        fields = Fields(WIRE, body)
+        fields = fields_of(body, f"stream {WIRE}")
         return cls(
-            payload=fields.raw("payload", LARGEST_PAYLOAD, 1),
-            seq=fields.count_or_none("seq"),
-            read_ns=fields.count("read_ns"),
+            payload=fields.raw("payload", least=1, most=LARGEST_PAYLOAD),
+            seq=_or_none(fields, "seq", fields.whole),
+            read_ns=fields.whole("read_ns"),
             n=n,
-            device_us=fields.count_or_none("device_us"),
-            withheld=fields.text("withheld"),
-            frame=fields.count_or_none("frame"),
+            device_us=_or_none(fields, "device_us", fields.whole),
+            withheld=_text(fields, "withheld"),
+            frame=_or_none(fields, "frame", fields.whole),
             touched=fields.truth("touched"),
-            gate_logit=fields.any_number("gate_logit"),
-            solver=fields.text("solver"),
-            map_seq=fields.count_or_none("map_seq"),
-            conditions=fields.count("conditions"),
+            gate_logit=_float(fields, "gate_logit"),
+            solver=_text(fields, "solver"),
+            map_seq=_or_none(fields, "map_seq", fields.whole),
+            conditions=fields.whole("conditions"),
             run=run,
             received_ns=received_ns,
         )
@@ -164,23 +171,21 @@ class CloudInUse:
         Raises:
             FrameError: It is malformed.
         """
-        fields = Fields(CLOUD, body)
-        shape = fields.items("shape", 2)
-        if len(shape) != 2 or not all(
-            type(size) is int and 1 <= size <= most for size, most in zip(shape, MOST_PIXELS, strict=True)
-        ):
-            raise fields.wrong("shape", f"[rows, columns] up to {list(MOST_PIXELS)}")
-        why = fields.text("why")
+        fields = fields_of(body, f"stream {CLOUD}")
+        sizes = fields.entries("shape", least=2, most=2, of="sizes")
+        shape = tuple(sizes.whole(place, low=1, high=most) for place, most in enumerate(MOST_PIXELS))
         return cls(
-            revision=fields.count("revision"),
+            revision=fields.whole("revision"),
             cloud=fields.array("cloud", "<f4", (3, *shape)),
-            predicted=fields.array_or_none("predicted", "<f8", (N_ROWS,)),
-            predicted_flat=fields.array_or_none("predicted_flat", "<f8", (N_ROWS,)),
-            taken_ns=fields.count("taken_ns"),
-            why=why,
+            predicted=None if fields.is_nil("predicted") else fields.array("predicted", "<f8", (N_ROWS,)),
+            predicted_flat=None
+            if fields.is_nil("predicted_flat")
+            else fields.array("predicted_flat", "<f8", (N_ROWS,)),
+            taken_ns=fields.whole("taken_ns"),
+            why=_text(fields, "why"),
             log_predicted=fields.array("log_predicted", "<f4", (N_ROWS,)),
-            seq=fields.count_or_none("seq"),
-            utc_ns=fields.count("utc_ns"),
+            seq=_or_none(fields, "seq", fields.whole),
+            utc_ns=fields.whole("utc_ns"),
             n=n,
             run=run,
             received_ns=received_ns,
@@ -241,23 +246,24 @@ class Conditions:
         Raises:
             FrameError: They are malformed.
         """
-        fields = Fields(CONDITIONS, body)
+        fields = fields_of(body, f"stream {CONDITIONS}")
+        require(fields, "regions", "electrodes", "missing_rows")
+        rectangles = fields.entries("regions", least=1, most=MOST, of="rectangles")
+        findings = fields.entries("electrodes", most=N_ELECTRODES, of="findings")
         try:
-            regions = tuple(Region(*_bounds(item)) for item in fields.items("regions", MOST))
-        except (TypeError, ValueError) as error:
+            regions = tuple(Region(*rectangles.wholes(place, least=4, most=4)) for place in rectangles)
+        except ValueError as error:
             raise fields.wrong("regions", "rectangles on the sheet") from error
-        if not regions:
-            raise fields.wrong("regions", f"1 to {MOST} rectangles")
         return cls(
-            revision=fields.count("revision"),
-            seq=fields.count("seq"),
-            cloud=fields.count("cloud"),
-            reference=fields.text("reference"),
+            revision=fields.whole("revision"),
+            seq=fields.whole("seq"),
+            cloud=fields.whole("cloud"),
+            reference=_text(fields, "reference"),
             regions=regions,
-            gate_threshold=None if fields.is_nil("gate_threshold") else fields.number("gate_threshold"),
-            drift=fields.array_or_none("drift", "<f4", (N_ROWS,)),
-            electrodes=tuple(_finding(fields, item) for item in fields.items("electrodes", N_ELECTRODES)),
-            missing_rows=fields.counts("missing_rows", N_ROWS, N_ROWS),
+            gate_threshold=_or_none(fields, "gate_threshold", fields.number),
+            drift=None if fields.is_nil("drift") else fields.array("drift", "<f4", (N_ROWS,)),
+            electrodes=tuple(_finding(findings, place) for place in findings),
+            missing_rows=fields.wholes("missing_rows", high=N_ROWS - 1, most=N_ROWS),
             skip_unchanged=fields.truth("skip_unchanged"),
             volts_per_count=fields.number("volts_per_count"),
             n=n,
@@ -270,16 +276,25 @@ def _bytes(values: npt.NDArray[Any] | None, kind: str) -> bytes | None:
     return None if values is None else values.astype(kind).tobytes()
 
 
-def _bounds(item: object) -> list[int]:
-    if not isinstance(item, list) or len(item) != 4 or not all(type(bound) is int for bound in item):
-        raise ValueError("expected four whole numbers")
-    return item
+def _text(fields: Fields, key: str) -> str:
+    return fields.text(key, least=0, longest=MAX_TEXT)
 
 
-def _finding(fields: Fields, item: object) -> Finding:
-    match item:
+def _float(fields: Fields, key: str) -> float:
+    """Return a float, finite or not."""
+    if not isinstance(value := fields.value(key), float):
+        raise fields.wrong(key, "a float")
+    return value
+
+
+def _or_none(fields: Fields, key: str, read: Callable[[str], Value]) -> Value | None:
+    return None if fields.is_nil(key) else read(key)
+
+
+def _finding(findings: Fields, place: int) -> Finding:
+    match findings.value(place):
         case [int(electrode), str(state), None | int() as partner] if (
             0 <= electrode < N_ELECTRODES and len(state) <= 32 and (partner is None or 0 <= partner < N_ELECTRODES)
         ):
             return electrode, state, partner
-    raise fields.wrong("electrodes", "[electrode, state, partner] each")
+    raise findings.wrong(place, "[electrode, state, partner]")

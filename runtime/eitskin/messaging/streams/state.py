@@ -1,6 +1,7 @@
 """Who measures, by what, and how it goes: told when it changes, and once a second."""
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Self
@@ -8,8 +9,10 @@ from typing import Any, Final, Self
 import msgpack  # type: ignore[import-untyped]
 
 from eitskin.messaging.streams.envelope import STATE
-from eitskin.messaging.streams.fields import Fields
+from eitskin.messaging.streams.measured import MAX_TEXT
+from eitskin.messaging.unpacking import fields_of, require
 from eitskin_proto.errors import ProtocolError
+from eitskin_proto.fields import Fields
 from eitskin_proto.wire.answers import Hello
 
 LARGEST_REFERENCE: Final = 1 << 20
@@ -17,6 +20,9 @@ LARGEST_REFERENCE: Final = 1 << 20
 
 MOST_EVENTS: Final = 64
 """Of one message."""
+
+DEEPEST: Final = 4
+"""Lists and maps within each other in the status."""
 
 LARGEST_HELLO: Final = 1024
 
@@ -88,26 +94,31 @@ class SkinState:
         Raises:
             FrameError: It is malformed, or the reference is not the one that it names.
         """
-        fields = Fields(STATE, body)
-        reference = None if fields.is_nil("reference") else fields.raw("reference", LARGEST_REFERENCE)
-        digest = fields.text("reference_sha256")
+        fields = fields_of(body, f"stream {STATE}")
+        reference = None if fields.is_nil("reference") else fields.raw("reference", most=LARGEST_REFERENCE)
+        digest = fields.text("reference_sha256", least=0)
         if reference is not None and hashlib.sha256(reference).hexdigest() != digest:
             raise fields.wrong("reference_sha256", "that of the reference beside it")
-        hello = fields.raw("hello", LARGEST_HELLO)
+        hello = fields.raw("hello", most=LARGEST_HELLO)
         try:
             Hello.unpack(hello)
         except ProtocolError as error:
             raise fields.wrong("hello", "a HELLO of this protocol") from error
+        require(fields, "solvers", "events")
+        status = fields.value("status")
+        if not isinstance(status, dict) or not _is_plain(status, DEEPEST):
+            raise fields.wrong("status", "a map of plain values")
+        events = fields.entries("events", most=MOST_EVENTS, of="events")
         return cls(
-            **{name: fields.text(name) for name in _TEXTS},
+            **{name: fields.text(name, least=0, longest=MAX_TEXT) for name in _TEXTS},
             hello=hello,
-            solvers=fields.texts("solvers", 16),
-            status=fields.plain("status"),
+            solvers=fields.texts("solvers", most=16),
+            status=status,
             reference_sha256=digest,
             reference=reference,
-            events=tuple(_event(fields, item) for item in fields.items("events", MOST_EVENTS)),
-            made_ns=fields.count("made_ns"),
-            utc_ns=fields.count("utc_ns"),
+            events=tuple(_event(events, place) for place in events),
+            made_ns=fields.whole("made_ns"),
+            utc_ns=fields.whole("utc_ns"),
             n=n,
             run=run,
             received_ns=received_ns,
@@ -128,8 +139,23 @@ class SkinState:
         }
 
 
-def _event(fields: Fields, item: object) -> Event:
-    match item:
+def _event(events: Fields, place: int) -> Event:
+    match events.value(place):
         case [int(seq), str(text)] if seq >= 0 and len(text) <= 128:
             return seq, text
-    raise fields.wrong("events", "[seq, text] each")
+    raise events.wrong(place, "[seq, text]")
+
+
+def _is_plain(value: object, depth: int) -> bool:
+    """Return whether a value has texts, numbers, lists and maps of them, and nothing binary."""
+    if value is None or isinstance(value, bool | int):
+        return True
+    if isinstance(value, float):
+        return math.isfinite(value)
+    if isinstance(value, str):
+        return len(value) <= MAX_TEXT
+    if depth and isinstance(value, list):
+        return all(_is_plain(item, depth - 1) for item in value)
+    if depth and isinstance(value, dict):
+        return all(isinstance(key, str) and _is_plain(item, depth - 1) for key, item in value.items())
+    return False

@@ -5,7 +5,7 @@ import threading
 import zmq
 
 import eitskin
-from eitskin.messaging.received.subscriber import LARGEST_TAKEN
+from eitskin.messaging.subscriber import LARGEST_TAKEN
 
 
 def test_a_message_that_is_too_long_does_not_make_a_subscription_deaf(packer, tmp_path):

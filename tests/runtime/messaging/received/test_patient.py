@@ -7,7 +7,8 @@ import time
 import pytest
 
 import eitskin
-from eitskin.messaging.frame import EVERY_FRAME, FIRST_BYTE, KEYS, TOUCH_FIRST_BYTE, patient_topics
+from eitskin.messaging import subscription
+from eitskin.messaging.frame import EVERY_FRAME, FIRST_BYTE, KEYS, TOUCH_FIRST_BYTE, patient_topics, unpack_frame
 from eitskin.messaging.publish import Publisher
 from eitskin.messaging.regions import ALWAYS, UNCHANGED, WHOLE, Region
 from eitskin_proto.skin.skin import PAPER
@@ -118,15 +119,15 @@ def test_of_touches_alone_the_patient_come_last_too(publisher, packer):
 
 
 def test_the_newest_frame_is_the_only_one_that_is_read(publisher, packer, monkeypatch):
+    read = []
+
+    def noted(message, *arguments):
+        read.append(unpack_frame(message, *arguments))
+        return read[-1]
+
+    monkeypatch.setattr(subscription, "unpack_frame", noted)
     with eitskin.subscribe(publisher.endpoint, patient=True, timeout_s=60) as newest:
         wait_for(publisher, lambda: set(PATIENT) <= set(publisher.topics))
-        read, frame_of = [], type(newest._wishes).frame
-
-        def noted(wishes, *arguments):
-            read.append(frame_of(wishes, *arguments))
-            return read[-1]
-
-        monkeypatch.setattr(type(newest._wishes), "frame", noted)
         for number in range(1, 21):
             send(publisher, packer, number)
         end = time.perf_counter() + 60

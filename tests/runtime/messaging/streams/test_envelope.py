@@ -7,7 +7,7 @@ import pytest
 from eitskin.errors import FrameError
 from eitskin.messaging.frame import FIRST_BYTE, LARGEST_MESSAGE, TOUCH_FIRST_BYTE, unpack_frame
 from eitskin.messaging.streams import envelope
-from eitskin.messaging.streams.envelope import NAMES, PIECE, TOPICS, Joiner, asked_for, opened, packed
+from eitskin.messaging.streams.envelope import NAMES, PIECE, TOPICS, BodyJoiner, asked_for, opened, packed
 
 RNG = np.random.default_rng(5)
 
@@ -17,8 +17,8 @@ RNG = np.random.default_rng(5)
 def test_a_body_comes_out_as_it_went_in(name, size):
     body = RNG.bytes(size)
     messages = packed(name, 2**40, "abcd0123", body)
-    joiner = Joiner()
-    whole = [joiner.take(opened(message)) for message in messages]
+    joiner = BodyJoiner()
+    whole = [joiner.add(opened(message)) for message in messages]
     assert whole[:-1] == [None] * (len(messages) - 1)
     assert whole[-1] == body
     assert joiner.broken == 0
@@ -50,17 +50,17 @@ def test_streams_begin_like_neither_frames_nor_touches():
 @pytest.mark.parametrize("order", [(1, 2), (0, 2), (0, 0, 1, 2), (2, 1, 0), (0, 1, 0, 1, 2)])
 def test_parts_that_do_not_come_one_after_the_other_are_no_body(order):
     messages = packed("cloud", 3, "r", b"y" * (2 * PIECE + 5))
-    joiner = Joiner()
-    found = [joiner.take(opened(messages[part])) for part in order]
+    joiner = BodyJoiner()
+    found = [joiner.add(opened(messages[part])) for part in order]
     whole = b"y" * (2 * PIECE + 5)
     assert found[-1] == (whole if order[-3:] == (0, 1, 2) else None)
 
 
 def test_parts_of_two_numbers_are_not_joined():
     one, other = packed("state", 3, "r", b"1" * (PIECE + 1)), packed("state", 4, "r", b"2" * (PIECE + 1))
-    joiner = Joiner()
-    assert joiner.take(opened(one[0])) is None
-    assert joiner.take(opened(other[1])) is None
+    joiner = BodyJoiner()
+    assert joiner.add(opened(one[0])) is None
+    assert joiner.add(opened(other[1])) is None
     assert joiner.broken
 
 

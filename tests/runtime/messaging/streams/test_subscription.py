@@ -17,13 +17,13 @@ ITEMS = {"wire": WIRE, "cloud": CLOUD, "conditions": CONDITIONS, "state": STATE}
 
 
 @pytest.fixture
-def desk(publisher):
+def sending(publisher):
     publisher.streams.run = "r"
     return publisher.streams
 
 
-def asked(desk):
-    return {name for name in NAMES if getattr(desk, name)}
+def asked(sending):
+    return {name for name in NAMES if getattr(sending, name)}
 
 
 def wait_until_asked(publisher, names):
@@ -40,69 +40,69 @@ def wait_until_asked(publisher, names):
         ({"conditions": False, "state": False}, ("wire", "cloud")),
     ],
 )
-def test_what_is_asked_for_comes_and_nothing_else(publisher, desk, wishes, names):
-    assert not desk.asked
+def test_what_is_asked_for_comes_and_nothing_else(publisher, sending, wishes, names):
+    assert not sending.asked
     with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60, **wishes) as streams:
         wait_until_asked(publisher, names)
-        assert desk.asked
-        assert desk.joined
+        assert sending.asked
+        assert sending.joined
         assert not publisher.wanted
         for name in NAMES:
-            desk.send(name, ITEMS[name].body())
+            sending.send(name, ITEMS[name].body())
         found = [next(streams) for _ in names]
         assert {type(item) for item in found} == {type(ITEMS[name]) for name in names}
         assert {(item.n, item.run) for item in found} == {(1, "r")}
         assert all(item.received_ns > 0 for item in found)
-        desk.send(names[0], ITEMS[names[0]].body())
+        sending.send(names[0], ITEMS[names[0]].body())
         assert next(streams).n == 2
         assert streams.received == len(names) + 1
-    wait_for(publisher, lambda: not desk.asked)
+    wait_for(publisher, lambda: not sending.asked)
 
 
-def test_a_gap_in_thenumbers_is_counted_and_a_new_run_is_none(publisher, desk):
+def test_a_gap_in_thenumbers_is_counted_and_a_new_run_is_none(publisher, sending):
     with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60, clouds=False, state=False) as streams:
         wait_until_asked(publisher, ("wire", "conditions"))
         for number in (1, 2, 5, 6):
-            desk.numbers["wire"] = number - 1
-            desk.send("wire", WIRE.body())
+            sending.numbers["wire"] = number - 1
+            sending.send("wire", WIRE.body())
         assert [next(streams).n for _ in range(4)] == [1, 2, 5, 6]
         assert streams.lost["wire"] == 2
-        desk.run, desk.numbers["wire"] = "another", 40
-        desk.send("wire", WIRE.body())
+        sending.run, sending.numbers["wire"] = "another", 40
+        sending.send("wire", WIRE.body())
         assert next(streams).run == "another"
         assert streams.lost["wire"] == 2
 
 
-def test_a_subscriber_that_does_not_read_loses_messages_and_sees_how_many(publisher, desk):
+def test_a_subscriber_that_does_not_read_loses_messages_and_sees_how_many(publisher, sending):
     with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60, clouds=False, state=False) as streams:
         wait_until_asked(publisher, ("wire", "conditions"))
         big = msgpack.packb(msgpack.unpackb(WIRE.body()) | {"filling": bytes(60_000)})
         most = 12_000
         for _ in range(most):
-            desk.send("wire", big)
+            sending.send("wire", big)
         assert publisher.dropped == 0  # the socket takes it, and leaves it out for who is slow
         numbers = []
         while not numbers or numbers[-1] < most:
             try:
                 numbers.append(streams.next_item(1.0).n)
             except NoFrame:
-                desk.send("wire", big)
+                sending.send("wire", big)
                 most += 1
         assert streams.lost["wire"] == numbers[-1] - len(numbers) > 0
 
 
-def test_frames_go_on_and_who_takes_them_gets_nothing_of_a_stream(publisher, desk, packer):
+def test_frames_go_on_and_who_takes_them_gets_nothing_of_a_stream(publisher, sending, packer):
     with (
         eitskin.subscribe(publisher.endpoint, timeout_s=60) as newest,
         eitskin.subscribe(publisher.endpoint, "all", timeout_s=60) as frames,
         eitskin.subscribe_streams(publisher.endpoint, timeout_s=60) as streams,
     ):
-        wait_for(publisher, lambda: publisher.subscribers == 3 and desk.state)
+        wait_for(publisher, lambda: publisher.subscribers == 3 and sending.state)
         for number in range(1, 31):
-            desk.send("wire", WIRE.body())
-            desk.send("cloud", CLOUD.body())
+            sending.send("wire", WIRE.body())
+            sending.send("cloud", CLOUD.body())
             send(publisher, packer, number)
-        assert not desk.first
+        assert not sending.first
         assert [next(frames).number for _ in range(30)] == list(range(1, 31))
         assert frames.lost == frames.rejected == 0
         assert newest.next_frame().number <= 30
@@ -110,7 +110,7 @@ def test_frames_go_on_and_who_takes_them_gets_nothing_of_a_stream(publisher, des
         assert [item.n for item in items[::2]] == list(range(1, 31))
 
 
-def test_one_message_that_is_kept_is_the_frame(publisher, desk, packer):
+def test_one_message_that_is_kept_is_the_frame(publisher, sending, packer):
     context = zmq.Context()
     try:
         socket = context.socket(zmq.SUB)
@@ -118,10 +118,10 @@ def test_one_message_that_is_kept_is_the_frame(publisher, desk, packer):
         socket.subscribe(b"")
         socket.connect(publisher.endpoint)
         with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60) as streams:
-            wait_for(publisher, lambda: publisher.wanted and desk.wire)
-            assert desk.first
+            wait_for(publisher, lambda: publisher.wanted and sending.wire)
+            assert sending.first
             for number in range(1, 11):
-                desk.send("wire", WIRE.body())
+                sending.send("wire", WIRE.body())
                 send(publisher, packer, number)
             for _ in range(10):
                 next(streams)
@@ -136,12 +136,12 @@ def test_one_message_that_is_kept_is_the_frame(publisher, desk, packer):
         context.destroy(0)
 
 
-def test_messages_that_are_none_are_counted_and_left(publisher, desk):
+def test_messages_that_are_none_are_counted_and_left(publisher, sending):
     with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60, clouds=False, state=False) as streams:
         wait_until_asked(publisher, ("wire", "conditions"))
         publisher.send(memoryview(TOPICS["wire"] + b"nonsense"))
-        desk.send("wire", b"\x80")
-        desk.send("wire", WIRE.body())
+        sending.send("wire", b"\x80")
+        sending.send("wire", WIRE.body())
         assert next(streams).payload == WIRE.payload
         assert streams.rejected == 2
 
@@ -161,19 +161,19 @@ def test_all_streams_are_asked_for_at_once(tmp_path):
         context.term()
 
 
-def test_who_comes_later_makes_all_be_told_again(publisher, desk):
+def test_who_comes_later_makes_all_be_told_again(publisher, sending):
     with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60):
         wait_until_asked(publisher, NAMES)
-        desk.joined = False
+        sending.joined = False
         with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60):
-            wait_for(publisher, lambda: desk.joined)
+            wait_for(publisher, lambda: sending.joined)
 
 
-def test_who_subscribes_to_frames_asks_for_no_stream(publisher, desk):
+def test_who_subscribes_to_frames_asks_for_no_stream(publisher, sending):
     with eitskin.subscribe(publisher.endpoint, timeout_s=60, touches=True):
         wait_for(publisher, lambda: publisher.wanted)
-        assert not desk.asked
-        assert not desk.joined
+        assert not sending.asked
+        assert not sending.joined
 
 
 def test_nobody_there_is_said_in_time(tmp_path):

@@ -6,8 +6,17 @@ import msgpack
 import pytest
 
 from eitskin.errors import FrameError
-from eitskin.messaging.verified.message import FIRST_BYTE, TOPIC, asked_for, head, rest, unpack_verified
-from eitskin.messaging.verified.touch import ADDED, UNKNOWABLE, VerifiedTouch
+from eitskin.messaging.streams.verified import (
+    ADDED,
+    FIRST_BYTE,
+    TOPIC,
+    UNKNOWABLE,
+    VerifiedTouch,
+    asked_for,
+    head,
+    rest,
+    unpack_verified,
+)
 from eitskin_tools.verifier.letters import LARGEST_PACKET, verdict_answer
 
 TOUCH = VerifiedTouch(
@@ -77,14 +86,20 @@ def test_its_first_bytes_are_constant_and_select_it():
 
 
 @pytest.mark.parametrize("name", sorted(msgpack.unpackb(MESSAGE)))
-@pytest.mark.parametrize("value", ["x" * 999, -1, [1], {"a": 1}, b"x", float("nan")])
+@pytest.mark.parametrize("value", ["x" * 999, [1], {"a": 1}, b"x", float("nan")])
 def test_a_field_of_another_kind_is_refused(name, value):
     with pytest.raises(FrameError):
         unpack_verified(altered(**{name: value}))
 
 
+@pytest.mark.parametrize("name", ["seq", "verified", "device_us", "cloud", "degrees_of_freedom"])
+def test_a_count_below_zero_is_refused(name):
+    with pytest.raises(FrameError, match=name):
+        unpack_verified(altered(**{name: -1}))
+
+
 @pytest.mark.parametrize("name", sorted(dataclasses.asdict(TOUCH)))
-@pytest.mark.parametrize("value", ["x", -1, [1.0], [1.0, 2.0, 3.0, 4.0], float("inf"), {"a": 1}])
+@pytest.mark.parametrize("value", ["x", True, [1.0], [1.0, 2.0, 3.0, 4.0], float("inf"), {"a": 1}])
 def test_a_touch_with_a_field_of_another_kind_is_refused(name, value):
     with pytest.raises(FrameError):
         unpack_verified(altered(touches=[{**dataclasses.asdict(TOUCH), name: value}]))

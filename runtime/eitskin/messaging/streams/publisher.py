@@ -1,14 +1,15 @@
-"""Where streams are handed in at a publisher: what is asked for, the number of each message, and the way out.
+"""Streams on their way to a publisher: what is asked for, the number of each message, and who makes the bodies.
 
 Nobody packs anything for a stream that nobody asks for; whether somebody does is a look at an attribute.
 """
 
 from collections.abc import Callable, Collection
+from typing import Final, Protocol
 
 from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, FIRST_BYTE, NAMES, STATE, WIRE, asked_for, packed
 
 
-class StreamDesk:
+class StreamPublisher:
     """Sends the messages of streams.
 
     Args:
@@ -30,7 +31,7 @@ class StreamDesk:
         self.joined = False
         """Somebody came since this was last set to False: what is only told when it changes must be told again."""
 
-    def judge(self, topics: Collection[bytes]) -> None:
+    def set_topics(self, topics: Collection[bytes]) -> None:
         """Take note of what is subscribed to."""
         streams = [topic for topic in topics if topic[:1] == FIRST_BYTE]
         self.first = b"" in topics
@@ -46,3 +47,52 @@ class StreamDesk:
         self.numbers[name] = number = self.numbers[name] + 1
         for message in packed(name, number, self.run, body):
             self._send(message)
+
+
+class StreamFeed(Protocol):
+    """Makes the bodies of streams, and hands them to a publisher. It is only called while somebody asks for them."""
+
+    def begin(self, streams: StreamPublisher) -> None:
+        """Send to this publisher from now on."""
+
+    def frame(self, payload: bytes, number: int | None) -> None:
+        """Send the frame in hand, which is computed, and published with this number, if with any."""
+
+    def withheld(self, payload: bytes, read_ns: int) -> None:
+        """Send a frame that was withheld just now."""
+
+
+class NullFeed:
+    """Sends nothing."""
+
+    def begin(self, streams: StreamPublisher) -> None:
+        """Send nothing."""
+
+    def frame(self, payload: bytes, number: int | None) -> None:
+        """Send nothing."""
+
+    def withheld(self, payload: bytes, read_ns: int) -> None:
+        """Send nothing."""
+
+
+def _discard(message: bytes) -> None:
+    """Send nothing."""
+
+
+_NOBODY: Final = StreamPublisher(_discard), NullFeed()
+
+
+def begin(feed: StreamFeed | None, publisher: object, run: str) -> tuple[StreamPublisher, StreamFeed]:
+    """Return a publisher of streams and what feeds it; one that is never asked where there is none of them.
+
+    Args:
+        feed: Of what was measured.
+        publisher: Of frames; it may have ``streams``.
+        run: Differs after each start of the runtime.
+    """
+    streams = getattr(publisher, "streams", None)
+    if feed is None or not isinstance(streams, StreamPublisher):
+        return _NOBODY
+    streams.run = run
+    feed.begin(streams)
+    return streams, feed

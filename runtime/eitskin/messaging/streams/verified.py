@@ -11,15 +11,16 @@ reason. A subscriber trusts neither.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Final
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Any, Final, Self
 
 import msgpack  # type: ignore[import-untyped]
 
 from eitskin.errors import FrameError
 from eitskin.messaging.frame import Frame
-from eitskin.messaging.streams.fields import Fields
-from eitskin.messaging.verified.touch import VerifiedTouch
+from eitskin.messaging.unpacking import fields_of, require
+from eitskin_proto.fields import Fields
 
 VERSION: Final = 4
 """Of the message; a frame has 1, a touch message 2, a stream 3."""
@@ -49,6 +50,106 @@ STAMPS: Final = ("read", "publish", "begin", "end")
 MOST_TOUCHES: Final = 128
 MOST_WHY: Final = 256
 """Characters."""
+
+
+SHAPES: Final = ("unit", "rectangle", "ellipse")
+"""Of touches."""
+
+PAIRS: Final = ("centre_mm", "centre_error_mm", "size_mm", "size_error_mm", "area_range_mm2", "contrast_range")
+THREES: Final = ("place_mm", "normal")
+NUMBERS: Final = (
+    "angle_rad", "area_mm2", "area_error_mm2", "contrast", "strength_mm2", "strength_error_mm2", "border_mm",
+    "angle_error_rad", "size_contrast_correlation",
+)  # fmt: skip
+ADDED: Final = ("angle_error_rad", "area_range_mm2", "contrast_range", "size_contrast_correlation")
+"""Left out of a message where they are not told, and by releases that did not know them."""
+
+UNKNOWABLE: Final = ("centre_error_mm", "size_error_mm", "area_error_mm2", "strength_error_mm2", *ADDED)
+"""None where a verifier does not tell them."""
+
+
+@dataclass(frozen=True, slots=True)
+class VerifiedTouch:
+    """One touch of a verified frame.
+
+    Attributes:
+        shape: ``unit``: a touch unit of the sheet, as bundle ``units`` knows them; ``rectangle`` or ``ellipse``.
+        unit: Number of the unit, row by row; None for other shapes.
+        centre_mm: x and y on the flat sheet.
+        centre_error_mm: Its standard errors; None for a unit, which is where it is.
+        size_mm: Length and width.
+        size_error_mm: Their standard errors; None for a unit.
+        angle_rad: Of the length against x, towards y; from 0 to below pi.
+        area_mm2: On the flat sheet.
+        area_error_mm2: Its standard error; None for a unit.
+        contrast: Conductivity over the untouched sheet's.
+        strength_mm2: Logarithm of the contrast times the area; below 0 where a press lowers conductance.
+        strength_error_mm2: Its standard error; None for a unit: its area is known, and its contrast is the usual one
+            unless another explains the frame far better, so a fit has no error to tell.
+        border_mm: Width of the graded border; 0 is sharp.
+        place_mm: x, y and z of the centre on the surface in use, in the pose in which its cloud was given.
+        normal: The unit vector in which the surface faces there; zeros where it has no direction.
+        angle_error_rad: Standard error of the angle; None for a unit, and where the angle was not fitted.
+        area_range_mm2: How far the area may go, the contrast going along; None for a unit. A small touch of high
+            contrast and a larger one of lower contrast read nearly alike.
+        contrast_range: How far the contrast may go, the area going along; None for a unit.
+        size_contrast_correlation: Of the logarithms of both, from -1 to 1: near -1 only their product, the strength, is
+            known; None for a unit.
+    """
+
+    shape: str
+    unit: int | None
+    centre_mm: tuple[float, float]
+    centre_error_mm: tuple[float, float] | None
+    size_mm: tuple[float, float]
+    size_error_mm: tuple[float, float] | None
+    angle_rad: float
+    area_mm2: float
+    area_error_mm2: float | None
+    contrast: float
+    strength_mm2: float
+    strength_error_mm2: float | None
+    border_mm: float
+    place_mm: tuple[float, float, float]
+    normal: tuple[float, float, float]
+    angle_error_rad: float | None = None
+    area_range_mm2: tuple[float, float] | None = None
+    contrast_range: tuple[float, float] | None = None
+    size_contrast_correlation: float | None = None
+
+    def fields(self) -> dict[str, Any]:
+        """Return the touch as a message's map."""
+        return {name: value for name, value in asdict(self).items() if value is not None or name not in ADDED}
+
+    def __str__(self) -> str:
+        """Return it in a line, for people."""
+        x, y = self.centre_mm
+        which = self.shape if self.unit is None else f"unit {self.unit}"
+        off = "" if self.centre_error_mm is None else f" +- {max(self.centre_error_mm):.2f}"
+        length, width = self.size_mm
+        area = "" if self.area_range_mm2 is None else "area {:.0f} to {:.0f} mm2, ".format(*self.area_range_mm2)
+        error = "" if self.strength_error_mm2 is None else f" +- {self.strength_error_mm2:.0f}"
+        return (
+            f"{which} at x {x:.1f}, y {y:.1f}{off} mm, {length:.1f} x {width:.1f} mm, {area}"
+            f"contrast {self.contrast:.3g}, strength {self.strength_mm2:.0f}{error} mm2"
+        )
+
+    @classmethod
+    def of(cls, fields: Fields) -> Self:
+        """Return the touch of a message's map.
+
+        Raises:
+            FrameError: It is malformed.
+        """
+        found: dict[str, Any] = {"unit": None if _unknown(fields, "unit") else fields.whole("unit")}
+        for names, read in ((PAIRS, partial(fields.numbers, count=2)), (THREES, partial(fields.numbers, count=3)),
+                            (NUMBERS, fields.number)):  # fmt: skip
+            found |= {name: None if name in UNKNOWABLE and _unknown(fields, name) else read(name) for name in names}
+        return cls(shape=fields.choice("shape", SHAPES), **found)
+
+
+def _unknown(fields: Fields, name: str) -> bool:
+    return name not in fields or fields.is_nil(name)
 
 
 def asked_for(topic: bytes) -> bool:
@@ -172,39 +273,38 @@ def unpack_verified(message: bytes, received_ns: int = 0) -> VerifiedFrame:
     Raises:
         FrameError: It is no verified message, or one of another version.
     """
-    fields = Fields(NAME, message)
-    if (found := fields.count("v")) != VERSION:
-        raise FrameError(f"verified version: found {found}, expected {VERSION}; use the runtime's release")
-    state = fields.text("state")
-    if state not in STATES:
-        raise fields.wrong("state", f"one of {', '.join(STATES)}")
+    fields = fields_of(message, NAME)
+    if (found := fields.value("v")) != VERSION:
+        raise FrameError(f"verified version: found {str(found)[:20]}, expected {VERSION}; use the runtime's release")
+    state = fields.choice("state", STATES)
     verdict: dict[str, Any] = dict.fromkeys(("touches", "chi_squared", "degrees_of_freedom", "p_value", "flagged"))
     if not fields.is_nil("p_value"):
-        touches = tuple(map(VerifiedTouch.of, fields.items("touches", MOST_TOUCHES)))
-        p_value = fields.number("p_value")
-        if not 0.0 <= p_value <= 1.0:
-            raise fields.wrong("p_value", "0 to 1")
+        require(fields, "touches")
+        touches = fields.entries("touches", most=MOST_TOUCHES, of="touches")
         verdict = {
-            "touches": touches, "chi_squared": fields.number("chi_squared"), "p_value": p_value,
-            "degrees_of_freedom": fields.count("degrees_of_freedom"), "flagged": fields.truth("flagged"),
+            "touches": tuple(VerifiedTouch.of(_touch(touches, place)) for place in touches),
+            "chi_squared": fields.number("chi_squared"), "p_value": fields.number("p_value", low=0.0, high=1.0),
+            "degrees_of_freedom": fields.whole("degrees_of_freedom"), "flagged": fields.truth("flagged"),
         }  # fmt: skip
     return VerifiedFrame(
-        sequence=fields.count("seq"),
+        sequence=fields.whole("seq"),
         state=state,
-        why=fields.text("why"),
-        cloud=fields.count("cloud"),
+        why=fields.text("why", least=0),
+        cloud=fields.whole("cloud"),
         counts=_counts(fields, "counts", COUNTS),
         host_ns=_counts(fields, "host_ns", STAMPS),
-        device_us=fields.count("device_us"),
-        number=fields.count(NAME),
+        device_us=fields.whole("device_us"),
+        number=fields.whole(NAME),
         run=fields.text("run"),
         received_ns=received_ns,
         **verdict,
     )
 
 
+def _touch(touches: Fields, place: int) -> Fields:
+    return Fields(touches.value(place), f"verified touch {place}", error=FrameError, joint=", ")
+
+
 def _counts(fields: Fields, name: str, keys: tuple[str, ...]) -> dict[str, int]:
-    found = fields.plain(name)
-    if not all(type(found.get(key)) is int and found[key] >= 0 for key in keys):
-        raise fields.wrong(name, f"counts of {', '.join(keys)}")
-    return {key: found[key] for key in keys}
+    found = fields.table(name)
+    return {key: found.whole(key) for key in keys}

@@ -1,1 +1,0 @@
-"""What came in a message, checked before it is believed."""

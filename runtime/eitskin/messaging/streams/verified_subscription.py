@@ -1,0 +1,111 @@
+"""``for found in eitskin.subscribe_verified(): ...``: what physics says of frames, each with the frame that it is of.
+
+The fast frame comes first and waits here for its verdict, which has its ``sequence``. What is yielded has a verdict, or
+says why there is none: the verifier is not ready, or ended. Such a message comes at each change and every second, so
+that nobody takes silence for agreement.
+"""
+
+from collections import OrderedDict
+from typing import Final
+
+from eitskin.messaging.curve_keys import ClientKeys
+from eitskin.messaging.frame import FIRST_BYTE as FRAME_BYTE
+from eitskin.messaging.frame import Frame, unpack_frame
+from eitskin.messaging.regions import ALWAYS, WHOLE
+from eitskin.messaging.streams.verified import FIRST_BYTE, TOPIC, VerifiedFrame, unpack_verified
+from eitskin.messaging.subscriber import Subscriber
+
+QUEUE: Final = 2000
+"""Messages that wait on this side."""
+
+REMEMBERED: Final = 512
+"""Frames that wait for their verdict: 2.5 s at 200 frames/s, 3 MB."""
+
+START: Final = "start it as 'eitskin run --verify always'"
+"""What to do where nobody verifies."""
+
+
+class VerifiedSubscription(Subscriber[VerifiedFrame]):
+    """An open subscription to what physics says of a runtime's frames; iterate it, leave it with ``close``.
+
+    The runtime verifies frames where it was started with ``eitskin run --verify always`` or ``idle``.
+
+    Args:
+        endpoint: Where the runtime publishes: ``ipc:///path`` or ``tcp://address:port``; None takes the one on which
+            ``eitskin run`` publishes unless told otherwise.
+        mode: ``latest`` for a control loop, ``all`` for a recorder.
+        frames: Whether each has its ``frame``, map included; False for verdicts alone, a tenth of the bytes.
+        timeout_s: How long to wait for a message before :class:`eitskin.NoFrame`; one comes every second at least,
+            while frames come. None waits 5 s for the first, and then for ever; ``math.inf`` waits for ever from the
+            start.
+        keys: CURVE keys, which TCP needs.
+
+    Raises:
+        ValueError: The time is not positive, or the mode does not exist.
+        EndpointError: ZeroMQ cannot make sense of the endpoint, or it is TCP and there are no keys, or there is no
+            folder for the default one.
+    """
+
+    def __init__(
+        self,
+        endpoint: str | None = None,
+        mode: str = "latest",
+        *,
+        frames: bool = True,
+        timeout_s: float | None = None,
+        keys: ClientKeys | None = None,
+    ) -> None:
+        self.lost = 0
+        """Messages that were sent but did not come, because this side was too slow."""
+        self._frames: OrderedDict[tuple[str, int], Frame] = OrderedDict()
+        self._seen = ("", 0)
+        topics = [WHOLE, ALWAYS, FRAME_BYTE, TOPIC] if frames else [TOPIC]
+        super().__init__(
+            endpoint, topics, QUEUE, mode=mode, timeout_s=timeout_s, keys=keys, nothing="no verified frame"
+        )
+
+    def next_verified(self, timeout_s: float | None = None) -> VerifiedFrame:
+        """Return the next verdict, or how the verifier is, waiting for it.
+
+        Args:
+            timeout_s: How long, this time; None as the subscription was told.
+
+        Raises:
+            NoFrame: None came in time; the text says whether anybody is there, and what to do.
+        """
+        return self._next(timeout_s)
+
+    def __next__(self) -> VerifiedFrame:
+        return self._next()
+
+    def _why(self, waited_s: float) -> str:
+        if self._frames and not self.received:
+            return f"frames come, but nobody verifies them; {START}"
+        likely = "" if self.received else f"nobody verifies its frames ({START})"
+        return self.silence(waited_s, "verdict", likely)
+
+    def _item(self, message: bytes) -> VerifiedFrame | None:
+        if message[:1] == FRAME_BYTE:  # it is kept for its verdict
+            frame = unpack_frame(message, self._heard_ns)
+            self._frames[frame.run, frame.sequence] = frame
+            while len(self._frames) > REMEMBERED:
+                self._frames.popitem(last=False)
+            return None
+        if message[:1] != FIRST_BYTE:
+            return None  # a topic of somebody else's that begins alike
+        found = unpack_verified(message, self._heard_ns)
+        run, number = self._seen
+        if found.run == run and found.number > number + 1:
+            self.lost += found.number - number - 1
+        self._seen = found.run, found.number
+        return found.of_frame(self._frames.get((found.run, found.sequence)))
+
+    def _newer(self, before: VerifiedFrame | None, found: VerifiedFrame | None) -> VerifiedFrame | None:
+        """A verdict is worth more than how the verifier is, which comes again."""
+        if found is None or (before is not None and before.verified and not found.verified):
+            return before
+        return found
+
+
+subscribe_verified = VerifiedSubscription
+"""Opens a subscription to what physics says of a runtime's frames, to be iterated."""

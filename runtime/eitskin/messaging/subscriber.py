@@ -1,0 +1,255 @@
+"""What all subscriptions have in common: a socket that is connected, connected anew and given back, and the next item.
+
+libzmq connects again by itself when the other side ended a connection, but never when it ended one itself: after a
+message beyond all bounds, or something that is no ZMTP, such as another program on the port. So whoever waits looks
+after its connection: nobody waits longer than ``LONGEST_WAIT_MS`` at a time.
+"""
+
+import math
+import os
+import stat
+import time
+from collections.abc import Iterable
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Final, Generic, Self, TypeVar
+
+import zmq
+
+from eitskin.errors import EndpointError, FrameError, NoFrame
+from eitskin.messaging.curve_keys import ClientKeys
+from eitskin.messaging.endpoints import check_client_keys, default_publish
+from eitskin.messaging.reachability import explain_silence
+
+Connection = tuple[int, int]
+"""A connection as long as it lives: its descriptor and its inode. A number that is used again has another inode."""
+
+_POLLIN: Final = int(zmq.POLLIN)
+
+MODES: Final = ("latest", "all")
+
+FIRST_S: Final = 5.0
+"""How long the first message may take where no time was named; a runtime that is there sends one within 0.1 s."""
+
+LARGEST_TAKEN: Final = 73728
+"""Bytes of a message that is still looked at; whoever sends a larger one is left: memory is bounded."""
+
+PATIENCE_S: Final = 1.0
+"""Silence after which it is looked whether the connection still lives; twice as long each time that did not help."""
+
+MOST_PATIENCE_S: Final = 16.0
+LONGEST_WAIT_MS: Final = 1000
+"""How long the socket waits at a time."""
+
+Item = TypeVar("Item")
+"""What a subscription yields."""
+
+
+class Subscriber(Generic[Item]):
+    """A connected socket that yields items; leave it with ``close`` or as a context manager.
+
+    A subclass says what a message holds (:meth:`_item`).
+
+    Args:
+        endpoint: ``ipc:///path`` or ``tcp://address:port``; None takes the one of ``eitskin run``.
+        topics: To subscribe to, in this order.
+        queue: Messages that wait on this side at most.
+        mode: ``all``, or ``latest`` to leave older messages alone where newer ones wait.
+        conflate: In mode ``latest`` libzmq keeps one message only; it does not go with more than one topic.
+        timeout_s: How long to wait for an item; None waits 5 s for the first and then for ever.
+        keys: CURVE keys, which TCP needs.
+        nothing: What did not come, for people.
+
+    Raises:
+        ValueError: The time is not positive, or the mode does not exist.
+        EndpointError: ZeroMQ cannot make sense of the endpoint, or it is TCP and there are no keys, or there is no
+            folder for the default one.
+    """
+
+    def __init__(
+        self,
+        endpoint: str | None,
+        topics: Iterable[bytes],
+        queue: int,
+        *,
+        mode: str = "all",
+        conflate: bool = False,
+        timeout_s: float | None,
+        keys: ClientKeys | None,
+        nothing: str = "no frame",
+    ) -> None:
+        if mode not in MODES:
+            raise ValueError(f"mode {mode!r} does not exist; expected one of {', '.join(MODES)}")
+        if timeout_s is not None and not timeout_s > 0:
+            raise ValueError(f"timeout_s is {timeout_s}, expected more than 0")
+        self.endpoint = default_publish() if endpoint is None else endpoint
+        check_client_keys(self.endpoint, keys)
+        self.received = 0
+        """Items returned so far."""
+        self.reconnected = 0
+        """How often the connection was made anew because it was gone, or nothing had ever come over it."""
+        self.rejected = 0
+        """Messages that were not what was subscribed to, or were damaged."""
+        self._timeout_s = math.inf if timeout_s is None else timeout_s
+        self._first_s = FIRST_S if timeout_s is None else timeout_s
+        self._nothing = nothing
+        self._newest_only = mode == "latest" and not conflate
+        self._wait_ms = -1
+        """What the socket waits at most, as it was told last. It waits by itself: a ``poll`` would delay frames."""
+        self._unusable: tuple[int, str] = (0, "")
+        """Messages that were rejected since the last one that was taken, and what the last of them was."""
+        self._connection: Connection | None = None
+        """Over which the last message came, as far as it is known; looked at anew after silence."""
+        self._patience_s = PATIENCE_S
+        self._heard_ns = time.perf_counter_ns()
+        """When the last message came."""
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self.socket: Any = self._context.socket(zmq.SUB)
+        """For who waits for several."""
+        self.socket.setsockopt(zmq.LINGER, 0)
+        self.socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_TAKEN)
+        self.socket.setsockopt(zmq.RCVHWM, queue)
+        if mode == "latest" and conflate:
+            self.socket.setsockopt(zmq.CONFLATE, 1)
+        if keys is not None:
+            keys.apply(self.socket)
+        # Before it connects: CONFLATE holds for what is sent as well, and a subscription that is written in the instant
+        # in which libzmq's own thread looks for one is lost without a word (dbuffer.hpp): 4 of 300,000.
+        for topic in topics:
+            self.socket.setsockopt(zmq.SUBSCRIBE, topic)
+        try:
+            self.socket.connect(self.endpoint)
+        except zmq.ZMQError as error:
+            self.close()
+            raise EndpointError(
+                f"{endpoint!r} cannot be connected to: {error.strerror}; expected ipc:///path or tcp://address:port"
+            ) from error
+
+    def _item(self, message: bytes) -> Item | None:
+        """Return what a message holds; None where it is nothing by itself.
+
+        Raises:
+            FrameError: It cannot be used.
+        """
+        raise NotImplementedError
+
+    def _newer(self, before: Item | None, found: Item | None) -> Item | None:
+        """Return which of two is to be returned in mode ``latest``."""
+        return before if found is None else found
+
+    def _why(self, waited_s: float) -> str:
+        """Return why nothing came, and what to do about it."""
+        return self.silence(waited_s)
+
+    def _next(self, timeout_s: float | None = None) -> Item:
+        """Return the next item, waiting for it.
+
+        Raises:
+            NoFrame: None came in time; the text says whether anybody is there, and what to do.
+        """
+        if timeout_s is None:
+            timeout_s = self._timeout_s if self.received else self._first_s
+        left_s = timeout_s
+        end_s = time.perf_counter() + timeout_s
+        while True:
+            wait_ms = max(1, math.ceil(min(1000 * left_s, LONGEST_WAIT_MS)))
+            if wait_ms != self._wait_ms:
+                self._wait_ms = wait_ms
+                self.socket.setsockopt(zmq.RCVTIMEO, wait_ms)
+            try:
+                item = self._taken(self._recv())
+            except zmq.Again:
+                item = None
+                self.check_connection()
+            if item is not None:
+                return item
+            left_s = end_s - time.perf_counter()
+            if left_s <= 0:
+                raise NoFrame(f"{self._nothing} from {self.endpoint} within {timeout_s:g} s: {self._why(timeout_s)}")
+
+    def waiting(self) -> Item | None:
+        """Return the item that waits already; None if there is none."""
+        return self._taken(self._recv()) if self.waits else None
+
+    def _taken(self, message: bytes) -> Item | None:
+        """Return the item of a message, or the newest of all that wait."""
+        item = self._checked(message)
+        while self._newest_only and self.waits:
+            item = self._newer(item, self._checked(self._recv()))
+        self.received += item is not None
+        return item
+
+    def _checked(self, message: bytes) -> Item | None:
+        try:
+            item = self._item(message)
+        except FrameError as error:  # whoever publishes there, it must not end a robot's loop
+            self.rejected += 1
+            self._unusable = self._unusable[0] + 1, str(error)
+            return None
+        if item is not None:
+            self._unusable = 0, ""
+        return item
+
+    @property
+    def waits(self) -> bool:
+        """Whether a message is there already."""
+        return bool(self.socket.getsockopt(zmq.EVENTS) & _POLLIN)
+
+    def silence(self, waited_s: float, what: str = "frame", likely: str = "") -> str:
+        """Return why nothing that was waited for came; arguments as of :func:`explain_silence`."""
+        (count, last), self._unusable = self._unusable, (0, "")
+        if count:
+            return f"what comes ({count} in that time) is no {what} that can be used: {last}"
+        return explain_silence(self.endpoint, waited_s, what, likely)
+
+    def _recv(self) -> bytes:
+        """Receive a message, and keep in mind when it came, and over which connection."""
+        message: bytes = self.socket.recv() if self._connection is not None else self._recv_first()
+        self._heard_ns = time.perf_counter_ns()
+        return message
+
+    def _recv_first(self) -> bytes:
+        message = self.socket.recv(copy=False)
+        with suppress(zmq.ZMQError):  # libzmq does not know
+            self._connection = connection_at(message.get(zmq.SRCFD))
+        self._patience_s = PATIENCE_S
+        return bytes(message.bytes)
+
+    def check_connection(self) -> None:
+        """Connect anew if nothing has come for a while, and the connection was lost for good."""
+        if time.perf_counter_ns() - self._heard_ns < self._patience_s * 1e9:
+            return
+        if self._connection is not None and connection_at(self._connection[0]) == self._connection:
+            return
+        with suppress(zmq.ZMQError):
+            self.socket.disconnect(self.endpoint)
+        self.socket.connect(self.endpoint)
+        self.reconnected += 1
+        self._connection = None
+        self._heard_ns = time.perf_counter_ns()
+        self._patience_s = min(2 * self._patience_s, MOST_PATIENCE_S)
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the socket back; closing twice is fine."""
+        self.socket.close(0)
+        self._context.term()
+
+
+def connection_at(descriptor: int) -> Connection | None:
+    """Return which socket lies at a descriptor now; None if there is none."""
+    try:
+        found = os.fstat(descriptor)
+    except OSError:
+        return None
+    return (descriptor, found.st_ino) if stat.S_ISSOCK(found.st_mode) else None

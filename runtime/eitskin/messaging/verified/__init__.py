@@ -1,1 +1,0 @@
-"""Verdicts of physics on published frames: their message, and who takes them."""
