@@ -77,7 +77,7 @@ class Taker:
 
     def _send(self, message: bytes) -> None:
         found = envelope.opened(message)
-        body = self._joiner.take(found)
+        body = self._joiner.add(found)
         if body is not None:
             self.items.append(STREAMS[found.name].of(body, n=found.number, run=found.run))
 
