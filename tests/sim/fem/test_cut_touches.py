@@ -9,8 +9,8 @@ from eitskin_sim.fem.borders.cut_elements import factorise
 from eitskin_sim.fem.borders.cut_touches import find_cuts
 from eitskin_sim.fem.forward import Factor, System
 from eitskin_sim.freeform.mesh import shared_mesh
-from eitskin_sim.freeform.patterns import touch_pool
 from eitskin_sim.freeform.sheet import _tensors, inverted_sheet, sheet_blocks
+from eitskin_sim.freeform.touches import touch_pool
 from eitskin_sim.scene.bend import metric
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Bend, Sheet

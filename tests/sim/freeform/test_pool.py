@@ -11,13 +11,14 @@ from eitskin_sim.freeform.draws import (
     RESEMBLES,
     Bar,
     SetDrawer,
+    SetPool,
     middles_mm,
     near_table,
     phantom_maps,
+    set_pool,
 )
-from eitskin_sim.freeform.patterns import CLASSES, CONTRAST, LONGEST_MM, touch_pool
-from eitskin_sim.freeform.pool import SetPool, set_pool
 from eitskin_sim.freeform.sets import PartSets, chains
+from eitskin_sim.freeform.touches import CLASSES, CONTRAST, LONGEST_MM, touch_pool
 from eitskin_sim.scene.gap import gap_mm, half_extents_mm
 from eitskin_sim.scene.touch_table import TouchTable, bounds, gather, shape_of
 

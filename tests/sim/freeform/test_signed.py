@@ -7,11 +7,9 @@ import pytest
 
 from eitskin_sim.fem.forward import Factor
 from eitskin_sim.fem.solve import solve_scene
-from eitskin_sim.freeform.patterns import CLASSES, CONTRAST, touch_pool
-from eitskin_sim.freeform.pool import set_pool
-from eitskin_sim.freeform.presses import pool_of
+from eitskin_sim.freeform.draws import set_pool
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet, sheet_blocks
-from eitskin_sim.freeform.touch_kinds import Ranges
+from eitskin_sim.freeform.touches import CLASSES, CONTRAST, Ranges, pool_of, touch_pool
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.gap import half_extents_mm
 from eitskin_sim.scene.parts import Bend, Scene, Touch

@@ -8,9 +8,7 @@ from tests.second_skin import SECOND
 
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.toml import named
-from eitskin_sim.freeform.patterns import CLASSES
-from eitskin_sim.freeform.presses import pool_of
-from eitskin_sim.freeform.touch_kinds import ranges_of
+from eitskin_sim.freeform.touches import CLASSES, pool_of, ranges_of
 from eitskin_sim.scene.gap import half_extents_mm
 from eitskin_sim.scene.touch_table import Array
 

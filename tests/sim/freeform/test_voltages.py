@@ -7,7 +7,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.forward import Factor
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.freeform import parts
-from eitskin_sim.freeform.pool import set_pool
+from eitskin_sim.freeform.draws import set_pool
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet, sheet_blocks
 from eitskin_sim.freeform.voltages import set_responses, set_voltages
 from eitskin_sim.scene.parts import Bend, Scene, Touch

@@ -5,8 +5,7 @@ import pytest
 
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.unit_grid.patterns import paper_touch_sets, squares
-from eitskin_sim.unit_grid.skeleton import unit_system
-from eitskin_sim.unit_grid.unit_mesh import unit_lines
+from eitskin_sim.unit_grid.skeleton import unit_lines, unit_system
 from eitskin_sim.unit_grid.units import UnitGenerator
 
 BEND = Bend(

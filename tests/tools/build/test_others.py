@@ -9,7 +9,7 @@ from tests.export.test_pair import made as tiny_bundle
 
 from eitskin.model.bundle import load_bundle
 from eitskin_export import unfold
-from eitskin_sim.freeform.touch_kinds import WAYS
+from eitskin_sim.freeform.touches import WAYS
 from eitskin_tools.build import making, steps
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build.making import SHARES

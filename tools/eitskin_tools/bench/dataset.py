@@ -22,9 +22,9 @@ from eitskin_sim.dataset.plan import GROUP, VALIDATION, make_plan
 from eitskin_sim.dataset.shards import make_shard, reference, shard_job, unit_contrasts, unit_sets
 from eitskin_sim.fem.forward import Factor
 from eitskin_sim.fem.solve import solve_scene
+from eitskin_sim.freeform.draws import set_pool
 from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh
 from eitskin_sim.freeform.parts import geometry
-from eitskin_sim.freeform.pool import set_pool
 from eitskin_sim.freeform.sheet import inverted_sheet, sheet_blocks
 from eitskin_sim.freeform.voltages import pool_voltages, set_voltages
 from eitskin_sim.scene.family import draw, paper_bends

@@ -10,7 +10,7 @@ from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import parse
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.freeform.touch_kinds import TOUCH_KINDS, WAYS
+from eitskin_sim.freeform.touches import TOUCH_KINDS, WAYS
 
 FORMAT: Final = "eitskin-dataset"
 VERSION: Final = 1

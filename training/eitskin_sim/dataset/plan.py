@@ -24,7 +24,7 @@ from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import named
 from eitskin_sim.devices.draws import check_outline
 from eitskin_sim.freeform.draws import CLUSTERED
-from eitskin_sim.freeform.touch_kinds import TouchKind, ranges_of
+from eitskin_sim.freeform.touches import TouchKind, ranges_of
 from eitskin_sim.scene.family import draw, paper_bends
 from eitskin_sim.scene.nominal import nominal_sheet
 from eitskin_sim.scene.parts import Bend

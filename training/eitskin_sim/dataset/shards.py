@@ -19,13 +19,11 @@ from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.dataset.reader import bend_from_json
 from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.fem.solve import solve_scene
+from eitskin_sim.freeform.draws import SetPool, set_pool
 from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.parts import geometry
-from eitskin_sim.freeform.patterns import CLASSES
-from eitskin_sim.freeform.pool import SetPool, set_pool
-from eitskin_sim.freeform.presses import contrasts_of
 from eitskin_sim.freeform.sheet import inverted_sheet
-from eitskin_sim.freeform.touch_kinds import Ranges, ranges_of
+from eitskin_sim.freeform.touches import CLASSES, Ranges, contrasts_of, ranges_of
 from eitskin_sim.freeform.voltages import pool_responses
 from eitskin_sim.scene.parts import Bend, Scene
 from eitskin_sim.scene.touch_table import TouchTable

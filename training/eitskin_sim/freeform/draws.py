@@ -13,8 +13,12 @@ Touches that lie near to each other are the hardest to tell from one, and are ra
 share of the chains each touch is the nearest of several to the one before. In half of the sets all touches have one
 conductivity. A set whose map may resemble a published phantom's is left out and
 another drawn: its correlation is bounded from above by sums over its touches, whose maps are made once a pool.
+
+A few deformations share a pool of touches. A tenth of it is held out, and so are the sets made of these: no touch of a
+set that is held out occurs in one that is learned from, at any deformation.
 """
 
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import count as count_up
 from typing import Final
@@ -23,10 +27,10 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.skin.grid import Grid
-from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.fem.mesh import Index
-from eitskin_sim.freeform.patterns import CLASSES
 from eitskin_sim.freeform.sets import PartSets
+from eitskin_sim.freeform.touches import CLASSES, pool_of
 from eitskin_sim.scene.gap import gap_mm, half_extents_mm
 from eitskin_sim.scene.published import PHANTOM_RECTS_MM
 from eitskin_sim.scene.touch_table import RECTANGLE, Array, TouchTable, gather
@@ -207,3 +211,66 @@ def phantom_maps(grid: Grid = PAPER.grid) -> Array:
     maps = gather(sets).area_table(grid).toarray()
     maps -= maps.mean(axis=1, keepdims=True)
     return np.asarray(maps / np.linalg.norm(maps, axis=1, keepdims=True))
+
+
+TOUCHES_PER_SET: Final = 0.2
+"""Touches of a pool for each set that a deformation shows; more are more varied, and take longer."""
+
+LEAST: Final = 2 * CLASSES
+"""Touches that a pool has at least."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetPool:
+    """Touches, and the sets of them that deformations show.
+
+    Args:
+        parts: One touch each.
+        sets: By number of the deformation; those held out come last.
+    """
+
+    parts: TouchTable
+    sets: dict[int, PartSets]
+
+    def touches(self, sets: PartSets) -> TouchTable:
+        """Return sets as a table of pieces."""
+        drawn = self.parts.chosen(sets.member)
+        return TouchTable(drawn.pieces, drawn.first[sets.first])
+
+
+def set_pool(
+    counts: dict[int, tuple[int, int]],
+    seed: int,
+    near: float = CLUSTERED,
+    touches: str = "hard",
+    skin: Skin = PAPER,
+) -> SetPool:
+    """Return the pool of some deformations and their touch sets.
+
+    Args:
+        counts: By number of the deformation, how many sets it shows and how many of them are held out.
+        seed: Of the data set.
+        near: Share of the chains of sets whose touches lie near to each other.
+        touches: Which touches, see :mod:`eitskin_sim.freeform.touches`.
+        skin: Of the sheet that they lie on.
+    """
+    first = min(counts)
+    learned = max(total - held for total, held in counts.values())
+    held = max(held for _, held in counts.values())
+    pools = []
+    for kind, size in enumerate((learned, held)):
+        generator = np.random.default_rng([seed, 4, first, kind])
+        many = max(LEAST, round(TOUCHES_PER_SET * size)) if size else 0
+        pools.append(pool_of(touches, many, generator, skin))
+    drawers = [SetDrawer(pool, near, skin.grid) for pool in pools]
+    sets = {}
+    for number, (total, apart) in counts.items():
+        generator = np.random.default_rng([seed, 5, number])
+        own = [drawer.draw(size, generator) for drawer, size in zip(drawers, (total - apart, apart), strict=True)]
+        sets[number] = PartSets(
+            np.concatenate([own[0].member, own[1].member + len(pools[0])]),
+            np.concatenate([own[0].first, own[0].first[-1] + own[1].first[1:]]),
+        )
+    pieces = np.concatenate([pool.pieces for pool in pools])
+    starts = np.concatenate([pools[0].first, pools[0].first[-1] + pools[1].first[1:]])
+    return SetPool(TouchTable(pieces, starts), sets)

@@ -27,7 +27,7 @@ from eitskin_sim.fem.mesh import Index
 from eitskin_sim.freeform.layout import Fronts, Layout, make_layout
 from eitskin_sim.freeform.mesh import SharedMesh, with_contacts, without_middle
 from eitskin_sim.freeform.sheet import InvertedSheet, touched_blocks
-from eitskin_sim.scene.touch_table import Array, TouchTable
+from eitskin_sim.scene.touch_table import Array, TouchTable, gather
 
 BATCH: Final = 32
 """Parts whose geometry is held together: 1 MB."""
@@ -75,6 +75,19 @@ def geometry(parts: TouchTable, grid: SharedMesh) -> list[PartGeometry]:
         layout = make_layout(cuts.of_set, cuts.element, len(which), grid)
         found.append(PartGeometry(cuts, layout, signs_of(parts.chosen(which))))
     return found
+
+
+def joined_geometry(parts: TouchTable, groups: Sequence[tuple[int, ...]], grid: SharedMesh) -> list[PartGeometry]:
+    """Return what groups of parts, each one part, do to a mesh's elements, in batches.
+
+    Args:
+        parts: The parts that groups are made of.
+        groups: Numbers of parts.
+        grid: The mesh.
+    """
+    if not groups:
+        return []
+    return geometry(gather([np.concatenate([parts.of(part) for part in group]) for group in groups]), grid)
 
 
 def signs_of(touches: TouchTable) -> npt.NDArray[np.int8]:

@@ -9,26 +9,23 @@ Parts (:mod:`eitskin_sim.freeform.parts`) are condensed one by one; a touch set 
 so a part that several sets have is condensed once, and parts that share an element are one part. The factor of a set
 holds those of the sets that end a part earlier: the rows of electrodes in the columns of the first parts, E, lower the
 electrodes' potentials by E E^T, so a chain of sets, each the one before and a part more, costs one factor. Parts that
-conduct worse than the sheet have -1 for 1 in the diagonal and raise the potentials: where all of a chain do, the matrix
-without the electrodes is negated; where some do, it is factorised part by part. Against a
-factorisation a sample on the same mesh the voltages agree to 1e-11. Against finer meshes a set's change of voltage is
-off by 0.9 % (median). Two touches that leave less than an element between them conduct nearly as if they met: dV is a
-tenth off at gaps of 1 and 2 mm, 2 % from 3.5 mm on.
+conduct worse than the sheet have -1 for 1 in the diagonal and raise the potentials, so the matrix is factorised part by
+part. Against a factorisation a sample on the same mesh the voltages agree to 1e-11. Against finer meshes a set's change
+of voltage is off by 0.9 % (median). Two touches that leave less than an element between them conduct nearly as if they
+met: dV is a tenth off at gaps of 1 and 2 mm, 2 % from 3.5 mm on.
 """
 
 from collections.abc import Sequence
 from itertools import accumulate, pairwise
-from typing import Final
 
 import numpy as np
 from scipy.linalg import blas, lapack
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_sim.freeform.joined import joined_geometry
+from eitskin_sim.freeform.draws import SetPool
 from eitskin_sim.freeform.mesh import ELEMENT_MM, SharedMesh, shared_mesh
-from eitskin_sim.freeform.parts import CondensedPart, PartGeometry, between, condense, geometry
-from eitskin_sim.freeform.pool import SetPool
+from eitskin_sim.freeform.parts import CondensedPart, PartGeometry, between, condense, geometry, joined_geometry
 from eitskin_sim.freeform.sets import PartSets, chains, merged
 from eitskin_sim.freeform.sheet import InvertedSheet
 from eitskin_sim.scene.parts import Electrodes
@@ -67,7 +64,7 @@ def set_responses(
     alone = TouchTable(touches.pieces, np.arange(len(touches.pieces) + 1))
     batches = geometry(alone, grid)
     groups, sets = merged(alone, batches, PartSets(np.arange(len(alone)), touches.first), grid)
-    batches += joined_geometry(alone, batches, groups, grid)
+    batches += joined_geometry(alone, groups, grid)
     return np.array([put_together(sheet, condense(sheet, batches), sets) for sheet in sheets])
 
 
@@ -91,18 +88,16 @@ def pool_responses(
         deformation: Its number.
     """
     groups, sets = merged(pool.parts, batches, pool.sets[deformation], grid)
-    joined = joined_geometry(pool.parts, batches, groups, grid)
+    joined = joined_geometry(pool.parts, groups, grid)
     return put_together(sheet, condense(sheet, [*batches, *joined]), sets)
 
 
 def put_together(sheet: InvertedSheet, parts: Sequence[CondensedPart], sets: PartSets) -> Array:
     """Return the (s, 16, 16) potentials of electrodes, V for 1 A into each, under sets of parts at one deformation."""
     response = np.empty((len(sets), N_ELECTRODES, N_ELECTRODES))
-    own = chains(sets)
-    members = [[parts[part] for part in sets.of(chain[-1])] for chain in own]
-    room = np.empty(max((_room(some) for some in members), default=0))
-    for chain, some in zip(own, members, strict=True):
-        falls = iter(_falls(sheet, some, room))
+    for chain in chains(sets):
+        some = [parts[part] for part in sets.of(chain[-1])]
+        falls = iter(_falls(sheet, some))
         left, count = sheet.at_terminals, 0
         for number in chain:
             while count < sets.first[number + 1] - sets.first[number]:
@@ -116,74 +111,15 @@ def put_together(sheet: InvertedSheet, parts: Sequence[CondensedPart], sets: Par
     return response
 
 
-def _room(parts: list[CondensedPart]) -> int:
-    """Return how many numbers :func:`_falls` works on."""
-    side = sum(len(part.load) for part in parts[1:]) + N_ELECTRODES
-    return side * (side + len(parts[0].load)) if parts else 0
-
-
-def _falls(sheet: InvertedSheet, parts: list[CondensedPart], room: Array) -> list[Array]:
+def _falls(sheet: InvertedSheet, parts: list[CondensedPart]) -> list[Array]:
     """Return the (r, 16) E of each part, by whose square it lowers the electrodes' potentials after those before it.
 
-    A part alone has 1 in the diagonal, so the first part is eliminated by one product. Columns that conduct worse than
-    the sheet raise the potentials by their square.
-
-    Args:
-        sheet: The deformation.
-        parts: Of a chain.
-        room: Numbers to work on, used again and again: new memory takes as long as the work.
+    Columns that conduct worse than the sheet raise the potentials by their square. The matrix is R^T J R with R
+    upper triangular by blocks of one sign: a block's own square less what those before it left is J times a
+    positive one, because the sheet stays a conductor however many blocks it has.
     """
     if len(parts) < 2:
         return [part.load for part in parts]
-    better, worse = (any(side) for side in zip(*(_sides(part) for part in parts), strict=True))
-    if better and worse:
-        return _signed_falls(sheet, parts)
-    rest = parts[1:]
-    first = list(accumulate((len(part.load) for part in rest), initial=0))
-    where = list(accumulate((len(part.dofs) for part in rest), initial=0))
-    dofs = np.concatenate([part.dofs for part in rest])
-    head, size = len(parts[0].load), first[-1]
-    side = size + N_ELECTRODES
-    panel = room[: head * side].reshape(head, side)
-    upper = room[head * side : (head + side) * side].reshape(side, side)
-    for column, part in enumerate(parts):
-        into = panel
-        if column:
-            own = slice(first[column - 1], first[column])
-            into = upper[own]
-            into[:, own] = 0.0
-        into[:, size:] = part.load
-        if column == len(rest):
-            break
-        seen = (between(sheet.inverse, dofs[where[column] :], part.dofs) @ part.factor).T
-        if worse:
-            seen *= -1.0
-        for row in range(column, len(rest)):
-            their = seen[:, where[row] - where[column] : where[row + 1] - where[column]]
-            np.matmul(their, rest[row].factor, out=into[:, first[row] : first[row + 1]])
-    upper.reshape(-1)[: size * side : side + 1] = 1.0
-    upper[size:, size:] = np.diag(np.full(N_ELECTRODES, BEYOND)) if worse else sheet.at_terminals
-    left = blas.dsyrk(-1.0, panel.T, beta=1.0, c=upper.T, lower=1, overwrite_c=1)
-    factor, _ = lapack.dpotrf(left, lower=1, overwrite_a=1, clean=0)  # to clean the upper half takes a third more
-    falls = factor.T[:, size:]
-    return [parts[0].load, *(falls[start:stop] for start, stop in pairwise(first))]
-
-
-BEYOND: Final = 1e12
-"""Ohm in place of the electrodes' potentials where these rise: what is left is not wanted, but must have a root."""
-
-
-def _sides(part: CondensedPart) -> tuple[bool, bool]:
-    """Return whether some of a part conducts better than the sheet, and whether some conducts worse."""
-    return part.positive > 0, part.positive < len(part.load)
-
-
-def _signed_falls(sheet: InvertedSheet, parts: list[CondensedPart]) -> list[Array]:
-    """Return what :func:`_falls` does, of a chain with columns of both signs.
-
-    The matrix is R^T J R with R upper triangular by blocks of one sign: a block's own square less what those before it
-    left is J times a positive one, because the sheet stays a conductor however many blocks it has.
-    """
     first = list(accumulate((len(part.load) for part in parts), initial=0))
     size = first[-1]
     whole = np.zeros((size, size + N_ELECTRODES))

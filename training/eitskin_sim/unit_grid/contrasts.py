@@ -6,7 +6,8 @@ A unit without a contact has S_u(sigma) = sigma S_u(1), so that one factor L_u, 
     s_i = sqrt( |c - 1| / (1 + (c - 1) lambda_i) ),      0 < lambda < 1
 
 Under a contact D_u(c) = L_u T L_u^T with a T of its own for each contrast, and a small matrix Y takes the place of s. A
-set is then the matrix of :mod:`eitskin_sim.unit_grid.units` with J = 1 or -1 for 1, units that conduct better first:
+set is then, by Woodbury's identity, with H_uv = L_u^T G L_v, W = L^T G_E and J = 1 or -1, units that conduct better
+first ::
 
     [ J_u s_u s_v H_uv   s W  ]      a Cholesky factor of the part of 1, then one of what is left of the part of -1,
     [ .                  G_EE ]      negated, which is positive since the sheet stays a conductor
@@ -27,11 +28,7 @@ from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.fem.forward import System
 from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.scene.parts import LEAST_LOG_CONTRAST
-from eitskin_sim.unit_grid.skeleton import Condensed, condense_at, square_root
-from eitskin_sim.unit_grid.unit_mesh import UnitMesh
-
-BATCH_BYTES: Final = 2e6
-"""Size of the matrices that are gathered at once: they stay in the cache."""
+from eitskin_sim.unit_grid.skeleton import Condensed, UnitMesh, condense_at, square_root
 
 TOGETHER: Final = 16
 """Units whose potentials are held together while pairs are made: 11 MB."""
@@ -40,7 +37,7 @@ BEYOND: Final = 1e12
 """Ohm in place of the electrodes' potentials: what is left of them is not wanted, but must have a root."""
 
 MOST: Final = 10
-"""Sets of more units are solved as they stand: no richer set has more."""
+"""Sets of more units are solved as they stand, or condensed onto their outline: no richer set has more."""
 
 
 class ContrastUnits:
@@ -122,11 +119,6 @@ def check_contrasts(contrast: Array) -> None:
             f"a touched unit has a contrast of {contrast[even][0]:g}; it must be above 0 and differ from 1, or the "
             "touch changes nothing"
         )
-
-
-def at_once(size: int) -> int:
-    """Return how many matrices (size, size) are gathered at once."""
-    return max(1, int(BATCH_BYTES / (8 * size * size)))
 
 
 def updated(inverse: Array, dofs: Index, change: Array) -> Array:

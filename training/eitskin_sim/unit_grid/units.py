@@ -1,24 +1,14 @@
 """Exact voltages of sets of touched units at one bend, thousands a second.
 
 Touching unit u adds D_u = S_u(touched) - S_u(background) to the skeleton's stiffness
-(:mod:`eitskin_sim.unit_grid.skeleton`), and D_u = L_u L_u^T has rank b - 1 with b about 30. With G the skeleton's
-inverse and E the electrodes, Woodbury's identity gives
+(:mod:`eitskin_sim.unit_grid.skeleton`). Sets of up to ``MOST`` units are put together from blocks between units that
+are made once a bend (:mod:`eitskin_sim.unit_grid.contrasts`), whatever contrast each has. Larger ones of one contrast,
+the paper's squares, are first condensed onto their outline; with G the skeleton's inverse and E the electrodes
 
-    U = G_EE - W^T (1 + L^T G L)^-1 W,     L = [L_u for every touched u],   W = L^T G_E
+    U = G_EE - G_ED D (1 + G_DD D)^-1 G_DE
 
-All blocks H_uv = L_u^T G L_v are made once a bend. A touch set then gathers its blocks into
-
-    [ 1 + H   W     ]
-    [ W^T     G_EE  ]
-
-whose Cholesky factor ends in a 16 x 16 triangle R with U = R R^T: no other solve is needed. L is such that a unit alone
-has 1 in the diagonal, so the first unit is eliminated by a product. Sets of many units are first condensed onto their
-outline, by the same identity with another L. Nothing is approximated: against one factorisation a sample, the voltages
-agree to about 1e-11, those of large squares to 1e-9.
-
-Where units conduct worse than the sheet, or each has a contrast of its own, factors of
-:mod:`eitskin_sim.unit_grid.contrasts` take the place of L, and 1 or -1 that of 1; sets of many units
-are then solved as they stand.
+on the nodes of the outline. Nothing is approximated: against one factorisation a sample, the voltages agree to about
+1e-11, those of large squares to 1e-9.
 """
 
 from typing import Final
@@ -32,14 +22,11 @@ from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.devices.device import Device
 from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.scene.parts import Bend
-from eitskin_sim.unit_grid.contrasts import ContrastUnits, at_once, check_contrasts, updated
-from eitskin_sim.unit_grid.skeleton import Condensed, assemble_skeleton, condense_units, square_root, unit_system
+from eitskin_sim.unit_grid.contrasts import MOST, ContrastUnits, check_contrasts, updated
+from eitskin_sim.unit_grid.skeleton import Condensed, assemble_skeleton, condense_units, unit_system
 
 TOUCHED: Final = 50.0
 """S/m of a touched unit (paper section V.A)."""
-
-MOST_GATHERED: Final = 8
-"""Sets of more units are condensed onto their outline first: blocks grow with the square of the count."""
 
 
 class UnitGenerator:
@@ -77,29 +64,12 @@ class UnitGenerator:
         self.at_terminals: Array = self._inverse[-N_ELECTRODES:, -N_ELECTRODES:].copy()
         """(16, 16) potentials of electrodes, V for 1 A into each, with nothing touched."""
         self._contrast = touched / system.background
-        self._coupled: tuple[Array, Array] | None = None
         self._of_contrasts = ContrastUnits(self._inverse, self._units, parts, system)
 
     @property
     def untouched_V(self) -> Array:
         """(104,) V under 1 A with nothing touched."""
         return np.asarray(to_voltages(self.at_terminals[None])[0])
-
-    @property
-    def _blocks(self) -> Array:
-        """(units, units, r, r) H."""
-        return self._pairs()[0]
-
-    @property
-    def _loads(self) -> Array:
-        """(units, r, 16) W."""
-        return self._pairs()[1]
-
-    def _pairs(self) -> tuple[Array, Array]:
-        """Return H and W, which sets of one contrast above 1 need, and no others."""
-        if self._coupled is None:
-            self._coupled = self._couple([square_root(unit.schur[1] - unit.schur[0]) for unit in self._units])
-        return self._coupled
 
     def voltages(self, units: npt.NDArray[np.bool_], contrast: npt.NDArray[np.floating] | None = None) -> Array:
         """Return the (n, 104) V under 1 A of (n, units) touch sets; see :meth:`responses`."""
@@ -115,71 +85,15 @@ class UnitGenerator:
         Raises:
             ValueError: A touched unit has a contrast of 1, or of 0 or less, or the shapes differ.
         """
-        if contrast is None and self._contrast < 1.0:
-            contrast = np.full(units.shape, self._contrast)
         if contrast is not None:
             return self._of_contrasts.responses(units, np.asarray(contrast, dtype=np.float64))
+        many = units.sum(axis=1) > MOST
         found = np.empty((len(units), N_ELECTRODES, N_ELECTRODES))
-        count = units.sum(axis=1)
-        for size in np.unique(count):
-            rows = np.flatnonzero(count == size)
-            if size == 0:
-                found[rows] = self.at_terminals
-            elif size <= MOST_GATHERED:
-                found[rows] = self._gathered(np.nonzero(units[rows])[1].reshape(len(rows), size))
-            else:
-                for row in rows:
-                    found[row] = self._outlined(np.flatnonzero(units[row]))
-        return found
-
-    def _couple(self, factors: list[Array]) -> tuple[Array, Array]:
-        """Return H (n, n, r, r) and W (n, r, 16) of n units; those of lower rank are filled up with zeros and ones."""
-        rank = max(factor.shape[1] for factor in factors)
-        factors = [self._alone(unit, factor) for unit, factor in enumerate(factors)]
-        n_units = len(factors)
-        wide = np.zeros((len(self._inverse), n_units * rank))
-        for unit, factor in enumerate(factors):
-            at = slice(unit * rank, unit * rank + factor.shape[1])
-            wide[:, at] = self._inverse[:, self._units[unit].dofs] @ factor
-        blocks = np.zeros((n_units, n_units, rank, rank))
-        loads = np.zeros((n_units, rank, N_ELECTRODES))
-        for unit, factor in enumerate(factors):
-            own = factor.shape[1]
-            row = factor.T @ wide[self._units[unit].dofs]
-            blocks[unit, :, :own] = row.reshape(own, n_units, rank).transpose(1, 0, 2)
-            blocks[unit, unit] = np.eye(rank)
-            loads[unit, :own] = factor.T @ self._inverse[self._units[unit].dofs, -N_ELECTRODES:]
-        return blocks, loads
-
-    def _alone(self, unit: int, factor: Array) -> Array:
-        """Return L X^-T with X X^T = 1 + L^T G L: in these terms a unit alone has 1 in the diagonal."""
-        dofs = self._units[unit].dofs
-        own = factor.T @ self._inverse[np.ix_(dofs, dofs)] @ factor
-        root, _ = lapack.dpotrf(own + np.eye(len(own)), lower=1)
-        return np.asarray(blas.dtrsm(1.0, root, factor, side=1, lower=1, trans_a=1))
-
-    def _gathered(self, sets: Index) -> Array:
-        """Return the (n, 16, 16) potentials of electrodes of (n, k) unit numbers."""
-        count, k = sets.shape
-        rank = self._blocks.shape[-1]
-        size = (k - 1) * rank + N_ELECTRODES
-        step = at_once(size)
-        found = np.empty((count, N_ELECTRODES, N_ELECTRODES))
-        panels, rests = np.empty((step, rank, size)), np.empty((step, size, size))
-        for start in range(0, count, step):
-            part = sets[start : start + step]
-            panel, rest = panels[: len(part)], rests[: len(part)]
-            for i in range(k):
-                into = rest[:, (i - 1) * rank : i * rank] if i else panel
-                into[:, :, -N_ELECTRODES:] = self._loads[part[:, i]]
-                for j in range(max(i, 1), k):
-                    into[:, :, (j - 1) * rank : j * rank] = self._blocks[part[:, i], part[:, j]]
-            rest[:, -N_ELECTRODES:, -N_ELECTRODES:] = self.at_terminals
-            for before, after in zip(panel, rest, strict=True):
-                left = blas.dsyrk(-1.0, before.T, beta=1.0, c=after.T, lower=1, overwrite_c=1)
-                lapack.dpotrf(left, lower=1, overwrite_a=1, clean=0)
-            triangle = np.triu(rest[:, -N_ELECTRODES:, -N_ELECTRODES:])
-            found[start : start + step] = triangle.transpose(0, 2, 1) @ triangle
+        found[~many] = self._of_contrasts.responses(
+            units[~many], np.full((int((~many).sum()), units.shape[1]), self._contrast)
+        )
+        for row in np.flatnonzero(many):
+            found[row] = self._outlined(np.flatnonzero(units[row]))
         return found
 
     def _outlined(self, units: Index) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.freeform.touch_kinds import Ranges
+from eitskin_sim.freeform.touches import Ranges
 from eitskin_sim.scene.touch_table import DISC
 
 STRENGTH_MM2: Final = 50.0
