@@ -55,6 +55,9 @@ LAST_CORE: Final = 4095
 USB: Final = "usb:"
 """How the names of USB devices begin; alone it takes any."""
 
+SOLVERS: Final = ("vd2t", "vd2t-int8", "vd2t-small", "tikhonov")
+"""Of a stream, from the most accurate to the fastest."""
+
 TAKEN: Final = (FRAMES, CONTROL, "robot")
 """Names that mean something else in the folder."""
 
@@ -198,7 +201,7 @@ def _skin(table: Fields, folder: Path, beside: Path) -> SkinSettings:
         reference=reference,
         reference_frames=table.whole("reference_frames", None, low=2, high=10_000),
         curve_keys=curve_keys,
-        solver=table.choice("solver", ("vd2t", "vd2t-int8", "vd2t-small", "tikhonov"), None),
+        solver=table.choice("solver", SOLVERS, None),
         budget_ms=table.number("budget_ms", None, above=0.0, high=LONGEST),
         every_map=table.truth("every_map", False),
         idle_after_s=table.number("idle_after_s", None, above=0.0, high=LONGEST),

@@ -10,19 +10,16 @@ import pytest
 from eitskin.model.bundle import load_bundle
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.quantity import Quantity
-from eitskin_proto.skin.symmetry import images
 from eitskin_proto.skin.toml import load, named, to_toml
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import DISC, gather
 from eitskin_tools.build import adaptation, steps
-from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build.adaptation import FEW_STEPS, Adaptation
 from eitskin_tools.build.recipe import CardWork, GateWork
 from eitskin_tools.cli import main
 from eitskin_tools.command_line import files
-from eitskin_tools.commands import adapt_skin
 from eitskin_training.start import Start
 
 EXAMPLE = Path(__file__).parents[3] / "docs" / "examples" / "skin.toml"
@@ -40,7 +37,7 @@ TWIN = replace(
 )
 
 
-def adapted(name: str, **work: int) -> recipes.BuildRecipe:
+def adapted(name, **work):
     bundle = load_bundle(files.find(name, files.BUNDLE), lazily=True)
     return adaptation.adapted(bundle.path, TWIN, bundle.manifest, bundle.touch_kind, replace(Adaptation(), **work))
 
@@ -52,17 +49,6 @@ def test_it_learns_the_touches_and_labels_that_it_knows_on_devices_of_the_twin(n
     assert adapted(name).skin == TWIN
     assert adapted(name).name == f"{name} on forearm"
     assert adapted(name, seed=1).digest != adapted(name).digest
-
-
-def test_it_learns_touches_as_often_near_to_each_other_as_its_bundle_did():
-    (data,) = adapted("free").data.values()
-    assert data.near == recipes.load("free").data["lab"].near > 0.0
-    assert adapted("free").networks["small"].data["touches"].near == data.near
-    bundle = load_bundle(files.find("free", files.BUNDLE), lazily=True)
-    for build in (None, {"data": []}, {"data": {"lab": {"near": "much"}}}, {"data": {"lab": {"near": 7}}}):
-        facts = {**bundle.manifest, "build": build or {}}
-        (found,) = adaptation.adapted(bundle.path, TWIN, facts, "raise", Adaptation()).data.values()
-        assert found.near is None
 
 
 def test_it_learns_the_presses_that_were_calibrated():
@@ -95,14 +81,6 @@ def test_a_stamp_that_raises_by_much_is_learned_by_the_usual_touches(said, learn
     assert found.data["touches"].touches == learned
 
 
-@pytest.mark.heavy
-def test_the_shipped_network_of_an_even_ring_goes_on_at_an_uneven_one():
-    assert len(images(TWIN)) == 1
-    found = adapted("press")
-    (leg,) = found.training
-    steps.start_of(found, leg).require(steps.fitted_to(found, leg, TWIN).architecture, TWIN)
-
-
 def test_a_sheet_of_another_map_is_refused_before_its_data_is_made(monkeypatch):
     fits = adapted("press")
     fits = replace(fits, data={name: replace(one, deformations=2) for name, one in fits.data.items()})
@@ -133,16 +111,6 @@ def test_of_a_bundle_with_two_networks_both_are_adapted():
         assert adaptation.adapted(bundle.path, TWIN, {**facts, "small": damaged}, "lower", Adaptation()) == alone
 
 
-@pytest.mark.parametrize("name", ["free", "press"])
-def test_a_network_for_faint_touches_is_handed_on_where_there_is_one(name, tmp_path, monkeypatch):
-    given = []
-    monkeypatch.setattr(adapt_skin, "make", lambda *_, gentle_of, **__: given.append(gentle_of) or 0)
-    (tmp_path / "forearm.toml").write_text(to_toml(TWIN.touched("both")))
-    assert main(["adapt-skin", name, "--skin", str(tmp_path / "forearm.toml"), "--out", str(tmp_path / "f")]) == 0
-    path = files.find(name, files.BUNDLE)
-    assert given == [path if "gentle" in load_bundle(path, lazily=True).beside else None]
-
-
 def test_a_bundle_that_does_not_say_how_it_was_trained_is_refused():
     with pytest.raises(ValueError, match="does not say how it was trained"):
         adaptation.adapted(Path("old.eitskin"), TWIN, {"labels": "area"}, "raise", Adaptation())
@@ -165,29 +133,13 @@ def test_a_bundle_of_the_twin_comes_out_and_knows_what_it_knew(tmp_path, monkeyp
     assert "small_head.onnx" in bundle.files
 
 
-def pressed(path: Path, voltages: np.ndarray, reference: np.ndarray) -> list[str]:
+def pressed(path, voltages, reference):
     """Write presses of the twin, said to be at ``PLACES``, and return the words that name them."""
     np.savez(path, reference_V=reference, press_V=voltages, press_xy_mm=np.array(PLACES), stamp_mm=np.array([16.0]))
     return ["--presses", str(path)]
 
 
 PLACES = [(30.0, 30.0), (75.0, 50.0), (120.0, 70.0), (33.0, 32.0)]
-
-
-@pytest.mark.heavy
-def test_presses_that_contradict_each_other_are_one_line(tmp_path, capsys):
-    rng = np.random.default_rng(4)
-    patterns = 0.02 * rng.standard_normal((4, 104))  # the last is at the first one's place, and unlike it
-    files_of = pressed(tmp_path / "p.npz", np.exp(patterns), np.ones(104))
-    (tmp_path / "forearm.toml").write_text(to_toml(TWIN))
-    words = ["adapt-skin", "press", "--skin", str(tmp_path / "forearm.toml"), "--out", str(tmp_path / "f.eitskin")]
-    assert main([*words, *files_of]) == 1
-    error = capsys.readouterr().err
-    assert "press 0 at (30, 30) mm and press 3 at (33, 32) mm contradict each other" in error
-    assert error.count("\n") == 1
-    assert main([*words[:1], "units", *words[2:], *files_of]) == 2
-    assert "a bundle of units cannot learn" in capsys.readouterr().err
-    assert not (tmp_path / "f.eitskin.build").exists()
 
 
 @pytest.mark.heavy
@@ -209,40 +161,3 @@ def test_presses_and_a_skin_of_a_kind_that_the_bundle_does_not_know_are_refused_
     expected = "p.npz: press 0 at (30, 30) mm: touches: found lower, expected raise, as bundle free knows"
     assert expected in said("free", "both.toml")
     assert not (tmp_path / "f.eitskin.build").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.process
-def test_what_recorded_presses_are_worth_is_told(tmp_path, monkeypatch, capsys):
-    small = Adaptation(2, 60, 1, gate=GateWork(0, 100), card=CardWork(1, 1, 1))
-    monkeypatch.setattr(adaptation, "Adaptation", lambda: small)
-    (tmp_path / "forearm.toml").write_text(to_toml(TWIN))
-    words = ["adapt-skin", "press", "--skin", str(tmp_path / "forearm.toml"), "--out", str(tmp_path / "f.eitskin")]
-    flat = inverted_sheet(Bend(), skin=TWIN)
-    table = gather([np.array([[DISC, x, y, 16.0, 16.0, 0.0, 0.4, 4.0]]) for x, y in PLACES])
-    voltages = set_voltages([flat], table, skin=TWIN)[0]
-    words += pressed(tmp_path / "p.npz", 1.02 * voltages, flat.untouched_V)
-    assert main([*words, "--workers=1", "--threads=1", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)["presses"]
-    assert (said["presses"], said["kept_apart"]) == (4, 1)
-    assert said["used"] == (said["with_presses"]["cc"] > said["physics_alone"]["cc"])
-    assert "1 of 4 recorded presses, kept apart" in steps.presses_in_words(said)
-    bundle = load_bundle(tmp_path / "f.eitskin")
-    assert len(bundle.manifest["build"]["presses"]) == 16
-    assert main([*words, "--workers=1", "--threads=1", "--json"]) == 0  # goes on where it was: at the end
-    assert json.loads(capsys.readouterr().out)["presses"] == said
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["pres", "--skin", "lab"], "did you mean 'press'"),
-        (["press", "--skin", "nobody.toml"], "no file 'nobody.toml'"),
-        (["press", "--skin", "lab", "--epochs", "0"], "--epochs is 0, expected at least 1"),
-    ],
-)
-def test_bad_usage_is_one_line(tmp_path, capsys, words, said):
-    assert main(["adapt-skin", *words, "--out", str(tmp_path / "f.eitskin")]) in (1, 2)
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.count("\n") == 1

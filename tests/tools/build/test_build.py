@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -20,7 +19,7 @@ PATIENCE_S = 900.0
 """How long a busy machine may take to the next point; a quiet one takes seconds."""
 
 
-def killed_once_there_is(point: Path, out: Path) -> None:
+def killed_once_there_is(point, out):
     """Start a build and kill it without a word when a file appears."""
     process = subprocess.Popen(
         [*COMMAND, f"--out={out}"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, text=True
@@ -35,7 +34,7 @@ def killed_once_there_is(point: Path, out: Path) -> None:
     assert not out.exists()
 
 
-def test_a_build_that_is_killed_anywhere_goes_on(tmp_path: Path) -> None:
+def test_a_build_that_is_killed_anywhere_goes_on(tmp_path):
     out, folder = tmp_path / "t.eitskin", tmp_path / "t.eitskin.build"
     kept = {}
     for name in ("data/presses/deformation-0002.npz", "runs/1/best.pt", "exported.json", "card/contrast-0.4.json"):

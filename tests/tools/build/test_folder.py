@@ -7,23 +7,14 @@ import pytest
 
 from eitskin_proto.files.holding import held
 from eitskin_tools.build import recipe as recipes
-from eitskin_tools.build.folder import OtherBuildError, begin, begun, scaled_as_before
+from eitskin_tools.build.folder import OtherBuildError, begin, begun
 from eitskin_tools.cli import main
 
 TINY = recipes.load("tiny")
 SMALLER = replace(TINY, training=(replace(TINY.training[0], epochs=1),))
 
 
-def test_a_folder_goes_on_with_what_it_began_with(tmp_path: Path) -> None:
-    folder = tmp_path / "b.build"
-    assert begun(folder, TINY, 2.0) is None
-    begin(folder, TINY, SMALLER, 2.0)
-    found = begun(folder, TINY, 2.0)
-    assert found is not None
-    assert scaled_as_before(TINY, found) == SMALLER
-
-
-def test_another_recipe_skin_or_time_is_refused(tmp_path: Path) -> None:
+def test_another_recipe_skin_or_time_is_refused(tmp_path):
     begin(tmp_path / "b", TINY, TINY, None)
     other_skin = replace(TINY, skin=TINY.skin.touched("both"))
     for asked in (SMALLER, other_skin):
@@ -33,7 +24,7 @@ def test_another_recipe_skin_or_time_is_refused(tmp_path: Path) -> None:
         begun(tmp_path / "b", TINY, 3.0)
 
 
-def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
+def test_a_folder_of_something_else_is_left_alone(tmp_path):
     (tmp_path / "b").mkdir()
     assert begun(tmp_path / "b", TINY, None) is None
     (tmp_path / "b" / "letters.txt").write_text("dear")
@@ -45,11 +36,11 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
             begun(tmp_path / "b", TINY, None)
 
 
-def test_whoever_is_killed_while_the_folder_s_first_file_is_written_begins_again(tmp_path: Path) -> None:
+def test_whoever_is_killed_while_the_folder_s_first_file_is_written_begins_again(tmp_path):
     class Killed(BaseException):
         """No process is there to tidy up."""
 
-    def killed(*_: object) -> None:
+    def killed(*_):
         raise Killed
 
     with pytest.MonkeyPatch.context() as patch:
@@ -61,7 +52,7 @@ def test_whoever_is_killed_while_the_folder_s_first_file_is_written_begins_again
     assert begun(tmp_path / "b", TINY, None) is None
 
 
-def test_two_builds_in_one_folder_are_one_too_many(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_builds_in_one_folder_are_one_too_many(tmp_path, capsys):
     work = tmp_path / "b.eitskin.build"
     work.mkdir()
     with held(work, "another process makes a bundle there", "wait"):

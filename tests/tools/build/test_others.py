@@ -1,36 +1,31 @@
 """A recipe with networks besides: all are made, they go into one bundle, and what does not fit is told at once."""
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from tests.export.test_pair import made as tiny_bundle
 
 from eitskin.model.bundle import load_bundle
-from eitskin_export import unfold
 from eitskin_sim.freeform.touches import WAYS
 from eitskin_tools.build import making, steps
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build.making import SHARES
-from eitskin_tools.build.recipe import BuildRecipe
 from eitskin_tools.cli import main
-from eitskin_training.start import Start
 
 TINY = (Path(recipes.__file__).parents[1] / "recipes" / "tiny.toml").read_text(encoding="utf-8")
 
 
-def written(folder: Path, name: str, text: str) -> Path:
+def written(folder, name, text):
     path = folder / name
     path.write_text(text)
     return path
 
 
-def with_other(name: str, other: str) -> str:
+def with_other(name, other):
     return TINY.replace('network = "tiny"', f'network = "tiny"\n{name} = "{other}"')
 
 
-def test_the_shipped_recipes_name_recipes_of_their_own_skin_and_touches() -> None:
+def test_the_shipped_recipes_name_recipes_of_their_own_skin_and_touches():
     for name, networks in {
         "free": {"small": "small", "gentle": "free"}, "press": {"small": "small"}, "units": {"small": "small-units"}
     }.items():  # fmt: skip
@@ -41,17 +36,6 @@ def test_the_shipped_recipes_name_recipes_of_their_own_skin_and_touches() -> Non
         for other in others.values():
             assert other.skin.digest == found.skin.digest
             assert {WAYS[data.touches] for data in other.data.values()} == ways
-
-
-def test_recipes_beside_this_one_may_be_named(tmp_path: Path) -> None:
-    written(tmp_path, "other.toml", TINY)
-    found = recipes.load(str(written(tmp_path, "large.toml", with_other("small", "other.toml"))))
-    assert list(found.others()) == ["small"]
-    assert found.as_dict()["small"] == "other.toml"
-    both = with_other("small", "other.toml").replace("small =", 'gentle = "other.toml"\nsmall =')
-    assert list(recipes.load(str(written(tmp_path, "both.toml", both))).others()) == ["small", "gentle"]
-    assert found.digest != recipes.load("tiny").digest
-    assert not {"small", "gentle", "networks"} & set(recipes.load("tiny").as_dict())
 
 
 @pytest.mark.parametrize("name", ["small", "gentle"])
@@ -65,9 +49,7 @@ def test_recipes_beside_this_one_may_be_named(tmp_path: Path) -> None:
         (None, "no file 'other.toml'"),
     ],
 )
-def test_what_cannot_go_besides_is_told_before_anything_is_made(
-    tmp_path: Path, name: str, text: str | None, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_go_besides_is_told_before_anything_is_made(tmp_path, name, text, said, capsys):
     if text is not None:
         written(tmp_path, "other.toml", text)
     large = written(tmp_path, "large.toml", with_other(name, "other.toml"))
@@ -78,16 +60,12 @@ def test_what_cannot_go_besides_is_told_before_anything_is_made(
     assert not (tmp_path / "b.eitskin.build").exists()
 
 
-def test_all_are_made_go_into_one_bundle_and_its_card_is_of_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[Any] = []
+def test_all_are_made_go_into_one_bundle_and_its_card_is_of_all(tmp_path, monkeypatch):
+    asked = []
     work = tmp_path / "work"
     sizes = {work: 8, work / "small": 4, work / "gentle": 8}
 
-    def made(
-        self: making.Making, recipe: BuildRecipe, folder: Path, given: float, *, share: float = 1.0, **more: Any
-    ) -> making.Made:
+    def made(self, recipe, folder, given, *, share=1.0, **more):
         asked.append((folder, given, share, more.get("presses")))
         self.tell("data")
         larger = more.get("larger")
@@ -96,14 +74,14 @@ def test_all_are_made_go_into_one_bundle_and_its_card_is_of_all(
         bundle = tiny_bundle(folder / "exported.eitskin", sizes[folder])
         return making.Made(recipe, folder / "run", {}, bundle, load_bundle(bundle).id)
 
-    def card(recipe: BuildRecipe, folder: Path, bundle: Path, identity: str, tell: Any) -> dict[str, Any]:
+    def card(recipe, folder, bundle, identity, tell):
         assert load_bundle(bundle).id == identity
         return {"cc": sizes[folder], "with": list(load_bundle(bundle).beside)}
 
     monkeypatch.setattr(making.Making, "made", made)
     monkeypatch.setattr(steps, "make_card", card)
     recipe, out = recipes.load("tiny"), tmp_path / "all.eitskin"
-    told: list[str] = []
+    told = []
     maker = making.Making(1, told.append, lambda _: None)
     large = maker.made(recipe, work, 3.0, share=0.5, presses="some")
     whole = maker.with_others(large, {"small": recipe, "gentle": recipe}, work, 3.0)
@@ -124,9 +102,7 @@ def test_all_are_made_go_into_one_bundle_and_its_card_is_of_all(
     assert load_bundle(given.bundle).id == given.identity
 
 
-def test_a_time_too_little_for_one_of_them_is_refused_before_any_is_begun(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_time_too_little_for_one_of_them_is_refused_before_any_is_begun(tmp_path, monkeypatch):
     monkeypatch.setattr(making, "measure", lambda *_: making.Pace(1.0, 0.01, 1e-3))
     recipe, work, maker = recipes.load("tiny"), tmp_path / "work", making.Making(1, print, print)
     parts = [(recipe, work, 0.9), (recipe, work / "gentle", 0.1)]
@@ -138,37 +114,3 @@ def test_a_time_too_little_for_one_of_them_is_refused_before_any_is_begun(
     before = [(folder / "build.json").stat().st_mtime_ns for folder in (work, work / "gentle")]
     maker.begin(parts, 3.0)
     assert [(folder / "build.json").stat().st_mtime_ns for folder in (work, work / "gentle")] == before
-
-
-def test_one_of_the_same_shape_begins_with_the_network_just_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    recipe = recipes.load("gentle")
-    (leg,) = recipe.training
-    own = steps.fitted_to(recipe, leg, recipe.skin).architecture
-    for shape, taken in ((own, True), (replace(own, widths=(8, 8)), False)):
-        made = {tmp_path / "large": Start({}, shape, recipe.skin, {"from": "large"})}
-        shipped = Start({}, own, recipe.skin, {"from": "shipped"})
-        monkeypatch.setattr(Start, "of_run", made.get)
-        monkeypatch.setattr(unfold, "start_of_bundle", lambda _, shipped=shipped: shipped)
-        found = steps.start_of(recipe, leg, tmp_path / "large")
-        assert found.facts["from"] == ("large" if taken else "shipped")
-
-
-def test_a_data_set_that_both_have_alike_is_made_once(tmp_path: Path) -> None:
-    large, work = recipes.load("tiny"), tmp_path / "work"
-    other = replace(large.data["presses"], seed=2)
-    small = replace(large, data={"same": large.data["presses"], "other": other})
-    (work / "data" / "presses").mkdir(parents=True)
-    for _ in range(2):  # a build that goes on finds it shared already
-        steps.share_data(small, work / "small", large, work)
-    assert [path.name for path in (work / "small" / "data").iterdir()] == ["same"]
-    shared = work / "small" / "data" / "same"
-    assert shared.resolve() == work / "data" / "presses"
-    moved = work.rename(tmp_path / "elsewhere")
-    assert (moved / "small" / "data" / "same").resolve() == moved / "data" / "presses", "a folder that is moved"
-
-
-def test_the_smaller_network_of_units_learns_from_what_the_larger_one_learned_from() -> None:
-    large = recipes.load("units")
-    assert large.others()["small"].data == large.data

@@ -1,6 +1,5 @@
 """Recipes of bundles: what they say, and one line for whatever is wrong with one."""
 
-import os
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -8,18 +7,13 @@ from pathlib import Path
 import pytest
 from tests.second_skin import SECOND
 
-from eitskin.model.bundle import load_bundle
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.toml import named, to_toml
-from eitskin_sim.dataset.generate import ONE_THREAD
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build import steps
-from eitskin_tools.build.making import REST_S, Pace, measure, scale, seconds
-from eitskin_tools.build.recipe import Leg
 from eitskin_tools.build.steps import fitted_to, plan_of
 from eitskin_tools.cli import main
 from eitskin_tools.command_line import files
-from eitskin_training.recipes import RANKS
 
 TINY = (Path(recipes.__file__).parents[1] / "recipes" / "tiny.toml").read_text(encoding="utf-8")
 
@@ -29,14 +23,14 @@ AGAIN = TINY[TINY.index("[data.presses]") : TINY.index("[[training]]")].replace(
 """The data set once more, by another name."""
 
 
-def parsed(text: str) -> recipes.BuildRecipe:
+def parsed(text):
     return recipes.parse(tomllib.loads(text))
 
 
 @pytest.mark.parametrize(
     "name", ["free", "free-small", "gentle", "press", "press-small", "tiny", "units", "units-small"]
 )
-def test_every_shipped_recipe_can_be_planned(name: str) -> None:
+def test_every_shipped_recipe_can_be_planned(name):
     assert name in files.RECIPE.names()
     found = recipes.load(name)
     for one in found.data.values():  # few deformations: hundreds take seconds to draw
@@ -46,7 +40,7 @@ def test_every_shipped_recipe_can_be_planned(name: str) -> None:
     assert recipes.load(name).digest == found.digest
 
 
-def test_a_recipe_says_skin_data_and_legs() -> None:
+def test_a_recipe_says_skin_data_and_legs():
     found = recipes.load("free")
     assert found.skin == named("lab")
     plans = {name: plan_of(found, replace(one, deformations=1, kept=0)) for name, one in found.data.items()}
@@ -62,7 +56,7 @@ NARROWED = TINY.replace('network = "tiny"', 'network = "small"').replace(
 """A larger network in the first leg; the bundle's own begins as that one narrowed."""
 
 
-def test_a_leg_before_the_last_may_have_a_larger_network() -> None:
+def test_a_leg_before_the_last_may_have_a_larger_network():
     found = parsed(NARROWED)
     first, last = (fitted_to(found, leg, found.skin).architecture for leg in found.training)
     assert (first.ranks, replace(last, ranks=())) == ((), first)
@@ -74,17 +68,7 @@ def test_a_leg_before_the_last_may_have_a_larger_network() -> None:
         steps.check(unlike)
 
 
-@pytest.mark.slow
-@pytest.mark.process
-def test_a_bundle_is_built_by_way_of_a_larger_network(tmp_path: Path) -> None:
-    (tmp_path / "narrowed.toml").write_text(NARROWED)
-    assert main(["build", str(tmp_path / "narrowed.toml"), "--out", str(tmp_path / "b.eitskin")]) == 0
-    bundle = load_bundle(tmp_path / "b.eitskin")
-    assert bundle.manifest["recipe"]["name"] == "small"
-    assert bundle.manifest["training"]["started_from"]["narrowed_to"] == list(RANKS)
-
-
-def test_training_has_the_noise_of_a_skin_s_own_front_end(tmp_path: Path) -> None:
+def test_training_has_the_noise_of_a_skin_s_own_front_end(tmp_path):
     front_end = replace(SECOND.front_end, snr_db=(44.0, 56.0))
     for own, known in ((replace(SECOND, front_end=front_end), (44.0, 56.0)), (SECOND, 50.0)):
         (tmp_path / "skin.toml").write_text(to_toml(own))
@@ -93,7 +77,7 @@ def test_training_has_the_noise_of_a_skin_s_own_front_end(tmp_path: Path) -> Non
     assert fitted_to(recipes.load("press"), recipes.load("press").training[-1], named("hydrogel")).snr_db == 50.0
 
 
-def test_a_skin_s_file_is_built_as_it_is_touched(tmp_path: Path) -> None:
+def test_a_skin_s_file_is_built_as_it_is_touched(tmp_path):
     (tmp_path / "skin.toml").write_text(to_toml(SECOND.touched("lower")))
     found = recipes.load(str(tmp_path / "skin.toml"))
     assert found.skin == SECOND.touched("lower")
@@ -128,20 +112,20 @@ def test_a_skin_s_file_is_built_as_it_is_touched(tmp_path: Path) -> None:
         ("[data.presses]", "[data.'../x']", "a data set is called .*expected letters, digits"),
     ],
 )
-def test_whatever_is_wrong_with_a_recipe_is_named(old: str, new: str, said: str) -> None:
+def test_whatever_is_wrong_with_a_recipe_is_named(old, new, said):
     assert old in TINY
     with pytest.raises(ValueError, match=said):
         parsed(TINY.replace(old, new))
 
 
 @pytest.mark.parametrize(("text", "found"), [("", "there is no format"), ("format = 'x'", "format is 'x'")])
-def test_a_file_that_is_neither_skin_nor_recipe_is_told_of_both(tmp_path: Path, text: str, found: str) -> None:
+def test_a_file_that_is_neither_skin_nor_recipe_is_told_of_both(tmp_path, text, found):
     (tmp_path / "f.toml").write_text(text)
     with pytest.raises(ValueError, match=f"{found}, expected 'eitskin-skin', .*, or 'eitskin-recipe', a "):
         recipes.load(str(tmp_path / "f.toml"))
 
 
-def test_what_would_fail_hours_later_is_refused_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_would_fail_hours_later_is_refused_at_once(tmp_path, capsys):
     odd = (ROOT / "docs/examples/skin.toml").read_text().replace("[18, 45]", "[20, 44]").replace("[9, 15]", "[10, 11]")
     (tmp_path / "odd.toml").write_text(odd)
     for old, new, said in (
@@ -158,36 +142,3 @@ def test_what_would_fail_hours_later_is_refused_at_once(tmp_path: Path, capsys: 
         assert (out, line.count("\n")) == ("", 1)
         assert said in line
         assert not (tmp_path / "b.eitskin.build").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.process
-def test_a_machine_is_measured_at_what_it_will_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
-    for name in ONE_THREAD:
-        monkeypatch.setenv(name, "64")  # which of no worker is true
-    pace = measure(recipes.load("tiny"), 2, told.append)
-    assert told == ["measuring this machine"]
-    assert os.environ[ONE_THREAD[0]] == "64"
-    assert 0.0 < pace.deformation_s < 60.0
-    assert 0.0 < pace.sample_s < 0.1
-    assert 0.0 < pace.trained_s < 0.1
-
-
-@pytest.mark.slow
-def test_hours_scale_deformations_and_epochs_alike() -> None:
-    small = recipes.load("tiny")
-    data = {"presses": replace(small.data["presses"], deformations=30, per_deformation=1000)}
-    tiny = replace(small, data=data, training=(Leg(epochs=20),))
-    pace = Pace(deformation_s=40.0, sample_s=0.02, trained_s=1e-2)
-    whole = seconds(tiny, pace)
-    assert scale(tiny, whole / 3600, pace) == tiny
-    for hours in (0.4 * whole / 3600, 2.5 * whole / 3600):
-        found = scale(tiny, hours, pace)
-        assert seconds(found, pace) == pytest.approx(3600 * hours, rel=0.1)
-        for name, one in found.data.items():
-            share = one.deformations / tiny.data[name].deformations
-            assert share == pytest.approx(found.training[0].epochs / tiny.training[0].epochs, rel=0.15)
-    with pytest.raises(ValueError, match=r"--hours 0.1 is too little on this machine, expected 0\.\d+ or more"):
-        scale(tiny, 0.1, pace)
-    assert REST_S < 3600

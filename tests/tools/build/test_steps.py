@@ -15,7 +15,7 @@ TINY = Path(__file__).parents[2] / "golden" / "tiny.eitskin"
 
 
 @pytest.fixture
-def exported(tmp_path: Path) -> tuple[Path, Path, dict[str, object]]:
+def exported(tmp_path):
     bundle, said = tmp_path / "exported.eitskin", tmp_path / "exported.json"
     shutil.copyfile(TINY, bundle)
     known = {"bundle": load_bundle(bundle).id, "labels": "area", "touches": "raise", "gate": {}}
@@ -23,13 +23,13 @@ def exported(tmp_path: Path) -> tuple[Path, Path, dict[str, object]]:
     return bundle, said, known
 
 
-def test_a_whole_bundle_is_not_exported_again(exported: tuple[Path, Path, dict[str, object]]) -> None:
+def test_a_whole_bundle_is_not_exported_again(exported):
     bundle, said, known = exported
     assert _exported_before(bundle, said) == known
 
 
 @pytest.mark.parametrize("damage", ["no bundle", "half a bundle", "another bundle", "{}", "[]", "{"])
-def test_whatever_is_damaged_is_exported_again(exported: tuple[Path, Path, dict[str, object]], damage: str) -> None:
+def test_whatever_is_damaged_is_exported_again(exported, damage):
     bundle, said, known = exported
     if damage == "no bundle":
         bundle.unlink()

@@ -4,7 +4,6 @@ import io
 import json
 import zipfile
 from importlib import resources
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,24 +18,24 @@ from eitskin_proto.skin.toml import to_toml
 from eitskin_tools.command_line import kinds
 
 
-def arrays(*names: str) -> bytes:
+def arrays(*names):
     stream = io.BytesIO()
     np.savez(stream, **{name: np.zeros(2) for name in names})
     return stream.getvalue()
 
 
-def cloud(folder: Path) -> bytes:
+def cloud(folder):
     save_surface(folder / "made.npz", Surface(flat_cloud()))
     return (folder / "made.npz").read_bytes()
 
 
-def array() -> bytes:
+def array():
     stream = io.BytesIO()
     np.save(stream, np.zeros(3))
     return stream.getvalue()
 
 
-def archive(name: str) -> bytes:
+def archive(name):
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as file:
         file.writestr(name, "{}")
@@ -70,27 +69,25 @@ FILES = {
 ALL = {**FILES, kinds.CLOUD: b""}
 
 
-def name_of(kind: kinds.Known | None) -> str:
+def name_of(kind):
     return "unknown" if kind is None else kind.what
 
 
 @pytest.mark.parametrize("kind", ALL, ids=name_of)
-def test_a_file_is_known_by_what_it_holds(kind: kinds.Known | None, tmp_path: Path) -> None:
+def test_a_file_is_known_by_what_it_holds(kind, tmp_path):
     path = tmp_path / "whatever.json"
     path.write_bytes(FILES[kind] if kind in FILES else cloud(tmp_path))
     assert kinds.kind_of_file(path) is kind
 
 
-def test_every_kind_is_among_them() -> None:
+def test_every_kind_is_among_them():
     assert ALL.keys() - {None} == set(kinds.KINDS)
 
 
 @pytest.mark.parametrize(
     "command", sorted((WRITING | WRITING_WITH_TORCH).keys() - {"record"})
 )  # which replaces nothing at all
-def test_a_file_of_another_kind_stays_as_it_is(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_of_another_kind_stays_as_it_is(command, tmp_path, capsys):
     path = tmp_path / "out.png"
     path.write_bytes(FILES[kinds.ROBOT])
     words = [*taken(command), str(path)]
@@ -101,7 +98,7 @@ def test_a_file_of_another_kind_stays_as_it_is(
 
 
 @pytest.mark.parametrize("kind", [kind for kind in FILES if kind is not kinds.REFERENCE], ids=name_of)
-def test_a_reference_replaces_references_alone_and_what_is_empty(kind: kinds.Known | None, tmp_path: Path) -> None:
+def test_a_reference_replaces_references_alone_and_what_is_empty(kind, tmp_path):
     path = tmp_path / "reference.json"
     kinds.check_replaced(path, kinds.REFERENCE)
     for content in (b"", FILES[kinds.REFERENCE]):
@@ -112,7 +109,7 @@ def test_a_reference_replaces_references_alone_and_what_is_empty(kind: kinds.Kno
         kinds.check_replaced(path, kinds.REFERENCE)
 
 
-def test_a_beginning_of_blank_lines_is_looked_at_in_no_time(tmp_path: Path) -> None:
+def test_a_beginning_of_blank_lines_is_looked_at_in_no_time(tmp_path):
     path = tmp_path / "blank"
     path.write_bytes(b"\n" * (1 << 20))
     assert kinds.kind_of_file(path) is None

@@ -37,9 +37,7 @@ OVER_WITH_TORCH = {
 
 @pytest.mark.parametrize("command", [*OVER, *OVER_WITH_TORCH])
 @pytest.mark.parametrize("how", ["as it stands", "by another path", "by a link"])
-def test_what_is_read_is_not_written_over(
-    command: str, how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_read_is_not_written_over(command, how, tmp_path, monkeypatch, capsys):
     if command in OVER_WITH_TORCH:
         pytest.importorskip("torch", reason="training needs the extra 'train'")
     monkeypatch.chdir(tmp_path)
@@ -61,20 +59,18 @@ def test_what_is_read_is_not_written_over(
         ["calibrate", "x.npz", "--guided", "--port", "/dev/null", "--out", "x.npz"],
     ],
 )
-def test_two_things_are_not_written_to_one_file(
-    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_things_are_not_written_to_one_file(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(words) == 2
     assert "name one file" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_every_option_that_names_what_is_written_is_looked_at() -> None:
+def test_every_option_that_names_what_is_written_is_looked_at():
     assert {f"--{name.replace('_', '-')}" for name in files.WRITTEN} == set(test_files.WRITTEN)
 
 
-def test_a_bundle_takes_its_own_card(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bundle_takes_its_own_card(tmp_path, capsys):
     path = tmp_path / "one.eitskin"
     path.write_text("no bundle")
     assert cli.main(["card", str(path), "--out", str(path)]) == 1  # refused for what it holds

@@ -1,19 +1,15 @@
 """``eitskin adapt``: what the adapted run says of its data."""
 
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
-
-import pytest
 
 from eitskin_tools.cli import main
 from eitskin_training import adapt, run_files
 
 
-def test_the_export_finds_the_data_wherever_it_is_called(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_export_finds_the_data_wherever_it_is_called(tmp_path, monkeypatch):
     (tmp_path / "run").mkdir()
     monkeypatch.chdir(tmp_path)
-    written: dict[str, Any] = {}
+    written = {}
     found = SimpleNamespace(model=None, recipe=None, content={"data": ["/gone"], "seed": 1})
     scores = SimpleNamespace(facts={"before": {"whole": 1.0}, "after": {"whole": 1.0}})
     monkeypatch.setattr(run_files, "trained", lambda _: found)

@@ -100,20 +100,6 @@ def test_what_comes_next_is_of_a_bundle_that_fits(skin, command, monkeypatch, ca
     assert capsys.readouterr().out == f"table\nnext: eitskin {command}\n"
 
 
-def test_a_device_of_a_milliampere_is_calibrated_as_one_of_an_ampere(recorded, capsys):
-    with np.load(recorded / "r.npz") as file:
-        np.savez(recorded / "mA.npz", reference_V=1e-3 * file["reference_V"], reference_frames=file["reference_frames"])
-    found = []
-    for name in ("r.npz", "mA.npz"):
-        words = ["calibrate", str(recorded / name), "--skin", str(recorded / "ours.toml")]
-        assert main([*words, "--out", str(recorded / "calibrated.toml"), "--json"]) == 0
-        found.append(json.loads(capsys.readouterr().out))
-    assert found[0]["current_A"] == 1.0
-    assert found[1]["current_A"] == pytest.approx(1e-3, rel=0.1)
-    places = [one["parameters"]["arc_length_mm"]["values"] for one in found]
-    assert np.allclose(*places, atol=0.02)
-
-
 def test_a_row_that_is_off_is_named_and_nothing_is_written(recorded, capsys):
     with np.load(recorded / "r.npz") as file:
         volts = file["reference_V"].copy()
@@ -141,20 +127,6 @@ def test_a_search_that_does_not_settle_names_its_rows_and_nothing_is_written(rec
     assert not out.exists()
 
 
-def test_the_residual_of_every_row_is_shown_by_drive_and_measured_pair(recorded, capsys):
-    words = ["calibrate", str(recorded / "r.npz"), "--skin", str(recorded / "ours.toml")]
-    assert main([*words, "--out", str(recorded / "calibrated.toml"), "--json"]) == 0
-    exact = json.loads(capsys.readouterr().out)["residuals"]
-    assert main([*words, "--out", str(recorded / "calibrated.toml")]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    head = next(number for number, line in enumerate(lines) if line.startswith("drive / measure"))
-    shown = {}
-    for drive, line in enumerate(lines[head + 1 : head + 17]):
-        cells = [line[15 + 6 * pair : 21 + 6 * pair].strip() for pair in range(16)]
-        shown |= {f"drive {drive} measure {pair}": float(cell) for pair, cell in enumerate(cells) if cell}
-    assert shown == {name: pytest.approx(value, abs=0.051) for name, value in exact.items()}
-
-
 def test_a_search_or_a_press_that_fails_is_one_line_and_nothing_is_written(recorded, monkeypatch, capsys):
     from eitskin_sim.calibration import report
     from eitskin_sim.calibration.fit import CalibrationError
@@ -172,28 +144,6 @@ def test_a_search_or_a_press_that_fails_is_one_line_and_nothing_is_written(recor
         assert not out.exists()
 
 
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["--guided"], "--guided needs --port"),
-        (["--guided", "--port", "/dev/none", "--stamp", "x"], "--stamp is 'x', expected a diameter"),
-        (["--guided", "--port", "/dev/none", "--bends", "-1"], "--bends is -1, expected at least 0"),
-        (["--guided", "--port", "/dev/none", "--json"], "--guided talks on standard output"),
-        (["--port", "/dev/none"], "without --guided nothing is recorded now: leave --port out"),
-        (["--full-scan"], "without --guided nothing is recorded now: leave --full-scan out"),
-        (["--surface", "lies.npz"], "without --guided nothing is recorded now: leave --surface out"),
-        (["--snr-db", "3"], "--snr-db is 3, expected 10 to 120"),
-    ],
-)
-def test_options_that_make_no_sense_are_one_line(recorded, words, text, capsys):
-    out = recorded / "calibrated.toml"
-    first = ["calibrate", str(recorded / "r.npz"), "--skin", str(recorded / "ours.toml"), "--out", str(out)]
-    assert main([*first, *words]) == 2
-    said = capsys.readouterr().err
-    assert text in said.splitlines()[-1]
-    assert not out.exists()
-
-
 def test_a_scan_that_is_not_of_this_sheet_is_refused_before_anything_is_recorded(recorded, capsys):
     out, scan = recorded / "calibrated.toml", recorded / "lies.npz"
     save_surface(scan, Surface(flat_cloud() * np.array([2.0, 1.0, 1.0])[:, None, None]), None, STATED)
@@ -202,14 +152,6 @@ def test_a_scan_that_is_not_of_this_sheet_is_refused_before_anything_is_recorded
     said = capsys.readouterr().err.splitlines()[-1]
     assert f"--surface {scan}: the cloud's sheet is 300 mm along x" in said
     assert not (recorded / "new.npz").exists()
-
-
-def test_a_skin_that_states_everything_exactly_has_nothing_to_calibrate(recorded, capsys):
-    out = recorded / "calibrated.toml"
-    assert main(["calibrate", str(recorded / "r.npz"), "--skin", "paper", "--out", str(out)]) == 1
-    assert "states everything exactly" in capsys.readouterr().err
-    assert main(["calibrate", str(recorded / "none.npz"), "--out", str(out)]) == 1
-    assert not out.exists()
 
 
 def test_contacts_on_the_edge_are_refused_before_anything_is_read(tmp_path, capsys):

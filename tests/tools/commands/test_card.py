@@ -1,7 +1,6 @@
 """``eitskin card``: what a bundle is worth is printed, and written into a bundle that is else the same."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -14,12 +13,12 @@ FEW = ["--deformations", "1", "--each", "1", "--draws", "1"]
 
 
 @pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+def quick(monkeypatch):
     monkeypatch.setattr(runs, "ELEMENT_MM", 4.5)
     monkeypatch.setattr(card, "parts", lambda path: ["contrast-50", "mismatch-2"])
 
 
-def test_the_card_goes_into_a_bundle_that_is_else_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_card_goes_into_a_bundle_that_is_else_the_same(tmp_path, capsys):
     out = tmp_path / "with.eitskin"
     assert cli.main(["card", "free", *FEW, "--out", str(out), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -31,16 +30,13 @@ def test_the_card_goes_into_a_bundle_that_is_else_the_same(tmp_path: Path, capsy
     made, shipped = load_bundle(out), load_bundle(default_path("area"))
     assert made.id == found["bundle"] != shipped.id
     assert made.manifest["metrics"]["card"] == found["card"]
-    assert made.manifest["files"] == shipped.manifest["files"]
+    files = [
+        {name: file for name, file in one.manifest["files"].items() if name != "skin.toml"} for one in (made, shipped)
+    ]
+    assert files[0] == files[1]
+    assert made.skin == shipped.skin
 
 
-def test_people_read_lines(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["card", "free", *FEW]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("contrast 50, ideal device: CC 0.9")
-    assert lines[1].startswith("lab mix: mm CC 0.9")
-
-
-def test_a_card_of_nothing_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_card_of_nothing_is_refused(capsys):
     assert cli.main(["card", "free", "--each", "0"]) == 2
     assert "expected at least 1 of each" in capsys.readouterr().err

@@ -1,7 +1,6 @@
 """``eitskin dataset`` and ``eitskin bench``: usage, refusals and one object on stdout."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -9,7 +8,7 @@ from eitskin_tools import cli
 from eitskin_tools.commands.bench import BENCHMARKS
 
 
-def test_bad_usage_is_exit_2_with_the_value(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_bad_usage_is_exit_2_with_the_value(capsys, tmp_path):
     assert cli.main(["dataset", "--set", "paper", "--out", str(tmp_path / "d"), "--workers", "0"]) == 2
     assert "--workers is 0; it must be at least 1" in capsys.readouterr().err
     assert cli.main(["dataset", "--set", "paper", "--out", str(tmp_path / "d"), "--scheduler", "here"]) == 2
@@ -18,7 +17,7 @@ def test_bad_usage_is_exit_2_with_the_value(capsys: pytest.CaptureFixture[str], 
     assert not (tmp_path / "d").exists()
 
 
-def test_a_folder_with_other_things_is_exit_1_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_folder_with_other_things_is_exit_1_in_one_line(capsys, tmp_path):
     (tmp_path / "letter.txt").write_text("x")
     assert cli.main(["dataset", "--set", "paper", "--out", str(tmp_path)]) == 1
     said = capsys.readouterr()
@@ -27,7 +26,7 @@ def test_a_folder_with_other_things_is_exit_1_in_one_line(capsys: pytest.Capture
     assert "is not empty and holds no data set" in said.err
 
 
-def test_too_many_touch_sets_is_exit_1_and_writes_nothing(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_too_many_touch_sets_is_exit_1_and_writes_nothing(capsys, tmp_path):
     assert cli.main(["dataset", "--set", "paper", "--touch-sets", "99999", "--out", str(tmp_path / "d")]) == 1
     assert "found 99999, expected 10 to 10259" in capsys.readouterr().err
     assert not (tmp_path / "d").exists()
@@ -35,7 +34,7 @@ def test_too_many_touch_sets_is_exit_1_and_writes_nothing(capsys: pytest.Capture
 
 @pytest.mark.slow
 @pytest.mark.process
-def test_a_small_set_is_written_and_reported_as_one_object(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_small_set_is_written_and_reported_as_one_object(capsys, tmp_path):
     words = ["dataset", "--set", "paper", "--bends", "1", "--touch-sets", "15", "--out", str(tmp_path / "d"), "--json"]
     assert cli.main(words) == 0
     said = capsys.readouterr()
@@ -48,7 +47,7 @@ def test_a_small_set_is_written_and_reported_as_one_object(capsys: pytest.Captur
     assert (again["digest"], again["made"]) == (report["digest"], 0)
 
 
-def test_bench_lists_what_is_installed_and_each_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
+def test_bench_lists_what_is_installed_and_each_explains_itself(capsys):
     assert "dataset" in BENCHMARKS
     with pytest.raises(SystemExit, match="0"):
         cli.main(["bench", "dataset", "--help"])

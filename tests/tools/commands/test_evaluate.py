@@ -67,16 +67,6 @@ def test_network_from_a_bundle_is_one_more_solver(tiny, file, capsys):
     assert found["prediction"] == "scan"
 
 
-def test_network_explains_which_references_it_takes(tiny, file, capsys):
-    words = ["evaluate", "--phantoms", file, "--bundle", str(tiny), "--json"]
-    assert cli.main([*words, "--reference", "post"]) == 1
-    assert "before the deformation" in capsys.readouterr().err
-    assert cli.main([*words, "--reference", "predicted"]) == 0
-    assert json.loads(capsys.readouterr().out)["prediction"] == "scan"
-    assert cli.main([*words, "--reference", "predicted", "--prediction", "none"]) == 1
-    assert "--prediction is none" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("prediction", ["scan", "none", "true"])
 def test_head_is_fed_the_prediction_from_each_scan_against_the_models_own_flat_sheet(
     tiny, phantoms, monkeypatch, prediction
@@ -133,17 +123,6 @@ def test_ghosts_are_those_of_the_network_for_the_skin_s_touches(capsys):
         assert json.loads(capsys.readouterr().out)["bundles"] == [load_bundle(default_path("area", touches)).id]
 
 
-def test_a_trial_is_read_by_people_a_line_each(tiny, capsys):
-    words = ["--single", "10", "--deformations", "1", "--each", "1", "--bundle", str(tiny)]
-    assert cli.main(["evaluate", *words]) == 0
-    said = capsys.readouterr().out
-    lines = dict(line.split(maxsplit=1) for line in said.splitlines())
-    assert lines["trial"].startswith("kind single, size_mm 10.0, ")
-    assert lines["two_point_mm"] == "-", "of one touch"
-    assert not set("{}[]'") & set(said)
-    assert "None" not in said
-
-
 def test_a_bundle_that_a_classical_solver_does_not_read_is_told_of(tiny, file, capsys):
     assert cli.main(["evaluate", "--phantoms", file, "--solver", "tikhonov", "--bundle", str(tiny), "--json"]) == 0
     found = capsys.readouterr()
@@ -151,50 +130,6 @@ def test_a_bundle_that_a_classical_solver_does_not_read_is_told_of(tiny, file, c
     assert "--bundle does nothing with --solver tikhonov" in found.err
 
 
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["--random", "few"], "2-4"),
-        (["--single", "10", "--labels", "units"], "--labels"),
-        (["--single", "10", "--shift-px", "3"], "from 0 to 1"),
-        (["--single", "10", "--seed", "5"], "--seed does nothing with --single: leave it out; it belongs to --devices"),
-        (["--untouched", "--each", "4"], "--each does nothing with --untouched"),
-        (["--single", "10", "--solver", "sbl", "--prediction", "none"], "--prediction does nothing with --solver sbl"),
-        (["--phantoms", "paper_mm", "--family", "B"], "--family does nothing with --phantoms"),
-        (["--phantoms", "paper_mm", "--disc"], "--disc does nothing with --phantoms"),
-        (["--devices", "lab", "--seeds", "3"], "--seeds does nothing with --devices"),
-        (["--measured", "x.npz", "--noise", "N1"], "--noise does nothing with --measured"),
-        (["--tank", "x.npz", "--solver", "vd2t"], "with --tank, --solver is 'vd2t', expected one of tikhonov, l1, sbl"),
-        (["--tank", "x.npz", "--bundle", "free"], "--bundle does nothing with --tank"),
-        (["--single", "10", "--snr-db", "nan"], "--snr-db is nan, expected 0 to 200"),
-        (
-            ["--devices", "lab", "--trials", "foo"],
-            "--trials is 'foo', expected one of mm, units, single, press04, press06",
-        ),
-        (["--devices", "lab", "--trials", "mm,"], "--trials is '', expected one of mm"),
-    ],
-)
-def test_trials_that_cannot_be_are_bad_usage(capsys, words, text):
-    assert cli.main(["evaluate", *words]) == 2
-    assert text in capsys.readouterr().err
-
-
 def test_the_papers_table_has_the_means_that_its_text_gives():
     means = {name: np.mean(values) for name, values in PAPER_CC.items()}
     assert means == pytest.approx({"tikhonov": 0.6625, "l1": 0.6651, "sbl": 0.7417, "vd2t": 0.9912}, abs=1e-4)
-
-
-def test_a_phantom_of_another_sheet_than_the_map_is_one_line(tmp_path, capsys):
-    path = tmp_path / "phantoms.json"
-    scene = {"sheet": {"size_mm": [220, 90]}, "touches": [{"disc_mm": [60, 45, 8], "contrast": 20}]}
-    path.write_text(json.dumps([{"name": "a", "scene": scene}]))
-    assert cli.main(["evaluate", "--phantoms", str(path), "--solver", "tikhonov"]) == 1
-    said = capsys.readouterr().err
-    assert said.startswith(f"eitskin evaluate: {path}: phantoms[0] 'a': its sheet is 220 x 90 mm; expected 150")
-    assert said.count("\n") == 1
-
-
-def test_unknown_solver_is_bad_usage_and_a_missing_file_a_failure(tmp_path, capsys):
-    assert cli.main(["evaluate", "--phantoms", "x.json", "--solver", "magic"]) == 2
-    assert cli.main(["evaluate", "--phantoms", str(tmp_path / "none.json"), "--solver", "l1"]) == 1
-    assert capsys.readouterr().out == ""

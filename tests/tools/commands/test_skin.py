@@ -12,16 +12,6 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import TABLES, named, parse, to_toml
 from eitskin_tools import cli
 
-TANK = """format = "eitskin-skin"
-version = 1
-name = "tank"
-[outline]
-kind = "disc"
-size_mm = [100, 100]
-[electrodes]
-arc_length_mm = [0, 19.5, 39, 58.5, 78, 97.5, 117, 136.5, 156, 175.5, 195, 214.5, 234, 253.5, 273, {}]
-"""
-
 
 @pytest.fixture
 def second(tmp_path):
@@ -61,17 +51,6 @@ def test_check_prints_one_line(capsys, second):
     assert cli.main(["skin", "check", second]) == 0
     out = capsys.readouterr().out
     assert out == (f"{second}: second, rectangle of 220 x 90 mm, digest {SECOND.digest}, images 2 (itself, x and y)\n")
-
-
-def test_a_round_tank_s_file_is_checked(capsys, tmp_path):
-    (tmp_path / "tank.toml").write_text(TANK.format(293.0))
-    assert cli.main(["skin", "check", str(tmp_path / "tank.toml")]) == 0
-    assert "tank.toml: tank, disc of 100 x 100 mm, digest" in capsys.readouterr().out
-    (tmp_path / "tank.toml").write_text(TANK.format(312.0))
-    assert "[electrodes] 15 and 0 overlap by" in one_line(capsys, ["skin", "check", str(tmp_path / "tank.toml")])
-    (tmp_path / "tank.toml").write_text(TANK.format(320.0))
-    said = "arc_length_mm[15] is 320, expected below 314.159, once round the border"
-    assert said in one_line(capsys, ["skin", "check", str(tmp_path / "tank.toml")])
 
 
 def test_electrodes_that_mostly_would_be_round_a_corner_are_refused(capsys, tmp_path):

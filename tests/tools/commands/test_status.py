@@ -97,26 +97,3 @@ def test_a_skin_that_its_supervisor_starts_is_not_to_be_started_by_hand(tmp_path
     write_states(tmp_path, 16, (ProcessState(skin, state, 0, restarts, "ended by signal 9 (Killed)"),))
     assert cli.main(["status", "--all", str(tmp_path), "--timeout-s", "0.05"]) == 1
     assert capsys.readouterr().out == f"left: {said}\n"
-
-
-def test_a_robot_toml_names_the_same_skins(runtime, tmp_path, capsys):
-    runtime("left")
-    (tmp_path / "robot.toml").write_text(
-        f'format = "eitskin-robot"\nversion = 1\nfolder = "{tmp_path}"\n[[skins]]\nname = "left"\nport = "/dev/x"\n'
-    )
-    status, said = asked(capsys, "--all", tmp_path / "robot.toml")
-    assert status == 0
-    assert said.startswith("left: ")
-
-
-@pytest.mark.parametrize(("words", "said"), [
-    (["--timeout-s", "0"], "--timeout-s is 0"), (["--server-key", "x"], "belong together"),
-])  # fmt: skip
-def test_bad_usage_is_one_line(words, said, capsys):
-    assert cli.main(["status", *words]) == 2
-    assert said in capsys.readouterr().err
-
-
-def test_a_folder_without_skins_is_one_line(tmp_path, capsys):
-    assert cli.main(["status", "--all", str(tmp_path)]) == 1
-    assert "nobody runs skins there" in capsys.readouterr().err

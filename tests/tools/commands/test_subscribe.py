@@ -2,7 +2,6 @@
 
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
@@ -23,11 +22,11 @@ EXPLAINED = rest(1, 0, 0, "ready", "", (1, 2, 3, 4), (101.0, 104, 0.5, False), (
 
 
 @contextmanager
-def published(endpoint: str, *messages: bytes) -> Iterator[None]:
+def published(endpoint, *messages):
     """Publish what a verifier says, once somebody asks."""
     left = threading.Event()
 
-    def publish() -> None:
+    def publish():
         publisher = Publisher(endpoint)
         while not publisher.verified and not left.is_set():
             publisher.look()

@@ -1,7 +1,6 @@
 """``eitskin surface``: a file of points in, a cloud that loads again out, or one line."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -69,22 +68,3 @@ def test_command_names_the_file_that_is_missing_or_has_too_few_points(tmp_path, 
         assert text in error
         assert error.count("\n") == 1
     assert not (tmp_path / "cloud.npz").exists()
-
-
-def test_command_says_who_did_not_answer(tmp_path, capsys):
-    raw = Raw(BENDS["half a turn, stretched"], 8_000)
-    np.save(tmp_path / "points.npy", raw.points)
-    words = ["surface", str(tmp_path / "points.npy"), "--out", str(tmp_path / "cloud.npz")]
-    assert cli.main([*words, "--send", "somewhere"]) == 1
-    assert f"{tmp_path}/cloud.npz is written, but no runtime has it: somewhere cannot be" in capsys.readouterr().err
-    assert (tmp_path / "cloud.npz").exists()
-
-
-def test_command_refuses_points_of_a_sheet_of_another_size(tmp_path, capsys):
-    out, skin = tmp_path / "cloud.npz", Path(__file__).parents[3] / "docs/examples/skin.toml"
-    assert cli.main(["surface", "sample", "--skin", str(skin), "--out", str(out)]) == 1
-    error = capsys.readouterr().err
-    assert "sample: the cloud's sheet is " in error
-    assert "expected 187 to 308 and 72 to 117 mm" in error
-    assert error.count("\n") == 1
-    assert not out.exists()

@@ -9,7 +9,7 @@ import pytest
 pytestmark = pytest.mark.process
 
 
-def shell(words: str, closed: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def shell(words, closed, **environment):
     return subprocess.run(
         ["/bin/sh", "-c", f"exec '{sys.executable}' {words} {closed}"],
         capture_output=True, text=True, timeout=120, check=False, env={**os.environ, **environment},
@@ -17,7 +17,7 @@ def shell(words: str, closed: str, **environment: str) -> subprocess.CompletedPr
 
 
 @pytest.mark.parametrize(("words", "unbuffered"), [("skin check paper", ""), ("--version", "1")])
-def test_a_full_standard_output_is_one_line_and_a_failure(words: str, unbuffered: str) -> None:
+def test_a_full_standard_output_is_one_line_and_a_failure(words, unbuffered):
     done = shell(f"-m eitskin_tools.cli {words}", ">/dev/full", PYTHONUNBUFFERED=unbuffered)
     assert done.returncode == 1
     assert done.stderr.partition(": ")[2] == "no space left where this is written; free some, or write elsewhere\n"
@@ -48,7 +48,7 @@ sys.exit(cli.main(["doctor"]))
 """A command that prints, one that fails, and one that is cut off from something else than its reader."""
 
 
-def unread(words: list[str], unbuffered: str) -> tuple[int, str]:
+def unread(words, unbuffered):
     """Return exit status and standard error of what is run while nobody reads its standard output."""
     reads, writes = os.pipe()
     os.close(reads)
@@ -64,21 +64,15 @@ def unread(words: list[str], unbuffered: str) -> tuple[int, str]:
     ("words", "unbuffered"),
     [(["-m", "eitskin_tools.cli", "--help"], "1"), (["-c", STUBBED.replace("{run}", "run")], "")],
 )
-def test_a_standard_output_that_nobody_reads_ends_well_without_a_word(words: list[str], unbuffered: str) -> None:
+def test_a_standard_output_that_nobody_reads_ends_well_without_a_word(words, unbuffered):
     assert unread(words, unbuffered) == (0, "")
 
 
-def test_a_failure_stays_one_where_nobody_reads_the_rest() -> None:
+def test_a_failure_stays_one_where_nobody_reads_the_rest():
     assert unread(["-c", STUBBED.replace("{run}", "failed")], "") == (1, "eitskin doctor: it broke\n")
 
 
-def test_a_pipe_to_something_else_that_broke_is_a_failure_in_a_line() -> None:
-    done = shell(f"-c '{STUBBED.replace('{run}', 'elsewhere')}'", "")
-    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
-    assert "Broken pipe" in done.stderr
-
-
-def test_a_log_on_a_full_disk_ends_no_command_and_changes_no_result() -> None:
+def test_a_log_on_a_full_disk_ends_no_command_and_changes_no_result():
     code = (
         "import sys; from eitskin_tools import cli; from eitskin_tools.console.run_log import RunLog; "
         "log = RunLog(sys.stderr); [log.warn('x' * 4000) for _ in range(9)]; log.failed('x', 'y'); log.end(); "

@@ -1,12 +1,11 @@
 """Lines for the journal: a prefix where the stream is the journal's, and nowhere else."""
 
-import json
 import os
 
 import pytest
 
 from eitskin_tools.console.run_log import RunLog
-from eitskin_tools.console.terminal import goes_to_journal, prefix
+from eitskin_tools.console.terminal import prefix
 
 
 @pytest.fixture
@@ -39,28 +38,11 @@ def test_each_event_has_its_level_before_it(named):
     assert "two" in found[3]  # all of an event is one line
 
 
-def test_json_stays_json_behind_the_prefix(named):
-    RunLog(named, "json").warn("a doubt")
-    (line,) = lines(named)
-    assert line.startswith("<4>")
-    assert json.loads(line[3:])["text"] == "a doubt"
-
-
 def test_a_redirected_stream_gets_plain_lines(stream, tmp_path, monkeypatch):
     other = os.stat(tmp_path)
     monkeypatch.setenv("JOURNAL_STREAM", f"{other.st_dev}:{other.st_ino}")
     RunLog(stream).say("a port")
     assert lines(stream) == ["eitskin run: a port"]
-
-
-@pytest.mark.parametrize("value", ["", "5", ":", "a:b", "-1:2", "1:2:3"])
-def test_what_names_no_stream_is_none(stream, value):
-    assert not goes_to_journal(stream, {"JOURNAL_STREAM": value})
-
-
-def test_a_closed_stream_is_none(stream):
-    stream.close()
-    assert not goes_to_journal(stream, {"JOURNAL_STREAM": "1:2"})
 
 
 def test_levels_are_those_of_syslog():

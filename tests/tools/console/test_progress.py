@@ -7,7 +7,7 @@ import pytest
 from eitskin_tools.console.progress import Stages
 
 
-def test_a_stage_is_one_line_on_stderr_when_it_ends(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_stage_is_one_line_on_stderr_when_it_ends(capsys):
     with Stages() as tell:
         tell("folding")
         assert capsys.readouterr().err == ""
@@ -18,8 +18,8 @@ def test_a_stage_is_one_line_on_stderr_when_it_ends(capsys: pytest.CaptureFixtur
     assert printed.out == ""
 
 
-def test_a_stage_that_fails_says_so_and_the_error_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
-    def work() -> None:
+def test_a_stage_that_fails_says_so_and_the_error_goes_on(capsys):
+    def work():
         with Stages() as tell:
             tell("folding")
             raise ValueError("bad")
@@ -27,9 +27,3 @@ def test_a_stage_that_fails_says_so_and_the_error_goes_on(capsys: pytest.Capture
     with pytest.raises(ValueError, match="bad"):
         work()
     assert re.fullmatch(r"folding: stopped after \d+\.\d s\n", capsys.readouterr().err)
-
-
-def test_work_without_stages_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    with Stages():
-        pass
-    assert capsys.readouterr().err == ""

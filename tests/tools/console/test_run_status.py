@@ -4,13 +4,9 @@ import contextlib
 import io
 import json
 import os
-import threading
-
-import pytest
 
 from eitskin_tools.console.run_log import RunLog
 from eitskin_tools.console.run_status import SILENT_S, RunStatus
-from eitskin_tools.console.terminal import StatusLine
 
 
 class Terminal(io.StringIO):
@@ -93,48 +89,6 @@ def test_json_is_one_object_a_line_with_rate_and_reasons():
     assert (found["event"], found["rate_hz"], found["corrupt"]) == ("status", 100.0, 1)
     assert found["withheld_by_reason"] == {"stale": 0}
     assert found["time_utc"].endswith("+00:00")
-
-
-def test_quiet_leaves_nothing_but_ready():
-    stream = io.StringIO()
-    log = RunLog(stream, quiet=True)
-    log.say("gate: ...")
-    log.status("all well", {})
-    log.ready("ipc:///a", "ipc:///b")
-    assert stream.getvalue() == "ready publishing on ipc:///a control ipc:///b\n"
-
-
-def test_the_thread_ends_with_its_block_and_leaves_the_terminal_on_a_line_of_its_own():
-    skin, stream, looked = Skin(), Terminal(), threading.Event()
-    skin.counters["frames"] = 1
-
-    def read():
-        looked.set()
-        return skin.status()
-
-    status = RunStatus(read, RunLog(stream))
-    with status:
-        assert looked.wait(60.0)
-    assert "run-status" not in {thread.name for thread in threading.enumerate()}
-    status.look()  # the second look has something to show
-    status._log.end()
-    assert stream.getvalue().endswith("\n")
-
-
-def test_a_status_is_cut_at_the_terminals_width(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "20")
-    stream = Terminal()
-    StatusLine(stream).show("x" * 50)
-    assert stream.getvalue() == "\r" + "x" * 19 + "\x1b[K"
-
-
-@pytest.mark.parametrize("form", ["text", "json"])
-def test_a_report_above_a_status_does_not_run_into_it(form):
-    stream = Terminal()
-    log = RunLog(stream, form)
-    log.status("all well", {})
-    log.say("more")
-    assert stream.getvalue().splitlines()[-1].endswith("more" if form == "text" else "}")
 
 
 def test_without_a_frame_that_can_be_used_electrodes_are_not_called_well():

@@ -4,10 +4,8 @@ import io
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
-from eitskin_proto.skin.skin import PAPER
-from eitskin_tools.console.stream_view import StreamView, describe, peak_mm
+from eitskin_tools.console.stream_view import StreamView, describe
 
 
 class Terminal(io.StringIO):
@@ -36,12 +34,6 @@ def shown(stream, seconds=3.0, rate_hz=200):
     return stream.getvalue()
 
 
-def test_a_peak_is_the_centre_of_its_pixel_in_mm():
-    height, x_mm, y_mm = peak_mm(frame(0).map, PAPER.grid)
-    assert height == pytest.approx(0.93)
-    assert (x_mm, y_mm) == pytest.approx((45.0, 31.667), abs=1e-3)
-
-
 def test_two_hundred_frames_a_second_are_a_line_a_second_in_a_file():
     lines = shown(io.StringIO()).splitlines()
     assert len(lines) == 4  # at 0, 1 and 2 s, and the last frame
@@ -52,14 +44,6 @@ def test_a_terminal_gets_one_line_ten_times_a_second():
     text = shown(Terminal())
     assert text.count("\n") == 1
     assert 28 <= text.count("\r") <= 32
-
-
-def test_a_single_frame_is_shown_with_its_number():
-    stream = io.StringIO()
-    view = StreamView(stream)
-    view.show(frame(17, touched=False))
-    view.end()
-    assert stream.getvalue().startswith("frame 17  untouched  vd2t-int8")
 
 
 def test_how_far_the_sheet_is_from_its_reference_is_shown_once_it_is_known():

@@ -5,7 +5,6 @@ import dataclasses
 import pytest
 
 from eitskin.messaging.streams.verified import FLAGS, VerifiedFrame, VerifiedTouch
-from eitskin.touches.force import ForceTable
 from eitskin_tools.console.stream_view import FLAGGED, describe_verdict
 
 TOUCH = VerifiedTouch(
@@ -17,7 +16,6 @@ STAMPS = {"read": 1, "publish": 2, "begin": 3, "end": 4}
 FOUND = VerifiedFrame(
     7, "ready", "", (TOUCH,), 104.5, 104, 0.046, True, 0, {"checked": 5, "flagged": 1, "skipped": 2}, STAMPS, 1, 1, "r"
 )
-TABLE = ForceTable([(0.0, 0.0, 0.0), (100.0, 2.0, 0.0)])
 
 
 def test_each_reason_for_a_flag_is_said():
@@ -33,14 +31,3 @@ def test_a_verifier_that_is_ready_does_not_say_that_nothing_has_changed(why):
     assert describe_verdict(found) == [
         f"7 not verified: the verifier is ready, with no new verdict{why and f': {why}'}",
     ]
-
-
-@pytest.mark.parametrize(("strength", "error", "says"), [
-    (50.0, 20.0, ", force 1.00 +- 0.40 N"),
-    (50.0, None, ", force 1.00 +- 0.00 N by the table alone"),
-    (150.0, 20.0, ", force unknown: the table is of 0 to 100 mm2"),
-])  # fmt: skip
-def test_a_table_of_ones_own_gives_each_touch_its_force(strength, error, says):
-    touch = dataclasses.replace(TOUCH, strength_mm2=strength, strength_error_mm2=error)
-    assert describe_verdict(dataclasses.replace(FOUND, touches=(touch,)), TABLE)[1].endswith(f" mm2{says}")
-    assert "force" not in describe_verdict(FOUND)[1]

@@ -1,21 +1,18 @@
 """What a recorded demonstration is scored as and drawn as, without any process."""
 
-import io
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from eitskin_proto.skin.skin import PAPER
-from eitskin_tools.demo.frame_picture import choose, picture
+from eitskin_tools.demo.frame_picture import choose
 from eitskin_tools.demo.recorder import STAGES, Record
-from eitskin_tools.demo.score import accuracy, percentiles_us, timing
-from eitskin_tools.pictures import Painter, plain_lines
+from eitskin_tools.demo.score import accuracy, timing
 from eitskin_tools.scripted_scene.script import demonstration
 
 
-def a_record(frames: int = 400, first_us: int = 1_000_000) -> Record:
+def a_record(frames=400, first_us=1000000):
     """A record of perfect maps of the script, 20 frames a second, every stage 10 us, the wire 100 us."""
     script = demonstration()
     found = Record.empty(frames, PAPER.grid.shape)
@@ -30,26 +27,26 @@ def a_record(frames: int = 400, first_us: int = 1_000_000) -> Record:
     return found
 
 
-def test_scores_of_a_perfect_stream_are_perfect() -> None:
+def test_scores_of_a_perfect_stream_are_perfect():
     found = accuracy(a_record(), demonstration(), start_us=1_000_000)
     assert found.cc_median == found.cc_median_flat == found.cc_median_bent == 1.0
     assert (found.missed, found.false_alarms) == (0.0, 0.0)
     assert found.scored > 250
 
 
-def test_truth_taken_at_the_wrong_time_is_noticed() -> None:
+def test_truth_taken_at_the_wrong_time_is_noticed():
     found = accuracy(a_record(), demonstration(), start_us=500_000)
     assert found.cc_median is not None
     assert found.cc_median < 0.95
 
 
-def test_a_device_clock_that_wraps_scores_the_same() -> None:
+def test_a_device_clock_that_wraps_scores_the_same():
     start = (1 << 32) - 3_000_000
     record = a_record(first_us=start)
     assert accuracy(record, demonstration(), start_us=start).cc_median == 1.0
 
 
-def test_timing_counts_from_the_wire_and_sums_up_over_the_stages() -> None:
+def test_timing_counts_from_the_wire_and_sums_up_over_the_stages():
     record = a_record()
     record.sequence[200:] += 3  # three frames were lost
     wire = np.zeros(1 << 12, dtype=np.int64)
@@ -75,7 +72,7 @@ def test_timing_counts_from_the_wire_and_sums_up_over_the_stages() -> None:
         (("inference:untouched", "geometry:cloud_unchanged"), False),
     ],
 )
-def test_a_frame_counts_as_inferred_only_if_a_solver_ran_for_it(skipped: tuple[str, ...], ran: bool) -> None:
+def test_a_frame_counts_as_inferred_only_if_a_solver_ran_for_it(skipped, ran):
     record = Record.empty(1, PAPER.grid.shape)
     frame = SimpleNamespace(
         sequence=1, device_us=0, received_ns=300_000, host_ns=dict.fromkeys(STAGES, 200_000), touched=True,
@@ -90,24 +87,19 @@ def test_a_frame_counts_as_inferred_only_if_a_solver_ran_for_it(skipped: tuple[s
     assert found["latency_inferred_us"] == ({"p50": 200.0, "p99": 200.0, "p999": 200.0, "max": 200.0} if ran else {})
 
 
-def test_an_empty_record_is_an_error_and_not_a_summary() -> None:
+def test_an_empty_record_is_an_error_and_not_a_summary():
     with pytest.raises(ValueError, match="not one frame"):
         timing(Record.empty(0, PAPER.grid.shape), np.zeros(4, dtype=np.int64))
 
 
-def test_percentiles_are_of_microseconds() -> None:
-    assert percentiles_us(np.arange(0, 1_001_000, 1000))["p99"] == 990.0
-    assert percentiles_us(np.array([], dtype=np.int64)) == {}
-
-
-def test_long_runs_keep_a_bounded_number_of_maps() -> None:
+def test_long_runs_keep_a_bounded_number_of_maps():
     assert Record.empty(2000, PAPER.grid.shape).stride == 1
     long = Record.empty(100_000, PAPER.grid.shape)
     assert len(long.maps) <= 6000
     assert long.maps.shape[1:] == PAPER.grid.shape
 
 
-def test_a_record_survives_its_file(tmp_path: Path) -> None:
+def test_a_record_survives_its_file(tmp_path):
     record = a_record(20)
     record.save(tmp_path / "record.npz", 15)
     again = Record.load(tmp_path / "record.npz")
@@ -115,25 +107,7 @@ def test_a_record_survives_its_file(tmp_path: Path) -> None:
     assert np.array_equal(again.maps, record.maps[:15])
 
 
-def test_a_map_is_drawn_with_y_upwards() -> None:
-    image = np.zeros(PAPER.grid.shape)
-    image[0, 0] = 1.0  # the corner (0, 0)
-    lines = plain_lines(image)
-    assert (len(lines), len(lines[0])) == (15, 45)
-    assert lines[-1][0] == "█"
-    assert sum(line.count("█") for line in lines) == 1
-
-
-def test_the_screen_is_given_back_even_after_an_error() -> None:
-    screen = io.StringIO()
-    with pytest.raises(RuntimeError, match="boom"), Painter(screen) as painter:  # noqa: PT012
-        painter.show("title", np.zeros(PAPER.grid.shape), np.ones(PAPER.grid.shape), ["footer"])
-        raise RuntimeError("boom")
-    text = screen.getvalue()
-    assert text.index("\x1b[?1049h") < text.index("title") < text.index("\x1b[?25h") < text.index("\x1b[?1049l")
-
-
-def test_the_picture_shows_a_bent_touched_frame() -> None:
+def test_the_picture_shows_a_bent_touched_frame():
     script = demonstration()
     index, time_s = choose(a_record(), script, 1_000_000)
     scene = script.scene_at(time_s)
@@ -142,11 +116,3 @@ def test_the_picture_shows_a_bent_touched_frame() -> None:
     assert index == round((time_s - 0.02) / 0.05)
     with pytest.raises(ValueError, match="record more seconds"):
         choose(a_record(60), script, 1_000_000)
-
-
-def test_the_picture_is_a_png_of_a_recorded_frame(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib", reason="pictures need the extra 'plot'")
-    path = tmp_path / "frame.png"
-    picture(a_record(), demonstration(), 1_000_000, path)
-    assert path.read_bytes().startswith(b"\x89PNG")
-    assert 20_000 < path.stat().st_size < 400_000

@@ -2,11 +2,8 @@
 
 from pathlib import Path
 
-import pytest
-
 from eitskin.model import bundle as bundles
 from eitskin_proto.skin.skin import PAPER
-from eitskin_proto.skin.toml import named as skin_named
 from eitskin_sim.evaluation.harness import Conditions
 from eitskin_sim.evaluation.trials import Softness, single, untouched
 from eitskin_sim.scene.scene import load_phantoms
@@ -56,8 +53,3 @@ def test_presses_and_touches_of_one_list_have_a_bundle_each(monkeypatch):
     assert asked == list(by_group) == [("area", "raise"), ("area", "lower")]
     assert [phantom for phantom, _ in results] == phantoms
     assert numbered == [[0, 2], [1]], "each has the noise of its own place in the file"
-
-
-@pytest.mark.parametrize("name", ["lab", "hydrogel"])
-def test_a_bundle_serves_every_description_of_its_sheet(name):
-    assert named(Request("vd2t", bundle=TINY), "area", skin_named(name)).bundle_id

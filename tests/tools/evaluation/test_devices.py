@@ -1,19 +1,16 @@
 """``eitskin evaluate --devices``: a table by mismatch, and one line for whatever is wrong."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from eitskin_proto.skin import toml
-from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import device_runs as runs
 from eitskin_sim.evaluation.mismatch import load_rows
 from eitskin_tools import cli
 from eitskin_tools.command_line import files
 from eitskin_tools.evaluation import devices
-from eitskin_tools.evaluation.devices import KINDS, meant, table, trials_of
+from eitskin_tools.evaluation.devices import KINDS, table
 from eitskin_tools.evaluation.solvers import named
 
 
@@ -53,13 +50,6 @@ def test_devices_of_another_sheet_are_drawn_around_that(tmp_path, capsys):
     assert table(found).startswith("| mismatch | single, CC, rms mm |")
 
 
-def test_sets_of_touches_stand_for_the_paper_s_phantoms_on_another_sheet():
-    mm, units = trials_of(["mm", "units"], 2, 1, toml.load(FOREARM))
-    assert (mm.labels, units.labels) == ("area", "units")
-    assert {len(one.phantoms) for one in (mm, units)} == {2}
-    assert {phantom.scene.sheet.size_mm for one in (mm, units) for phantom in one.phantoms} == {(220.0, 90.0)}
-
-
 @pytest.mark.parametrize(
     ("more", "expected"),
     [
@@ -72,18 +62,6 @@ def test_what_goes_by_a_bundle_wants_one_of_the_sheet(tmp_path, capsys, more, ex
     error = capsys.readouterr().err
     assert expected in error
     assert len(error.splitlines()) == 1
-
-
-def test_a_length_of_another_sheet_is_refused(tmp_path, capsys):
-    (tmp_path / "long.json").write_text(json.dumps([{"name": "none"}, {"name": "long", "length_mm": 220}]))
-    assert cli.main(["evaluate", "--devices", str(tmp_path / "long.json"), "--trials", "single"]) != 0
-    assert "'long': length_mm is 220, expected 140 to 160: skin 'paper' is 150 mm long" in capsys.readouterr().err
-
-
-def test_a_calibrated_device_of_another_sheet_is_no_sheet_to_draw_around():
-    with pytest.raises(ValueError, match=r"name the skin\.toml that it was calibrated from"):
-        meant(replace(toml.load(FOREARM), calibrated_from="5" * 16))
-    assert meant(replace(PAPER, calibrated_from=PAPER.digest)) == PAPER
 
 
 def test_a_verifier_looks_for_the_touches_of_each_trial(tmp_path, capsys, monkeypatch):
@@ -118,18 +96,6 @@ def test_drift_is_taken_out_as_the_runtime_does(tmp_path, capsys):
     assert found["met"] > found["left"] + 0.01
 
 
-def test_drift_is_only_taken_out_of_what_drifts(capsys):
-    assert cli.main(["evaluate", "--single", "10", "--drift", "met"]) == 2
-    assert "--drift does nothing with --single" in capsys.readouterr().err
-
-
-def test_people_read_a_table(tmp_path, capsys):
-    assert cli.main(words(tmp_path, "--trials", "press04", "--solver", "tikhonov-units")) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "| mismatch | press 0.4, CC, rms mm |"
-    assert [line.split("|")[1].strip() for line in lines[2:]] == ["none", "gauge"]
-
-
 def test_the_table_says_what_was_missed_and_what_was_not_run():
     one = {"cc": 0.5, "cc_worst": 0.1, "localisation_rms_mm": None, "missed": 0.999, "gate_missed": 0.0, "maps": 3}
     found = {"phantoms": "paper", "rows": [{"name": "x", "devices": [], "single": one, "units": None, "mm": one}]}
@@ -145,17 +111,14 @@ def test_the_shipped_list_is_one():
 
 
 @pytest.mark.parametrize(
-    ("more", "status", "said"),
+    ("more", "said"),
     [
-        (["--trials", "double"], 2, "press06"),
-        (["--draws", "0"], 2, "at least 1"),
-        (["--seed", "-1"], 2, "at least 0"),
-        (["--reference", "post"], 1, "--reference post"),
-        (["--prediction", "true"], 1, "untouched voltages"),
+        (["--reference", "post"], "--reference post"),
+        (["--prediction", "true"], "untouched voltages"),
     ],
 )
-def test_what_cannot_be_run_is_one_line(tmp_path, capsys, more, status, said):
-    assert cli.main(words(tmp_path, *more)) == status
+def test_what_cannot_be_run_is_one_line(tmp_path, capsys, more, said):
+    assert cli.main(words(tmp_path, *more)) == 1
     line = capsys.readouterr().err
     assert said in line
     assert line.count("\n") == 1

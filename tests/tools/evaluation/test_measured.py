@@ -3,8 +3,6 @@
 import json
 import os
 import pickle
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -12,22 +10,16 @@ import pytest
 from tests.second_skin import SECOND
 
 from eitskin.model.gate import Gate
-from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
-from eitskin_proto.skin.toml import to_toml
 from eitskin_sim.evaluation import harness
-from eitskin_sim.evaluation.near import true_centres_mm
 from eitskin_sim.measurement.noise import add_noise
-from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.parts import Bend, Phantom, Scene, Touch
 from eitskin_sim.scene.shapes import Disc
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_tools import cli
 from eitskin_tools.evaluation import measured as measuring
-from eitskin_tools.evaluation.measured_file import load_measured
-from eitskin_tools.evaluation.solvers import Request
 
 MESH_MM = 3.0
 BENT = Bend(angle_deg=60, stretch_along=1.05)
@@ -90,15 +82,6 @@ def test_every_sample_and_every_kind_is_judged(tmp_path, arrays, capsys):
     assert list(found["by_kind"]) == ["single", "untouched", "again"]
 
 
-def test_a_sample_is_told_its_own_scan(tmp_path, arrays, capsys):
-    told = evaluated(tmp_path, arrays, capsys)
-    untold = evaluated(tmp_path, {**arrays, "cloud_index": np.full(5, -1)}, capsys)
-    assert told["samples"][0]["cc"] > untold["samples"][0]["cc"] + 0.002
-    assert told["samples"][2] == untold["samples"][2]
-    left_out = {name: array for name, array in arrays.items() if name not in ("cloud_mm", "cloud_index")}
-    assert evaluated(tmp_path, left_out, capsys)["samples"] == untold["samples"]
-
-
 def test_the_gate_sees_the_samples_in_the_order_they_were_measured(tmp_path, arrays, capsys, monkeypatch):
     seen = []
 
@@ -150,13 +133,6 @@ def test_a_touch_is_missed_by_its_own_distance_and_localised_over_those_found():
     assert measuring.summary([one(np.inf)])["localisation_rms_mm"] is None
 
 
-def test_a_truth_that_covers_no_pixel_by_half_is_a_touch_all_the_same():
-    truth = np.zeros((30, 45))
-    truth[10, 20:22] = 0.3
-    assert true_centres_mm(truth) == pytest.approx(np.array([[70.0, 35.0]]))
-    assert len(true_centres_mm(np.zeros((30, 45)))) == 0
-
-
 def test_without_a_truth_the_gate_alone_is_reported(tmp_path, arrays, capsys):
     bare = {name: arrays[name] for name in ("reference_V", "voltages_V", "cloud_mm", "cloud_index", "kind")}
     found = evaluated(tmp_path, {**bare, "note": "tank 3"}, capsys, "--reference", "pre", "--solver", "tikhonov")
@@ -165,17 +141,6 @@ def test_without_a_truth_the_gate_alone_is_reported(tmp_path, arrays, capsys):
     assert found["by_kind"]["single"]["cc"] is None
     del bare["kind"]
     assert list(evaluated(tmp_path, bare, capsys, "--solver", "tikhonov")["by_kind"]) == ["unknown"]
-
-
-def test_ids_of_this_release_and_its_sheet_are_taken(tmp_path, arrays):
-    ids = {"protocol_id": PROTOCOL_ID, "grid_id": PAPER.grid_id, "skin_digest": PAPER.digest}
-    assert load_measured(written(tmp_path, {**arrays, **ids})).ignored == ()
-
-
-def test_a_table_is_printed_for_people(tmp_path, arrays, capsys):
-    assert cli.main(["evaluate", "--measured", written(tmp_path, arrays), "--solver", "tikhonov"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines[2:]] == ["single", "untouched", "again"]
 
 
 NAN = np.full((5, 104), np.nan)
@@ -259,41 +224,3 @@ def test_what_a_recording_cannot_tell_is_refused(tmp_path, arrays, capsys, words
         found = end.code
     assert found == status
     assert capsys.readouterr().err.count("\n") == 1
-
-
-@pytest.mark.process
-def test_no_torch_is_needed(tmp_path, arrays):
-    code = (
-        "import sys; sys.modules['torch'] = None\n"
-        f"from eitskin_tools import cli; raise SystemExit(cli.main(['evaluate', '--measured', "
-        f"{written(tmp_path, arrays)!r}, '--json']))"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
-
-
-def test_a_bundle_that_is_named_is_taken(tmp_path, arrays, request):
-    tiny = request.config.rootpath / "tests" / "golden" / "tiny.eitskin"
-    measured = load_measured(written(tmp_path, arrays))
-    found = measuring.evaluate_measured(measured, Request("vd2t", bundle=tiny))
-    assert found["bundles"] != measuring.evaluate_measured(measured, Request("vd2t"))["bundles"]
-
-
-def test_samples_of_another_skin_are_judged_by_its_model_and_grid(tmp_path, capsys):
-    disc = Touch((Disc(150.0, 50.0, 12.0),))
-    flat, touched = (volts(nominal_scene(SECOND, touches=touches)) for touches in ((), (disc,)))
-    truth = harness.truth_map(Phantom("", nominal_scene(SECOND, touches=(disc,)), "area"), SECOND.grid)
-    ids = {"grid_id": SECOND.grid_id, "skin_digest": SECOND.digest}
-    path, skin = tmp_path / "second.npz", tmp_path / "second.toml"
-    np.savez(path, reference_V=flat, voltages_V=touched[None], truth=truth[None], **ids)
-    skin.write_text(to_toml(SECOND))
-    words = ["evaluate", "--measured", str(path)]
-    assert cli.main([*words, "--solver", "tikhonov", "--skin", str(skin), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["by_kind"]["touched"]["localisation_rms_mm"] < 5.0
-    assert (found["skin_digest"], found["bundles"]) == (SECOND.digest, [])
-    assert cli.main([*words, "--solver", "tikhonov"]) == 1
-    assert f"grid_id: found {SECOND.grid_id}, expected {PAPER.grid_id}" in capsys.readouterr().err.replace(
-        " (paper)", ""
-    )
-    assert cli.main([*words, "--skin", str(skin)]) == 1
-    assert "name a bundle of this skin with --bundle" in capsys.readouterr().err

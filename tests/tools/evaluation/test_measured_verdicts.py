@@ -45,11 +45,3 @@ def test_samples_and_kinds_have_p_flag_and_time(command, capsys):
     single = found["by_kind"]["single"]
     assert (single["p_value"], single["flagged"], single["extra_ms"]) == (pytest.approx(0.2005), 0.5, 2.5)
     assert found["by_kind"]["untouched"]["p_value"] == 0.9
-
-
-def test_people_read_them_beside_the_other_figures(command, capsys):
-    assert cli.main(command) == 0
-    head, single, untouched = capsys.readouterr().out.splitlines()[1:]
-    assert head.endswith("false touch       p  flagged      ms")
-    assert single.endswith("     0.2    50.0%     2.5")
-    assert len(single) == len(untouched) == len(head)

@@ -21,21 +21,6 @@ def test_a_verified_phantom_has_its_p_beside_its_scores_and_all_have_a_line(caps
     assert last == "verified: 1 maps; 0 wrong, 0 of them not flagged; 1 right ones flagged; 4.0 ms a frame"
 
 
-def test_without_a_verifier_nothing_is_said_of_p(capsys):
-    print_report({**REPORT, "solver": "vd2t", "phantoms": [{"name": "1", **SCORES}]})
-    head, row, _ = capsys.readouterr().out.splitlines()[1:]
-    assert head.endswith("DE")
-    assert len(row) == len(head)
-
-
-def test_an_untouched_phantom_has_dashes(capsys):
-    bare = {"name": "bare", **SCORES, "cc": None, "rie": None}
-    print_report({**REPORT, "solver": "vd2t", "phantoms": [bare], "mean": bare})
-    head, row, mean = capsys.readouterr().out.splitlines()[1:]
-    assert row.split()[:4] == ["bare", "-", "120.00", "-"]
-    assert len(row) == len(mean) == len(head)
-
-
 def test_a_name_forges_no_line_and_moves_no_cursor(capsys):
     print_report({**REPORT, "solver": "vd2t", "phantoms": [{"name": "\x1b[2J\n\ud800", **SCORES}]})
     lines = capsys.readouterr().out.splitlines()

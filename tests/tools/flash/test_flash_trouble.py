@@ -6,7 +6,6 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from tests.emulator.patience import patient
 
 from eitskin.acquisition.serial_port import SerialPort
 from eitskin.errors import PortBusy
@@ -100,17 +99,6 @@ def test_a_device_that_never_answers_is_one_line_and_stays_as_it_was(capsys):
         assert made.store.generation == 0
 
 
-@pytest.mark.parametrize("fault", ["twice@0:60", "late@0:0.05"])
-def test_a_device_that_answers_twice_or_late_is_flashed_all_the_same(fault):
-    with skin(fault) as (made, port):
-        line = SerialPort(port)
-        exchange = patient(line)
-        assert procedure.write(exchange, FAST).generation == 1
-        line.close()
-        assert made.store.configuration == FAST
-        assert not made.store.on_trial
-
-
 def test_a_device_that_falls_silent_in_the_middle_keeps_its_old_configuration(monkeypatch):
     for when in range(1, 7):
         with skin() as (made, port):
@@ -130,19 +118,3 @@ def test_a_device_that_falls_silent_in_the_middle_keeps_its_old_configuration(mo
             line.close()
             made.boot(time.perf_counter_ns())
             assert made.store.generation == 0, f"silent after {when} answers"
-
-
-def test_what_newer_firmware_says_beyond_this_protocol_is_passed_over(device):
-    class Talkative:
-        """Says something of a type that nobody knows before each answer."""
-
-        line_bytes_per_s, name = 0, "a talkative device"
-
-        def read(self, timeout_s=None):
-            data = device.read(timeout_s)
-            return framing.encode(b"\x9f\x00new") + data if data else data
-
-        def __getattr__(self, name):
-            return getattr(device, name)
-
-    assert procedure.show(Exchange(Talkative())).active.configuration.name == "paper"

@@ -1,7 +1,5 @@
 """All 208 rows for a while, and back: on the C core in memory and on the virtual skin's pseudo-terminal."""
 
-import os
-import signal
 import time
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,9 +14,9 @@ from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
 from eitskin_proto.wire import config_toml
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
-from eitskin_tools.flash.full_scan import NAME, full_scan, scanning_all_rows
-from eitskin_tools.flash.procedure import FlashError, show
-from eitskin_tools.guided import GuideError, frames_of
+from eitskin_tools.flash.full_scan import full_scan, scanning_all_rows
+from eitskin_tools.flash.procedure import FlashError
+from eitskin_tools.guided import frames_of
 from eitskin_tools.virtual_skin.device import VirtualDevice
 from eitskin_tools.virtual_skin.process import configuration_for
 
@@ -59,23 +57,6 @@ def test_all_rows_are_scanned_with_the_same_front_end_as_fast_as_line_and_electr
             assert getattr(full, name) == getattr(own, name), name
 
 
-@pytest.mark.parametrize("own", ["factory", "fast"])
-def test_the_c_core_scans_208_rows_meanwhile_and_its_own_after_it(device, own):
-    if own == "fast":
-        procedure.write(Exchange(device), FAST)
-    before = Exchange(device).hello()
-    told = []
-    with scanning_all_rows(lambda: device, told.append):
-        found = show(Exchange(device))
-        assert (found.hello.rows, found.active.configuration.name) == (N_FULL_ROWS, NAME)
-        assert found.active_state == "running, confirmed"
-        assert found.other.configuration.digest == before.configuration_digest, "its own stands beside it"
-    after = Exchange(device).hello()
-    assert (after.rows, after.configuration_digest) == (N_ROWS, before.configuration_digest)
-    assert "flashing: 208 rows" in told[0]
-    assert told[-1] == f"the device scans 104 rows again, as {before.configuration_name} says"
-
-
 def test_a_device_that_scans_them_anyway_is_not_written_to(device):
     procedure.write(Exchange(device), config_toml.named("full208"))
     generation = Exchange(device).hello().generation
@@ -90,14 +71,6 @@ def test_whatever_ends_the_work_the_device_goes_back(device, error):
     with pytest.raises(type(error)), scanning_all_rows(lambda: device, lambda _: None):
         raise error
     assert Exchange(device).hello().configuration_digest == digest
-
-
-def test_a_service_that_is_stopped_goes_back_too_and_the_handlers_are_as_before(device):
-    before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(KeyboardInterrupt), scanning_all_rows(lambda: device, lambda _: None):
-        os.kill(os.getpid(), signal.SIGTERM)  # which Python hears before it goes on
-    assert Exchange(device).hello().rows == N_ROWS
-    assert signal.getsignal(signal.SIGTERM) == before
 
 
 def test_what_cannot_go_back_is_said_with_the_remedy_and_the_next_calibration_brings_it_back(device):
@@ -134,17 +107,3 @@ def test_a_guided_recording_gets_both_readings_of_every_pair_of_pairs():
         assert made.store.configuration.digest == configuration_for(200.0).digest
     assert volts.shape == (N_FULL_ROWS,)
     assert np.allclose(volts, VOLTS, atol=1e-6)
-
-
-@pytest.mark.process
-def test_frames_that_never_can_be_used_end_a_guided_recording_in_one_line():
-    with skin(np.full(N_FULL_ROWS, 0.1)) as (_, port):  # a converter that is stuck
-        line = SerialPort(port)
-        try:
-            device = Device(line)
-            device.start()
-            with pytest.raises(GuideError, match=r"the last 100 frames cannot be used: .*'eitskin flash'"):
-                next(frames_of(device))
-            device.stop()
-        finally:
-            line.close()

@@ -1,7 +1,6 @@
 """A guided recording, with a sheet that does what it is asked, or does not: no clock anywhere."""
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -67,15 +66,6 @@ def guided(sheet, plan=PLAN, load=lambda name: flat_cloud()):
     return Guide(plan, sheet.frames(), sheet, load).run()
 
 
-def test_where_nobody_can_type_any_more_a_scan_is_not_waited_for():
-    sheet = Sheet()
-    sheet.left = True
-    with pytest.raises(GuideError, match="standard input has ended"):
-        guided(sheet)
-    assert "Name the scan" in sheet.told[-1]
-    assert "press_V" in guided(Sheet(), replace(PLAN, bends=0))  # what the sheet itself shows needs no typing
-
-
 def test_every_step_is_recorded_once_the_sheet_shows_it():
     sheet = Sheet([SCAN])
     found = guided(sheet)
@@ -100,17 +90,6 @@ def test_steps_can_be_skipped_and_gone_back_to():
     assert "bent_V" not in found
     assert found["press_xy_mm"].tolist() == [[40.0, 30.0]]
     assert sum("at (40, 30)" in one for one in sheet.told) == 2, "the first press was repeated"
-
-
-def test_what_is_gone_back_to_and_skipped_is_left_out():
-    sheet = Sheet([SCAN, (r"at \(75, 50\)", "b"), ("Press 1", "s")])
-    found = guided(sheet)
-    assert len(found["bent_V"]) == 1
-    assert found["press_xy_mm"].tolist() == [[75.0, 50.0]]
-    assert "what was recorded of it before is left out" in sheet.told
-    sheet = Sheet([SCAN, ("Press 1", "b"), ("bend the sheet", "s")])
-    assert "bent_V" in guided(Sheet([SCAN]))
-    assert "bent_V" not in guided(sheet)
 
 
 def test_the_reference_cannot_be_skipped_and_a_strange_word_is_answered():
@@ -142,16 +121,6 @@ def test_a_scan_that_cannot_be_read_is_asked_for_again():
     assert asked == ["none.npz", "bent.npz"]
 
 
-def test_a_sheet_that_is_never_flat_is_left_as_it_was_scanned_and_its_scan_is_kept():
-    sheet = Sheet([SCAN])
-    lying = 1.03 * flat_cloud()
-    found = guided(sheet, replace(PLAN, lying_mm=lying))
-    assert np.array_equal(found["reference_cloud_mm"], lying)
-    assert sheet.told[0].startswith("Leave the sheet as it was scanned and take your hands off")
-    assert any("the sheet as it was scanned first, and free" in one for one in sheet.told)
-    assert not any("flat" in one for one in sheet.told)
-
-
 def test_both_readings_of_a_full_scan_are_kept():
     gain = np.where(np.arange(208) % 2, 1.01, 0.99)
 
@@ -163,10 +132,6 @@ def test_both_readings_of_a_full_scan_are_kept():
     found = guided(Full([SCAN]))
     assert found["press_V"].shape == (2, 208)
     assert np.abs(found["reference_V"] / (gain * FLAT[np.arange(208) % 104]) - 1.0).max() < 5.0 * NOISE / np.sqrt(40)
-
-
-def test_without_a_stamp_nothing_is_pressed():
-    assert "press_V" not in guided(Sheet([SCAN]), Plan(places_mm=PLAN.places_mm, stamp_mm=(), bends=1))
 
 
 def test_a_sheet_that_moves_is_not_at_rest_and_noise_alone_is():

@@ -1,7 +1,6 @@
 """Lines that a person types, and the end of them."""
 
 import os
-from collections.abc import Iterator
 
 import pytest
 
@@ -9,7 +8,7 @@ from eitskin_tools.guided import Terminal
 
 
 @pytest.fixture
-def typing(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+def typing(monkeypatch):
     """Yield where to type."""
     reading, writing = os.pipe()
     with open(reading, encoding="utf-8") as stream:
@@ -17,7 +16,7 @@ def typing(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         yield writing
 
 
-def test_lines_come_one_by_one_and_none_is_waited_for(typing: int) -> None:
+def test_lines_come_one_by_one_and_none_is_waited_for(typing):
     terminal = Terminal()
     assert terminal.answer() is None
     os.write(typing, b"s\n bent.npz \nq")
@@ -26,7 +25,7 @@ def test_lines_come_one_by_one_and_none_is_waited_for(typing: int) -> None:
     os.close(typing)
 
 
-def test_at_the_end_of_the_input_the_last_line_counts_and_nothing_more_will_come(typing: int) -> None:
+def test_at_the_end_of_the_input_the_last_line_counts_and_nothing_more_will_come(typing):
     terminal = Terminal()
     os.write(typing, b"q")
     os.close(typing)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.skin import PAPER
-from eitskin_tools.pictures import LEFT_OUT, Painter, arrange, fitted
+from eitskin_tools.pictures import Painter, arrange, fitted
 
 TITLE = "eitskin demo    12.3 s   the sheet is bent by 156 deg, its axis at +30, stretched 13.1 %; 3 touches"
 FOOTER = [
@@ -16,19 +16,19 @@ FOOTER = [
 ]
 
 
-def a_map() -> np.ndarray:
+def a_map():
     image = np.zeros(PAPER.grid.shape)
     image[3:7, 10:15] = 1.0
     return image
 
 
-def drawn(width: int, height: int) -> list[str]:
+def drawn(width, height):
     lines = Painter(io.StringIO()).picture(width, height, TITLE, a_map(), 1.0 - a_map(), FOOTER)
     return [re.sub("\x1b\\[[0-9;]*m", "", line) for line in lines]
 
 
 @pytest.mark.parametrize("size", [(80, 24), (94, 21), (200, 50), (60, 40), (100, 30), (300, 100)])
-def test_both_maps_and_every_word_are_shown(size: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_both_maps_and_every_word_are_shown(size, monkeypatch):
     monkeypatch.setenv("NO_COLOR", "1")
     lines = drawn(*size)
     assert len(lines) <= size[1]
@@ -38,47 +38,16 @@ def test_both_maps_and_every_word_are_shown(size: tuple[int, int], monkeypatch: 
         assert said in text
 
 
-def test_a_usual_terminal_has_smaller_maps_side_by_side_and_a_large_one_larger_ones() -> None:
+def test_a_usual_terminal_has_smaller_maps_side_by_side_and_a_large_one_larger_ones():
     usual, large = arrange(80, 20, (30, 45), truth=True), arrange(200, 46, (30, 45), truth=True)
     assert (usual.columns, usual.lines, usual.arrangement) == (38, 13, "beside")
     assert (large.columns, large.lines, large.arrangement) == (90, 30, "beside")
     assert arrange(50, 60, (30, 45), truth=True).arrangement == "below"
 
 
-@pytest.mark.parametrize("size", [(40, 12), (79, 8), (20, 24), (30, 10)])
-def test_a_truth_that_cannot_be_shown_is_named_and_the_map_keeps_the_room(size: tuple[int, int]) -> None:
-    lines = drawn(*size)
-    assert len(lines) <= size[1]
-    assert max(map(len, lines)) <= size[0]
-    assert LEFT_OUT[: size[0]] in lines
-    assert any("▀" in line for line in lines)
-
-
-@pytest.mark.parametrize("encoding", ["latin-1", "ascii", "koi8-r"])
-def test_a_terminal_is_drawn_on_with_what_it_has(encoding: str) -> None:
-    stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
-    Painter(stream).show(TITLE, a_map(), 1.0 - a_map(), FOOTER)  # writes nothing that cannot be encoded
-    lines = Painter(stream).picture(80, 24, TITLE, a_map(), 1.0 - a_map(), FOOTER)
-    blocks = any("\u2580" in line for line in lines)
-    assert blocks if encoding == "koi8-r" else any("####" in line for line in lines)
-
-
-def test_a_map_of_its_own_size_is_drawn_as_it_is_and_enlarged_by_whole_pixels() -> None:
-    image = np.random.default_rng(0).random(PAPER.grid.shape)
-    assert np.allclose(fitted(image, 45, 15), image, atol=1e-12)
-    assert np.allclose(fitted(image, 90, 30), np.kron(image, np.ones((2, 2))), atol=1e-12)
-
-
-def test_a_smaller_map_keeps_the_mean_so_that_no_touch_falls_between_pixels() -> None:
+def test_a_smaller_map_keeps_the_mean_so_that_no_touch_falls_between_pixels():
     image = np.zeros(PAPER.grid.shape)
     image[17, 31] = 1.0
     small = fitted(image, 38, 13)
     assert small.shape == (26, 38)
     assert small.mean() == pytest.approx(image.mean(), rel=1e-9)
-
-
-def test_colours_are_written_where_they_change_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("NO_COLOR", raising=False)
-    (first, *_) = Painter(io.StringIO()).lines(np.zeros(PAPER.grid.shape))
-    assert first.count("▀") == 45
-    assert first.count("\x1b") == 3  # above, below, and back to normal

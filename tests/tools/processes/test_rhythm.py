@@ -1,6 +1,5 @@
 """When frames come, and how long to rest so as to wake between two of them."""
 
-import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -40,13 +39,6 @@ def test_whoever_rests_wakes_when_a_frame_is_through(clock, each, least_s):
         assert abs(wakes_ns / PERIOD_NS % 1.0 - SHARE) < 1e-3
 
 
-def test_frames_that_come_unevenly_are_met_all_the_same(clock):
-    rhythm = told(PERIOD_NS, jitter_ns=PERIOD_NS // 10)
-    clock.now_ns = BEGIN_NS + 50 * PERIOD_NS
-    wakes_ns = clock.now_ns + rhythm.rest_s(0.02) * 1e9 - BEGIN_NS
-    assert 0.2 < wakes_ns / PERIOD_NS % 1.0 < 0.7  # neither while one is computed nor when the next one comes
-
-
 @pytest.mark.parametrize(
     "rhythm",
     [
@@ -60,28 +52,3 @@ def test_frames_that_come_unevenly_are_met_all_the_same(clock):
 )
 def test_where_there_is_no_rhythm_one_rests_as_long_as_one_would(clock, rhythm):
     assert rhythm.rest_s(0.02) == 0.02
-
-
-def test_a_stream_that_begins_anew_has_its_own_rhythm(clock):
-    rhythm = told(PERIOD_NS)
-    rhythm.heard(0, BEGIN_NS)  # another run
-    assert rhythm.rest_s(0.02) == 0.02
-    for number in range(1, 30):
-        rhythm.heard(number, BEGIN_NS + number * 2 * PERIOD_NS)
-    clock.now_ns = BEGIN_NS + 60 * PERIOD_NS
-    assert (clock.now_ns + rhythm.rest_s(0.0) * 1e9 - BEGIN_NS) / (2 * PERIOD_NS) % 1.0 == pytest.approx(
-        SHARE, abs=1e-3
-    )
-
-
-def test_a_stream_that_stopped_long_ago_keeps_nobody_longer(clock):
-    rhythm = told(PERIOD_NS)
-    clock.now_ns = BEGIN_NS + 10**13
-    assert 0.02 <= rhythm.rest_s(0.02) <= 0.02 + PERIOD_NS * 1e-9 + 1e-9
-
-
-def test_it_asks_the_clock_that_frames_are_stamped_with():
-    rhythm, now_ns = Rhythm(), time.perf_counter_ns()
-    for number in range(10):
-        rhythm.heard(number, now_ns + (number - 10) * PERIOD_NS)
-    assert 0.0 <= rhythm.rest_s(0.0) <= PERIOD_NS * 1e-9

@@ -3,8 +3,6 @@
 import signal
 import subprocess
 import sys
-import tomllib
-from pathlib import Path
 
 import pytest
 
@@ -35,14 +33,14 @@ sys.exit(cli.main(["doctor"]))
 """A command that gets a signal, once or twice, while it writes."""
 
 
-def test_a_closed_terminal_asks_for_an_end_unless_whoever_started_us_said_that_it_may_close() -> None:
+def test_a_closed_terminal_asks_for_an_end_unless_whoever_started_us_said_that_it_may_close():
     with met_by(signal.SIG_DFL, signal.SIGHUP):
         assert endings() == (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     with met_by(signal.SIG_IGN, signal.SIGHUP):
         assert endings() == (signal.SIGINT, signal.SIGTERM)
 
 
-def ended(path: Path, number: int, times: int, *before: str) -> tuple[int, str]:
+def ended(path, number, times, *before):
     """Run the writer, and return its status and what it printed."""
     command = [*before, sys.executable, "-c", WRITER, str(path), str(number), str(times)]
     with met_by(signal.SIG_DFL, signal.SIGHUP, signal.SIGINT):  # these tests may run under nohup themselves, or by "&"
@@ -55,20 +53,14 @@ def ended(path: Path, number: int, times: int, *before: str) -> tuple[int, str]:
 
 @pytest.mark.process
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_what_ends_a_command_while_it_writes_leaves_nothing_half_written(tmp_path: Path, number: int) -> None:
+def test_what_ends_a_command_while_it_writes_leaves_nothing_half_written(tmp_path, number):
     assert ended(tmp_path / "a.json", number, 1) == (-number, "met\n")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.process
-def test_ctrl_c_while_it_writes_leaves_nothing_half_written(tmp_path: Path) -> None:
-    assert ended(tmp_path / "a.json", signal.SIGINT, 1) == (130, "met\n")
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.process
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_the_second_signal_ends_it_at_once(tmp_path: Path, number: int) -> None:
+def test_the_second_signal_ends_it_at_once(tmp_path, number):
     assert ended(tmp_path / "a.json", number, 2) == (-number, "met\n")
 
 
@@ -93,21 +85,10 @@ sys.exit(main())
 
 @pytest.mark.process
 @pytest.mark.parametrize("when", ["eitskin_tools.cli", "eitskin_tools.command_line.files", "the end"])
-def test_ctrl_c_before_and_behind_a_command_is_no_traceback(when: str) -> None:
+def test_ctrl_c_before_and_behind_a_command_is_no_traceback(when):
     with met_by(signal.SIG_DFL, signal.SIGINT):
         done = subprocess.run(
             [sys.executable, "-c", AT_THE_EDGES, "--version", when],
             capture_output=True, text=True, timeout=120, check=False,
         )  # fmt: skip
     assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
-
-
-def test_the_command_that_is_installed_is_this_one() -> None:
-    pyproject = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())
-    assert pyproject["project"]["scripts"] == {"eitskin": "eitskin_tools.entry:main"}
-
-
-@pytest.mark.process
-def test_under_nohup_a_closed_terminal_ends_no_command(tmp_path: Path) -> None:
-    assert ended(tmp_path / "a.json", signal.SIGHUP, 1, "nohup") == (0, "met\n")
-    assert (tmp_path / "a.json").read_bytes() == b"half of it"

@@ -20,7 +20,7 @@ print(len(os.listdir("/proc/self/task")), os.environ.get("OPENBLAS_NUM_THREADS")
 
 
 @pytest.mark.parametrize(("before", "threads"), [("", "1"), ("import numpy", "3")])
-def test_products_run_on_one_thread_unless_numpy_is_there_already(before: str, threads: str) -> None:
+def test_products_run_on_one_thread_unless_numpy_is_there_already(before, threads):
     done = subprocess.run(
         [sys.executable, "-c", COUNT.format(before=before)],
         capture_output=True, text=True, check=True, env={"OPENBLAS_NUM_THREADS": "3", "PATH": ""},

@@ -43,19 +43,6 @@ def test_a_missing_file_is_named_with_its_skin_and_key(robot, capsys, tmp_path, 
     assert not (tmp_path / "sockets").exists()  # nothing was begun
 
 
-@pytest.mark.parametrize(("line", "meant"), [("bundle = 'pres'", "press"), ("skin = 'labb'", "lab")])
-def test_a_name_that_is_nearly_a_shipped_one_is_answered_with_it(robot, capsys, line, meant):
-    assert f"did you mean {meant!r}?" in refused(capsys, "run", "--config", robot(line))[1]
-
-
-def test_a_bundle_of_another_skin_is_refused(robot, capsys):
-    status, said = refused(capsys, "run", "--config", robot(f'bundle = "{GOLDEN}/second.eitskin"', 'skin = "paper"'))
-    assert status == 1
-    assert said.startswith("eitskin run: skin left: ")
-    assert "second.eitskin" in said
-    assert "take a bundle of this skin" in said
-
-
 def test_a_bundle_that_is_none_and_a_reference_that_is_none_are_refused(robot, capsys, tmp_path):
     (tmp_path / "bad").write_text("{}")
     for key in ("bundle", "reference", "skin"):
@@ -77,12 +64,6 @@ def test_a_cpu_that_there_is_not_is_refused(robot, capsys):
     assert "verify.affinity: CPU [4000], expected some of [" in refused(capsys, "run", "--config", path, "--check")[1]
 
 
-def test_a_budget_of_more_than_a_quarter_of_an_hour_is_refused(robot, capsys):
-    path = robot('verify.mode = "always"', "verify.budget_ms = 1e7")
-    said = refused(capsys, "run", "--config", path, "--check")[1]
-    assert "verify.budget_ms is 1e+07, expected at most 1000000" in said
-
-
 def test_a_folder_that_cannot_be_made_or_is_open_to_others_is_refused(robot, capsys, tmp_path):
     path = robot(f'bundle = "{GOLDEN}/tiny.eitskin"')
     (tmp_path / "sockets").touch()
@@ -91,20 +72,6 @@ def test_a_folder_that_cannot_be_made_or_is_open_to_others_is_refused(robot, cap
     (tmp_path / "sockets").mkdir()
     (tmp_path / "sockets").chmod(0o777)
     assert "is not this user's alone" in refused(capsys, "run", "--config", path)[1]
-
-
-@pytest.mark.parametrize(("words", "said"), [
-    ([], "expected --port PORT for one skin, or --config"),
-    (["--port", "/dev/x", "--config", "r.toml"], "one of the two"),
-    (["--config", "r.toml", "--solver", "vd2t"], "--solver is of one skin, and --config of all; state it in r.toml"),
-    (["--config", "r.toml", "--exclude-electrode", "3"], "--exclude-electrode is of one skin"),
-    (["--config", "r.toml", "--frames", "3"], "--frames is of one skin"),
-    (["--port", "/dev/x", "--check"], "--check goes with --config"),
-])  # fmt: skip
-def test_options_that_do_not_go_together_are_bad_usage(words, said, capsys):
-    status, found = refused(capsys, "run", *words)
-    assert status == 2
-    assert said in found
 
 
 def test_a_look_says_what_would_run_and_opens_nothing(robot, capsys, tmp_path):
@@ -159,9 +126,3 @@ def test_a_port_that_is_missing_ends_its_skin_with_the_reason_and_the_last_one_t
     last = [json.loads(line) for line in err.splitlines() if '"error"' in line][-1]
     assert last["skin"] == "left"
     assert "ended with status 1: no port /dev/ttyNONE9" in last["text"]
-
-
-def test_a_look_warns_of_touches_that_the_bundle_does_not_know_as_starting_does(robot, capsys):
-    assert cli.main(["run", "--config", robot('bundle = "press"', 'skin = "lab"'), "--check"]) == 0
-    said = "eitskin run: left: touches of lab: both, of the bundle: lower; see --touches\n"
-    assert capsys.readouterr().err == said

@@ -43,20 +43,6 @@ def heard():
     found.mouth.close()
 
 
-def test_starting_takes_as_long_as_it_takes(heard):
-    heard.tell(b"WATCHDOG=1")  # while a reference is captured
-    assert heard.after(1000.0) == {}
-    assert heard.life.due_s is None
-
-
-def test_who_is_ready_and_gives_signs_lives(heard):
-    heard.tell(b"READY=1")
-    for _ in range(100):
-        assert heard.after(0.9 * SILENT_S) == {}
-        heard.tell(b"WATCHDOG=1")
-    assert not heard.life.forced
-
-
 def test_who_gives_none_is_ended_by_stronger_and_stronger_signals(heard):
     heard.tell(b"READY=1")
     sent = heard.after(SILENT_S + 4.5 * PAUSE_S)
@@ -64,30 +50,6 @@ def test_who_gives_none_is_ended_by_stronger_and_stronger_signals(heard):
     assert SILENT_S <= next(iter(sent)) <= SILENT_S * 1.2
     assert heard.life.forced
     assert heard.life.why.startswith("no sign of life for 10 s: its frame loop stands still")
-
-
-def test_who_looked_at_nothing_for_long_counts_one_look(heard):
-    heard.tell(b"READY=1")
-    assert heard.after(0.5 * SILENT_S) == {}
-    heard.now_s += 1000.0
-    assert heard.after(0.1) == {}
-    heard.tell(b"WATCHDOG=1")
-    assert heard.after(0.9 * SILENT_S) == {}
-
-
-def test_a_sign_that_comes_after_all_ends_the_force(heard):
-    heard.tell(b"READY=1")
-    assert list(heard.after(1.1 * SILENT_S + 0.5).values()) == [signal.SIGTERM]
-    heard.tell(b"STOPPING=1")  # it woke, and does as it was told
-    assert heard.after(SILENT_S) == {}
-    assert list(heard.after(0.3 * SILENT_S).values())[:1] == [signal.SIGTERM]
-
-
-def test_what_is_no_sign_is_none(heard):
-    heard.tell(b"STATUS=ready")
-    heard.tell(b"")
-    heard.tell(bytes(5000))
-    assert heard.life.due_s is None
 
 
 @pytest.mark.process
@@ -126,19 +88,6 @@ def test_one_whose_c_code_keeps_the_interpreter_is_ended_and_started_again(famil
         assert gone(before["a"].pid)
         assert (now["b"].pid, now["c"].pid) == (before["b"].pid, before["c"].pid)  # one lives, one only starts
         assert (now["b"].restarts, now["c"].restarts) == (0, 0)
-
-
-@pytest.mark.process
-def test_one_that_was_stopped_meanwhile_is_left_alone(family, tmp_path):
-    with family("on-failure", silent_s=1.0, a="hangs", b="good") as found:
-        found.ready()
-        before = found.states()["b"]
-        os.kill(before.pid, signal.SIGSTOP)
-        (tmp_path / "hang").touch()
-        found.until(lambda event: event["event"] == "error")  # as long as b was silent as well
-        os.kill(before.pid, signal.SIGCONT)
-        found.until(lambda event: event["event"] == "ready" and event.get("skin") == "a")
-        assert found.states()["b"] == before
 
 
 @pytest.mark.process

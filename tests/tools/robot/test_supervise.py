@@ -1,20 +1,15 @@
 """The process that supervises: what becomes of one skin touches no other, and in the end nobody is left."""
 
-import errno
-import os
 import signal
 import socket
 import subprocess
 import sys
-import time
 
 import pytest
 
-from eitskin.robot.config import load_robot
 from eitskin.robot.described import FILE
 from eitskin_tools.processes.children import Backoff
 from eitskin_tools.processes.signals import met_by
-from eitskin_tools.robot.child import SkinProcess
 
 from .conftest import HERE, PATIENCE_S, Family, gone
 
@@ -45,16 +40,6 @@ def test_one_that_falls_is_named_with_its_reason_and_the_other_runs_on(family):
         assert "no port /dev/ttyNONE" in states["a"].why
         found.process.terminate()
         assert found.ended() == 0
-
-
-def test_a_skin_that_is_killed_is_named_by_the_signal(family):
-    with family(a="good", b="other") as found:
-        found.ready()
-        os.kill(found.states()["a"].pid, signal.SIGKILL)
-        error = found.until(lambda event: event["event"] == "error")
-        assert error["skin"] == "a"
-        assert "by signal 9 (Killed)" in error["text"]
-        assert found.states()["b"].state == "ready"
 
 
 def test_a_skin_starts_again_where_that_is_asked_for_and_the_others_do_not_notice(family):
@@ -91,34 +76,6 @@ def test_a_skin_that_cannot_even_be_started_keeps_nobody_waiting_and_is_tried_ag
         assert found.ended() == 0
 
 
-def test_a_process_whose_end_nobody_could_hear_of_is_not_left_behind(tmp_path, monkeypatch):
-    def too_many(pid):
-        started.append(pid)
-        raise OSError(errno.EMFILE, "Too many open files")
-
-    (tmp_path / "ref.json").touch()
-    (tmp_path / "robot.toml").write_text(
-        f'format = "eitskin-robot"\nversion = 1\nfolder = "{tmp_path}/r"\n[[skins]]\nname = "a"\n'
-        'port = "/dev/none"\nreference = "ref.json"\n'
-    )
-    started = []
-    program = (sys.executable, "-c", "import time; time.sleep(600)")
-    one = SkinProcess(load_robot(tmp_path / "robot.toml").skins[0], Backoff(), program=program)
-    monkeypatch.setattr(os, "pidfd_open", too_many)
-    with pytest.raises(OSError, match="Too many"):
-        one.start()
-    assert not one.runs
-    with pytest.raises(ProcessLookupError):
-        os.kill(started[0], 0)
-
-
-def test_bad_usage_is_not_tried_again(family):
-    with family("always", a="usage", b="good") as found:
-        found.ready()
-        assert found.states()["a"].state == "failed"
-        assert "--baud is 5" in found.states()["a"].why
-
-
 def test_when_nobody_is_left_it_ends_and_fails(family):
     with family(a="fails", b="usage") as found:
         assert found.ended() == 1
@@ -134,43 +91,12 @@ def test_one_that_hears_nothing_is_ended_by_force(family):
         assert gone(pid)
 
 
-def test_one_that_was_stopped_ends_as_well(family):
-    with family(a="good", b="other") as found:
-        found.ready()
-        pid = found.states()["a"].pid
-        os.kill(pid, signal.SIGSTOP)
-        found.process.terminate()
-        assert found.ended() == 0
-        assert gone(pid)
-
-
 def test_the_skins_end_with_a_parent_that_is_killed(family):
     with family(a="good", b="other") as found:
         found.ready()
         pids = [one.pid for one in found.states().values()]
         found.process.kill()
         assert all(gone(pid) for pid in pids)
-
-
-def test_what_is_no_log_is_passed_on_as_a_warning_and_stops_nobody(family):
-    with family(a="babbles", b="good") as found:
-        assert found.ready()["skins"] == ["a", "b"]
-        assert any(event["event"] == "warning" and "no json" in event["text"] for event in found.heard)
-
-
-def test_whoever_reads_the_log_no_more_stops_nobody(family):
-    with family("on-failure", a="good", b="other") as found:
-        found.ready()
-        before = found.states()
-        found.process.stderr.close()
-        os.kill(before["a"].pid, signal.SIGKILL)  # there is something to say
-        while (now := found.states())["a"].restarts == 0 or now["a"].state != "ready":
-            assert found.process.poll() is None
-            time.sleep(0.01)
-        assert now["b"].pid == before["b"].pid
-        found.process.terminate()
-        assert found.process.wait(PATIENCE_S) == 0
-        found.process.stderr = None
 
 
 def test_a_folder_in_use_is_refused(family, tmp_path):

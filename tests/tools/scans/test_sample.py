@@ -1,10 +1,8 @@
 """The sample points are what their module makes, and become the cloud of the sample scene."""
 
 import json
-from pathlib import Path
 
 import numpy as np
-import pytest
 
 from eitskin_proto.skin.cloud import align_cloud
 from eitskin_proto.skin.cloud_file import load_surface
@@ -15,7 +13,7 @@ from eitskin_tools.command_line import files
 from eitskin_tools.scans import prepare
 
 
-def test_the_shipped_points_are_those_that_are_made() -> None:
+def test_the_shipped_points_are_those_that_are_made():
     head, _, body = prepare.SAMPLE.read_bytes().partition(b"end_header\n")
     made_head, _, made_body = prepare.ply(prepare.points()).partition(b"end_header\n")
     assert head == made_head
@@ -23,7 +21,7 @@ def test_the_shipped_points_are_those_that_are_made() -> None:
     assert np.abs(found - made).max() < 1e-3  # another processor rounds otherwise
 
 
-def test_the_sample_becomes_the_cloud_of_the_sample_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_sample_becomes_the_cloud_of_the_sample_scene(tmp_path, capsys):
     out = tmp_path / "cloud.npz"
     assert cli.main(["surface", "sample", "--out", str(out), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["points"] == len(prepare.points())

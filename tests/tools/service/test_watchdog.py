@@ -103,19 +103,6 @@ def test_waiting_for_a_silent_device_is_not_standing_still_and_is_a_sign_of_life
     assert ended == []
 
 
-def test_no_sign_of_life_without_a_beat_nor_before_anything_is_watched(make, ended):
-    dog, supervisor = make(interval_s=2.0)
-    for _ in range(LOOKS):
-        dog.look()
-    line = WatchedLine(Line())
-    dog.watch("the frame loop", line)
-    dog.look()  # it has not looked before, so this counts as a beat
-    for _ in range(LOOKS):
-        dog.look()
-    assert supervisor.signs == 0
-    assert ended == []
-
-
 def test_what_must_end_ends_the_process_if_it_does_not(make, ended):
     dog, _ = make()
     dog.watch("closing everything", limit_s=1.0)
@@ -124,22 +111,6 @@ def test_what_must_end_ends_the_process_if_it_does_not(make, ended):
     assert ended == []
     dog.look()
     assert ended[0][0].startswith("closing everything has stood still for 1 s")
-
-
-def test_nobody_who_reads_the_reason_is_no_reason_to_stay(ended):
-    stuck = threading.Event()
-    dog = Watchdog(lambda text, stacks: stuck.wait(60), Heard(), ended.append)
-    dog.watch("closing everything", limit_s=0.1)
-    dog.look()
-    assert ended == [STOOD_STILL]
-    stuck.set()
-
-
-def test_a_watchdog_looks_by_itself_while_it_is_entered(ended):
-    over = threading.Event()
-    with Watchdog(lambda text, stacks: None, Heard(), lambda status: over.set()) as dog:
-        dog.watch("something", limit_s=0.0)
-        assert over.wait(60)
 
 
 def test_a_watched_line_can_be_opened_anew_where_the_line_can():

@@ -4,13 +4,12 @@ import importlib.util
 import sys
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 
 FOLDER = Path(__file__).resolve().parents[3] / "tools" / "studies"
 
 
 @cache
-def study(name: str) -> ModuleType:
+def study(name):
     """Return the module of a study, under a name that nothing else has."""
     spec = importlib.util.spec_from_file_location(f"study_{name}", FOLDER / f"{name}.py")
     assert spec is not None

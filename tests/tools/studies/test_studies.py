@@ -1,7 +1,5 @@
 """The studies: each says what it takes, refuses wrong options, and counts what it says it counts. No time is judged."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -68,29 +66,3 @@ def test_a_part_of_a_recorded_stream_is_what_went_onto_the_wire_in_it():
     assert (alone["frames"], alone["lost"], alone["latency_us"]["p50"]) == (200, 0, 1000.0)
     assert (beside["frames"], beside["lost"], beside["latency_us"]["p99"]) == (197, 3, 2000.0)
     assert beside["pictures_a_page_s"] == 30.0
-
-
-def test_memory_that_grows_is_seen():
-    samples = [{"time_s": t, "rss_mb": 70 + 0.001 * t, "threads": 5, "files": 30 + t % 2} for t in range(100)]
-    found = study("memory").summary(samples)
-    assert found["mb_per_hour"] == pytest.approx(3.6, rel=1e-3)
-    assert found["files"] == [30, 31]
-
-
-def test_turns_with_verdicts_are_told_from_those_without():
-    verified = study("verified_stream")
-    came = SECOND_NS + 5_000_000 * np.arange(4000)
-    phases = SECOND_NS * np.array([[6, 11], [16, 20]])
-    inside = ((came[:, None] > phases[:, 0]) & (came[:, None] < phases[:, 1])).any(axis=1)
-    record = SimpleNamespace(sequence=np.arange(4000), received_ns=came, inferred=np.arange(4000) % 2 == 0)
-    found = verified.compared(record, came - np.where(inside, 300_000, 200_000), phases)
-    assert (found["without"]["latency_us"]["p50"], found["with"]["latency_us"]["p99"]) == (200.0, 300.0)
-    assert found["ratio"]["latency_us"] == {"p50": 1.5, "p99": 1.5}
-
-
-@pytest.mark.slow  # four sheets are solved
-def test_the_gate_study_runs_on_the_stated_device(capsys):
-    gate = study("gate")
-    words = ["--flat", "--sheets", "1", "--presses", "1"]
-    assert program(gate.__doc__, gate.add_arguments, gate.run, words) == 0
-    assert "seen untouched before: found 100.0%" in capsys.readouterr().out

@@ -6,15 +6,12 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import eitskin
-from eitskin.frame_record import FrameRecord
 from eitskin.messaging.publish import Publisher
 from eitskin.skin import Skin, serve
 from eitskin_tools.processes.children import Backoff
@@ -28,7 +25,7 @@ PATIENCE_S = 60.0
 TOUCHED = [[0.5, 600.0, 0.3]]
 
 
-def until(condition: Any) -> None:
+def until(condition):
     """Wait for something that happens elsewhere."""
     end = time.monotonic() + PATIENCE_S
     while not condition():
@@ -37,7 +34,7 @@ def until(condition: Any) -> None:
 
 
 @contextmanager
-def virtual_skin(**options: Any) -> Iterator[str]:
+def virtual_skin(**options):
     """Run a virtual skin, and give its port."""
     words = [sys.executable, str(TESTS / "runtime" / "skin_process.py"), json.dumps(options)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
@@ -51,9 +48,7 @@ def virtual_skin(**options: Any) -> Iterator[str]:
 class Stream:
     """What runs, and where it publishes."""
 
-    def __init__(
-        self, skin: Skin, publisher: Publisher, process: VerifierProcess, feed: VerifierFeed, script: Path
-    ) -> None:
+    def __init__(self, skin, publisher, process, feed, script):
         self.skin, self.publisher, self.process, self.feed = skin, publisher, process, feed
         self.script = script
         self.go = threading.Event()
@@ -63,29 +58,29 @@ class Stream:
         self._thread = threading.Thread(target=self._serve)
         self._thread.start()
 
-    def _serve(self) -> None:
+    def _serve(self):
         serve(self.skin, self.publisher, behind=self._behind)
 
-    def _behind(self, record: FrameRecord) -> None:
+    def _behind(self, record):
         self.go.wait(PATIENCE_S)
         self.feed.after_frame(record)
 
-    def subscribed(self, **options: Any) -> Any:
+    def subscribed(self, **options):
         """Subscribe to every verdict."""
         options = {"timeout_s": PATIENCE_S, "mode": "all", **options}
         return eitskin.subscribe_verified(self.publisher.endpoint, **options)
 
     @property
-    def taken(self) -> list[int]:
+    def taken(self):
         """Numbers of the frames that the verifier has taken."""
         path = self.script / "taken"
         return [int(line.split()[0]) for line in path.read_text().splitlines()] if path.exists() else []
 
-    def tell(self, word: str, *, off: bool = False) -> None:
+    def tell(self, word, *, off=False):
         """Have the verifier do something."""
         (self.script / word).unlink() if off else (self.script / word).touch()
 
-    def stop(self) -> None:
+    def stop(self):
         """End the frame loop."""
         self.go.set()
         self.skin.stop()
@@ -94,14 +89,12 @@ class Stream:
 
 
 @pytest.fixture
-def streaming(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def streaming(tmp_path, monkeypatch):
     """Return a context manager that streams with a verifier."""
     monkeypatch.setenv("VERIFIER_SCRIPT", str(tmp_path))
 
     @contextmanager
-    def run(
-        mode: str = "always", *, still_s: float = 10.0, max_failures: int = 5, every_map: bool = False, **device: Any
-    ) -> Iterator[Stream]:
+    def run(mode="always", *, still_s=10.0, max_failures=5, every_map=False, **device):
         with ExitStack() as stack:
             port = stack.enter_context(virtual_skin(**{"touches": TOUCHED, **device}))
             bundle = TESTS / "golden" / "tiny.eitskin"

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -16,7 +15,7 @@ from .conftest import PATIENCE_S, TESTS, TOUCHED, until, virtual_skin
 pytestmark = pytest.mark.process
 
 
-def is_gone(pid: int) -> bool:
+def is_gone(pid):
     """Whether a process has ended; one that nobody has waited for yet has."""
     try:
         return "\nState:\tZ" in Path(f"/proc/{pid}/status").read_text()
@@ -27,9 +26,9 @@ def is_gone(pid: int) -> bool:
 @pytest.mark.parametrize(("number", "stopped"), [
     (signal.SIGTERM, False), (signal.SIGKILL, False), (signal.SIGKILL, True),
 ])  # fmt: skip
-def test_the_verifier_ends_with_the_runtime_however_that_ends(tmp_path: Path, number: int, stopped: bool) -> None:
+def test_the_verifier_ends_with_the_runtime_however_that_ends(tmp_path, number, stopped):
     control = f"ipc://{tmp_path}/control"
-    words: list[Any] = [sys.executable, "-m", "eitskin_tools.cli", "run", "--bundle", TESTS / "golden" / "tiny.eitskin"]
+    words = [sys.executable, "-m", "eitskin_tools.cli", "run", "--bundle", TESTS / "golden" / "tiny.eitskin"]
     words += ["--publish", f"ipc://{tmp_path}/frames", "--control", control, "--reference-frames", "10"]
     words += ["--verify", "idle", "--verify-nice", "7", "--verify-budget-ms", "30"]
     with (
@@ -39,9 +38,9 @@ def test_the_verifier_ends_with_the_runtime_however_that_ends(tmp_path: Path, nu
         try:
             assert runtime.stderr is not None
             assert any(line.startswith("ready ") for line in runtime.stderr)
-            status: dict[str, Any] = {}
+            status = {}
 
-            def runs() -> bool:
+            def runs():
                 status.update(eitskin.request(control, "status", timeout_s=PATIENCE_S)["verifier"])
                 return bool(status.get("pid"))  # "ready" is said a moment before it starts
 

@@ -5,7 +5,7 @@ import pytest
 from eitskin.messaging.streams.verified import TIME, UNEXPLAINED
 from eitskin_sim.verification.shape_verdict import ShapeVerdict
 from eitskin_sim.verification.verdict import Verdict
-from eitskin_tools.verifier.reasons import reason_of
+from eitskin_tools.verifier.checkers import reason_of
 
 
 @pytest.mark.parametrize(("p_value", "unfinished", "why"), [

@@ -57,12 +57,6 @@ def pixel(shot, place, half=2):
     return shot[y - half : y + half + 1, x - half : x + half + 1].mean(axis=(0, 1))
 
 
-def ink(found, name):
-    """Return a colour of the style sheet, (3,)."""
-    text = found.evaluate(f"getComputedStyle(document.documentElement).getPropertyValue('--{name}').trim()")
-    return np.array([int(text[k : k + 2], 16) for k in (1, 3, 5)], dtype=float)
-
-
 def draws_newer(found):
     """Wait until a frame that comes from now on has been drawn."""
     found.evaluate("window.mark = eitskin.page.drawings, window.then = eitskin.history.newest.t")

@@ -68,7 +68,7 @@ class Runtime:
     def __init__(self, endpoint, scene=None, rate_hz=60.0, run="one"):
         self.endpoint, self.scene, self._every_s, self._run_id = endpoint, scene or Scene(), 1 / rate_hz, run
         self.sent = 0
-        self.topics: frozenset[bytes] = frozenset()
+        self.topics = frozenset()
         self.touches_asked = False
         self._left = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)

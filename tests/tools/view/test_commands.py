@@ -56,23 +56,6 @@ def one_line(capsys, *words):
     return status, err
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["a.mcap", "--endpoint", "ipc:///f"], "leave --endpoint out"),
-        (["a.mcap", "--config", "robot.toml"], "leave --config out"),
-        (["--bundle", "press"], "leave it out"),
-        (["--config", "robot.toml", "--endpoint", "ipc:///f"], "leave --endpoint out"),
-        (["--port", "99999"], "--port is 99999"),
-        (["--recordings", "/nowhere"], "--recordings is /nowhere"),
-    ],
-)
-def test_bad_usage_is_one_line_and_exit_2(capsys, words, says):
-    status, said = one_line(capsys, "view", *words)
-    assert status == 2
-    assert says in said
-
-
 def test_a_folder_that_takes_no_recordings_is_refused_at_the_start(capsys, monkeypatch, tmp_path):
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path)
     status, said = one_line(capsys, "view", "--recordings", tmp_path)
@@ -161,24 +144,6 @@ def test_any_moment_of_a_recording_is_seen_by_the_bar_and_its_marks(path):
 @CHROMIUM
 @pytest.mark.process
 @pytest.mark.slow
-def test_a_cut_recording_is_seen_as_far_as_it_goes_and_says_so(path):
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) // 2])
-    with started("view", path, "--bundle", TINY, "--port", 0, "--no-open", until="viewing") as line:
-        address = next(word for word in line.split() if word.startswith("http"))
-        with browser(address) as found:
-            found.wait(f"{SEEN} && document.getElementById('notice').innerText.includes('it was cut off')")
-            assert 500 < found.evaluate("Number(document.getElementById('scrub').max)") < 9000
-            path.unlink()  # and one that goes away says that
-            found.evaluate("eitskin.history.parts.clear(), eitskin.clock.go(1)")
-            answer = found.evaluate("fetch('part/999').then((answer) => answer.text())")
-            assert "no such part" in answer
-            found.said.clear()
-
-
-@CHROMIUM
-@pytest.mark.process
-@pytest.mark.slow
 def test_the_record_button_makes_a_recording_that_can_be_read(path, tmp_path):
     endpoint, folder = f"ipc://{tmp_path}/f", tmp_path / "made"
     folder.mkdir()
@@ -228,16 +193,3 @@ def wait_for_frames(folder):
         files = list(folder.glob("*.mcap"))
         if files and files[0].stat().st_size > 20_000:
             return files
-
-
-@CHROMIUM
-@pytest.mark.process
-@pytest.mark.slow
-def test_the_demonstration_is_seen_in_the_browser():
-    words = ["demo", "--view", "--seconds", 300, "--bundle", TINY]
-    with started(*words, until="http://") as line:
-        address = next(word for word in line.split() if word.startswith("http"))
-        with browser(address) as found:
-            found.wait(f"{SEEN} && eitskin.history.frames.length > 20")
-            found.wait("eitskin.history.shown.head.cloud > 0")
-            assert found.evaluate("eitskin.history.shown.head.shape") == [30, 45]

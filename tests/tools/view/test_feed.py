@@ -109,13 +109,6 @@ def test_own_touches_lie_on_the_surface_that_the_frame_was_computed_with():
     assert other.age_s == 0.0
 
 
-def test_a_map_of_another_skin_is_left_as_it_is():
-    packer = FramePacker(configuration="p/1", bundle="b", serial_number="S", run="r", shape=(5, 7))
-    packer.put_texts("vd2t", (), ())
-    found = unpack_frame(bytes(packer.message()), 0)
-    assert TouchLister(PAPER.grid).listed(found) is found
-
-
 def test_silence_is_told_with_its_reason(endpoint):
     board = Board()
     feed = Feed(Source(PAPER, endpoint), board)

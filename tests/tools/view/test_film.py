@@ -15,8 +15,7 @@ from eitskin.errors import SkinError
 from eitskin_tools.recording.layout import FRAME, WIRE
 from eitskin_tools.recording.reader import Entry, Recording
 from eitskin_tools.view import film as parts_module
-from eitskin_tools.view.film import MOST_MARKS, Film, Overview, OverviewThread, number, texts
-from eitskin_tools.view.film import count as counted
+from eitskin_tools.view.film import MOST_MARKS, Film, Overview, OverviewThread
 from eitskin_tools.view.messages import unpacked
 
 from ..recording.conftest import CLOUD as CLOUD_MM
@@ -171,20 +170,6 @@ def test_a_note_that_makes_no_sense_is_nothing_worse(data):
     assert unpacked(overview.message(done=True))
 
 
-def test_what_is_no_number_is_none():
-    assert [counted(value) for value in (3, -1, 2.0, True, None, "3", 1 << 60)] == [3, 0, 0, 0, 0, 0, 0]
-    assert [number(value) for value in (1, 0.5, float("nan"), float("inf"), "1", None)] == [
-        1.0,
-        0.5,
-        None,
-        None,
-        None,
-        None,
-    ]
-    assert texts(["a", 3, "b" * 1000, None]) == ("a", "b" * 128)
-    assert texts("abc") == ()
-
-
 def test_whatever_is_damaged_ends_in_one_line_or_is_left_out(path):
     rng, whole, outcomes = random.Random(3), path.read_bytes(), set()
     for _ in range(40):
@@ -205,11 +190,3 @@ def test_whatever_is_damaged_ends_in_one_line_or_is_left_out(path):
                 overview.add(entry)
         assert unpacked(overview.message(done=True))
     assert outcomes == {"refused", "seen"}
-
-
-def test_a_solver_that_the_bundle_lacks_is_said_and_nothing_more(tmp_path, items):
-    strange = [replace(item, solver="magic") if isinstance(item, WireFrame) else item for item in items]
-    recorded(tmp_path / "s.mcap", strange)
-    film = Film(tmp_path / "s.mcap", TINY)
-    with pytest.raises(ValueError, match="'magic' does not exist"):
-        messages(film)

@@ -1,7 +1,5 @@
 """The page in a headless Chromium, in front of a runtime that publishes known scenes."""
 
-import threading
-
 import numpy as np
 import pytest
 
@@ -237,37 +235,6 @@ def test_losses_left_out_work_and_sick_electrodes_are_told_in_words(viewer, endp
         found.wait("document.getElementById('log').innerText.includes('A frame was withheld')")
         found.wait("document.getElementById('losses-now').innerText === '7 lost, 1 withheld'")
         found.wait("document.getElementById('electrodes').innerText.includes('All 16 are well')")
-
-
-def test_the_surface_is_drawn_again_once_the_browser_has_its_graphics_back(viewer, endpoint):
-    with Runtime(endpoint, Scene(TOUCHED)), browser(viewer.address) as found:
-        found.wait(f"{SHOWN} && eitskin.history.shown.head.touches.length")
-        lit = settled_place(found, 110.0, 25.5)
-        assert pixel(picture(found), lit).min() > 130
-        found.evaluate(
-            "window.gl = document.getElementById('scene').getContext('webgl2'), "
-            "window.way = gl.getExtension('WEBGL_lose_context'), window.way.loseContext()"
-        )
-        found.wait("window.gl.isContextLost()")
-        draws_newer(found)  # the rest of the page goes on meanwhile
-        found.evaluate("window.way.restoreContext()")
-        found.wait("!window.gl.isContextLost()")
-        draws_newer(found)
-        assert pixel(picture(found), lit).min() > 130
-
-
-def test_a_page_whose_thread_stands_still_costs_others_no_frame(viewer, endpoint):
-    with Runtime(endpoint, Scene(TOUCHED)), browser(viewer.address) as stalled, browser(viewer.address) as found:
-        stalled.wait(SHOWN)
-        found.wait(SHOWN)
-        busy = threading.Thread(
-            target=stalled.evaluate, args=("(() => { const t = Date.now(); while (Date.now() - t < 2000); })()",)
-        )
-        busy.start()
-        for _ in range(5):
-            draws_newer(found)
-        busy.join()
-        draws_newer(stalled)
 
 
 def test_off_loopback_the_page_wants_its_token(endpoint):

@@ -85,14 +85,3 @@ def test_a_skin_that_does_not_answer_is_shown_so_and_the_rest_goes_on(viewer, en
             found.wait("document.getElementById('notice').hidden")
         found.wait("document.getElementById('state').dataset.state === 'part'")
         draws_newer(found)
-
-
-def test_small_screens_show_all_names_and_nothing_sticks_out(viewer, endpoints):
-    with Runtime(endpoints[0], ARM), Runtime(endpoints[1], HAND), browser(viewer.address) as found:
-        found.wait(BOTH)
-        for width, height in ((390, 844), (320, 640), (1280, 720)):
-            found.resize(width, height, mobile=width < 500)
-            found.wait(f"innerWidth === {width}")
-            draws_newer(found)
-            assert found.evaluate("document.documentElement.scrollWidth") <= width
-            assert found.evaluate("document.getElementById('skins').innerText.includes('hand')")

@@ -11,8 +11,6 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.view.source import Source
 from eitskin_tools.view.viewer import Viewer
 
-from .chromium import PROGRAM
-from .conftest import browser
 from .scripted import Runtime, Scene, disc
 
 readers = study("recording").readers
@@ -51,25 +49,3 @@ def test_a_subscriber_loses_no_frame_and_no_page_gets_more_than_it_can_show(endp
         assert other.lost == 0
         assert all(PICTURES <= count[0] <= most for count in counts), (counts, most)
         assert sum(viewer.feeds[0].taken for viewer in viewers) < 3 * last
-
-
-@pytest.mark.skipif(PROGRAM is None, reason="no Chromium: tools/system-packages.sh chromium")
-def test_three_browsers_draw_thirty_pictures_a_second_at_most_and_cost_a_subscriber_none(endpoint, viewers):
-    with (
-        Runtime(endpoint, Scene(disc(50.0, 40.0)), rate_hz=200.0),
-        eitskin.subscribe(endpoint, mode="all", timeout_s=60.0) as other,
-        ExitStack() as stack,
-    ):
-        pages = [stack.enter_context(browser(viewer.address)) for viewer in viewers]
-        for page in pages:
-            page.wait("window.eitskin && eitskin.history?.newest")
-            page.evaluate("window.began = [performance.now(), eitskin.history.frames.length]")
-        takes(other, FRAMES)
-        for page in pages:
-            page.wait(f"eitskin.history.frames.length >= window.began[1] + {PICTURES}")
-            seconds, came = page.evaluate(
-                "[(performance.now() - window.began[0]) / 1000, eitskin.history.frames.length - window.began[1]]"
-            )
-            assert came <= MOST_HZ * seconds + 3
-        takes(other, 20)
-        assert other.lost == 0

@@ -1,9 +1,7 @@
 """Scripted faults on a real pseudo-terminal: what they do to the bytes, and that they do it when they were told to."""
 
-import itertools
 import select
 import time
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -15,7 +13,7 @@ from eitskin_proto.wire.codes import FrameFlag
 from eitskin_proto.wire.framing import Deframer, encode
 from eitskin_proto.wire.unwrap import StreamCounter
 from eitskin_tools.virtual_skin.device import VirtualDevice
-from eitskin_tools.virtual_skin.faults import Fault, FaultPlayer, parse
+from eitskin_tools.virtual_skin.faults import FaultPlayer, parse
 from eitskin_tools.virtual_skin.process import configuration_for
 from eitskin_tools.virtual_skin.pty import PtyPort
 from eitskin_tools.virtual_skin.server import SkinServer
@@ -33,12 +31,12 @@ class Line(PtyPort):
 
     written = 0
 
-    def write(self, data: bytes) -> bool:
+    def write(self, data):
         taken = super().write(data)
         self.written += len(data) if taken else 0
         return taken
 
-    def write_all(self, data: bytes, timeout_s: float) -> bool:
+    def write_all(self, data, timeout_s):
         taken = super().write_all(data, timeout_s)
         self.written += len(data) if taken else 0
         return taken
@@ -52,31 +50,31 @@ class Skin:
         port: Its line.
     """
 
-    def __init__(self, faults: tuple[str, ...], port: Line) -> None:
+    def __init__(self, faults, port):
         self.now_ns = 1_000_000_000
         device = VirtualDevice(Ramp(), configuration_for(RATE_HZ), self.now_ns)
         player = FaultPlayer([parse(text) for text in faults], seed=1)
         self.server, self.port = SkinServer(device, port, player, clock=lambda: self.now_ns), port
         self.deframer = Deframer()
-        self.frames: list[m.Frame] = []
-        self.others: list[m.Message] = []
-        self.events: list[m.Event] = []
+        self.frames = []
+        self.others = []
+        self.events = []
         self.open()
 
-    def open(self) -> None:
+    def open(self):
         self.serial = serial.Serial(str(self.port.path), timeout=0.05, exclusive=True)
         self.taken = self.port.written
 
-    def tell(self, request: m.Message) -> None:
+    def tell(self, request):
         self.serial.write(b"\0" + encode(request.pack()))
         assert select.select([self.port.fileno()], [], [], PATIENCE_S)[0]
         self.server.turn(self.now_ns)
 
-    def listen(self, seconds: float) -> None:
+    def listen(self, seconds):
         """Let time pass, and take everything that the device sends meanwhile."""
         self.sleep(seconds, self.take)
 
-    def sleep(self, seconds: float, after_each_turn: Callable[[], None] = lambda: None) -> None:
+    def sleep(self, seconds, after_each_turn=lambda: None):
         """Let time pass, from one thing that the device has to do to the next."""
         until_ns = self.now_ns + int(seconds * 1e9)
         while self.now_ns < until_ns:
@@ -85,7 +83,7 @@ class Skin:
             self.server.turn(self.now_ns)
             after_each_turn()
 
-    def take(self) -> None:
+    def take(self):
         """Read until everything has come that is on the line, or the plug is out; the kernel takes its time."""
         end_s = time.monotonic() + PATIENCE_S
         while self.taken < self.port.written or not self.port.plugged:
@@ -99,12 +97,12 @@ class Skin:
                 kind.append(message)
 
     @property
-    def sequences(self) -> list[int]:
+    def sequences(self):
         return [frame.sequence for frame in self.frames]
 
 
 @contextmanager
-def skin(*faults: str) -> Iterator[Skin]:
+def skin(*faults):
     with Line() as port:
         host = Skin(faults, port)
         try:
@@ -113,7 +111,7 @@ def skin(*faults: str) -> Iterator[Skin]:
             host.serial.close()
 
 
-def test_a_clean_stream_has_every_frame_and_no_other_byte() -> None:
+def test_a_clean_stream_has_every_frame_and_no_other_byte():
     with skin() as host:
         host.tell(m.Start(1, frames=100))
         host.listen(0.6)
@@ -124,7 +122,7 @@ def test_a_clean_stream_has_every_frame_and_no_other_byte() -> None:
 
 
 @pytest.mark.parametrize("fault", ["flip@0.1/0.05:1", "drop@0.1/0.05:10", "garbage@0.1/0.05:50"])
-def test_damaged_packets_are_lost_one_by_one_and_nothing_is_shifted(fault: str) -> None:
+def test_damaged_packets_are_lost_one_by_one_and_nothing_is_shifted(fault):
     with skin(fault) as host:
         host.tell(m.Start(1, frames=150))
         host.listen(0.7)
@@ -139,15 +137,7 @@ def test_damaged_packets_are_lost_one_by_one_and_nothing_is_shifted(fault: str) 
         assert host.deframer.corrupt >= injected // 2
 
 
-def test_extra_delimiters_cost_nothing() -> None:
-    with skin("zeros@0/0.01:5") as host:
-        host.tell(m.Start(1, frames=50))
-        host.listen(0.4)
-        assert host.sequences == list(range(50))
-        assert host.deframer.corrupt == 0
-
-
-def test_a_stall_is_a_gap_in_time_and_not_in_sequence() -> None:
+def test_a_stall_is_a_gap_in_time_and_not_in_sequence():
     with skin("stall@0.1:0.3") as host:
         host.tell(m.Start(1, frames=100))
         host.listen(0.9)
@@ -155,14 +145,7 @@ def test_a_stall_is_a_gap_in_time_and_not_in_sequence() -> None:
         assert np.diff([frame.device_us for frame in host.frames]).max() >= 300_000
 
 
-def test_a_burst_holds_frames_back_and_loses_none() -> None:
-    with skin("burst@0.1:0.05") as host:
-        host.tell(m.Start(1, frames=100))
-        host.listen(0.8)
-        assert host.sequences == list(range(100))
-
-
-def test_a_reset_cuts_a_packet_and_starts_clock_and_sequence_anew() -> None:
+def test_a_reset_cuts_a_packet_and_starts_clock_and_sequence_anew():
     with skin("reset@0.1") as host:
         host.tell(m.Start(1))
         host.listen(0.3)
@@ -176,7 +159,7 @@ def test_a_reset_cuts_a_packet_and_starts_clock_and_sequence_anew() -> None:
         assert host.deframer.corrupt == 1, "the packet that was cut"
 
 
-def test_an_unplugged_port_vanishes_and_returns_under_its_name() -> None:
+def test_an_unplugged_port_vanishes_and_returns_under_its_name():
     with skin("unplug@0.1:0.2") as host:
         host.tell(m.Start(1))
         with pytest.raises((serial.SerialException, OSError)):
@@ -192,18 +175,7 @@ def test_an_unplugged_port_vanishes_and_returns_under_its_name() -> None:
         assert host.sequences[-1] > before + 50, "the device went on scanning: the gap can be counted"
 
 
-def test_a_host_may_close_and_open_the_port() -> None:
-    with skin() as host:
-        host.tell(m.HelloRequest(1))
-        host.listen(0.1)
-        host.serial.close()
-        host.open()
-        host.tell(m.HelloRequest(2))
-        host.listen(0.1)
-        assert [hello.tag for hello in host.others] == [1, 2]
-
-
-def test_a_host_that_does_not_read_makes_the_device_count_what_it_drops() -> None:
+def test_a_host_that_does_not_read_makes_the_device_count_what_it_drops():
     with skin() as host:
         host.tell(m.Start(1))
         host.sleep(0.5)  # 250 frames of 352 bytes against 18 KiB
@@ -214,7 +186,7 @@ def test_a_host_that_does_not_read_makes_the_device_count_what_it_drops() -> Non
         assert host.sequences[-1] + 1 - len(host.sequences) == host.frames[-1].device_dropped
 
 
-def test_answers_may_fail_to_come_come_twice_or_late() -> None:
+def test_answers_may_fail_to_come_come_twice_or_late():
     with skin("mute@0:5") as host:
         host.tell(m.HelloRequest(1))
         host.listen(0.15)
@@ -231,15 +203,7 @@ def test_answers_may_fail_to_come_come_twice_or_late() -> None:
         assert len(host.others) == 1
 
 
-def test_saturated_rows_are_marked_in_one_frame() -> None:
-    with skin("saturate@0.05:5") as host:
-        host.tell(m.Start(1, frames=60))
-        host.listen(0.4)
-        marked = [frame for frame in host.frames if frame.saturation]
-        assert [frame.saturation for frame in marked] == [0b11111]
-
-
-def test_a_restart_is_announced_before_it_happens() -> None:
+def test_a_restart_is_announced_before_it_happens():
     with skin() as host:
         host.tell(m.Restart(tag=4))
         host.listen(0.15)
@@ -248,28 +212,8 @@ def test_a_restart_is_announced_before_it_happens() -> None:
         assert host.server.device.boots == 2
 
 
-def test_the_same_seed_damages_the_same_bits() -> None:
-    packet = bytes(range(200))
-    fault = Fault("flip", amount=3)
-    damaged = [FaultPlayer(seed=seed).damage(packet, fault, 0.0) for seed in (1, 1, 2)]
-    assert damaged[0] == damaged[1] != damaged[2]
-    assert sum((a ^ b).bit_count() for a, b in zip(damaged[0], packet, strict=True)) == 3
-
-
-def test_repeated_faults_happen_once_a_period() -> None:
-    fault = parse("flip@1/0.5:1")
-    times = np.arange(0.0, 3.0, 0.005)
-    assert sum(fault.due(a, b) for a, b in itertools.pairwise(times)) == 4  # 1.0 1.5 2.0 2.5
-
-
-@pytest.mark.parametrize("text", ["nonsense", "flip@", "flip@-1", "flip:x", "flip@1:2:3", "flip@1.2.3"])
-def test_a_fault_that_makes_no_sense_is_named(text: str) -> None:
-    with pytest.raises(ValueError, match=text.replace(".", r"\.")):
-        parse(text)
-
-
 @pytest.mark.parametrize("kind", ["frozen", "stuck", "failing"])
-def test_a_front_end_may_hang_for_a_while(kind: str) -> None:
+def test_a_front_end_may_hang_for_a_while(kind):
     with skin(f"{kind}@0.1:0.2") as host:
         host.tell(m.Start(1, frames=200))
         host.listen(0.8)

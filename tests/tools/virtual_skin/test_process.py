@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import serial
 
 from eitskin_proto.wire import messages as m
 from eitskin_proto.wire.framing import Deframer, encode
+from eitskin_tools import cli
 from eitskin_tools.processes.signals import met_by
 from eitskin_tools.processes.skin_log import read_log, script_start
 from eitskin_tools.scripted_scene.script import demonstration, prepare
@@ -25,7 +25,7 @@ COMMAND = [sys.executable, "-m", "eitskin_tools.cli", "virtual-skin"]
 
 
 @contextmanager
-def sim(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+def sim(*arguments):
     process = subprocess.Popen([*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         yield process
@@ -38,9 +38,9 @@ def sim(*arguments: str) -> Iterator[subprocess.Popen[str]]:
             process.communicate()
 
 
-def stream(port: str, frames: int) -> tuple[m.Hello, list[m.Frame]]:
+def stream(port, frames):
     """Shake hands, take some frames, stop; who reads too late misses some, as of a device, and takes later ones."""
-    found: list[m.Message] = []
+    found = []
     with serial.Serial(port, timeout=30.0, exclusive=True) as line:
         deframer = Deframer()
         line.write(b"\0" + encode(m.HelloRequest(1).pack()) + encode(m.Start(2).pack()))
@@ -52,7 +52,7 @@ def stream(port: str, frames: int) -> tuple[m.Hello, list[m.Frame]]:
     return hello, [message for message in found if isinstance(message, m.Frame)]
 
 
-def test_it_prints_its_port_first_and_streams_the_script(tmp_path: Path) -> None:
+def test_it_prints_its_port_first_and_streams_the_script(tmp_path):
     log, wire = tmp_path / "log", tmp_path / "wire.npy"
     with sim("--noise=none", f"--log={log}", f"--wire-times={wire}") as process:
         port = process.stdout.readline().strip()
@@ -78,7 +78,7 @@ def test_it_prints_its_port_first_and_streams_the_script(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_json_is_one_object_and_it_ends_cleanly_when_told_to(number: signal.Signals) -> None:
+def test_json_is_one_object_and_it_ends_cleanly_when_told_to(number):
     with met_by(signal.SIG_DFL, signal.SIGHUP), sim("--json", "--rate=100", "--serial-number=SKIN-7") as process:
         found = json.loads(process.stdout.readline())
         assert (found["rate_hz"], found["serial_number"]) == (100.0, "SKIN-7")
@@ -94,12 +94,7 @@ def test_json_is_one_object_and_it_ends_cleanly_when_told_to(number: signal.Sign
         assert not Path(found["port"]).parent.exists()
 
 
-def test_it_ends_by_itself_when_its_time_is_over() -> None:
-    with sim("--seconds=0.2") as process:
-        assert process.wait(60.0) == 0
-
-
-def test_noise_is_50_db_of_each_voltage_and_repeats_with_its_seed() -> None:
+def test_noise_is_50_db_of_each_voltage_and_repeats_with_its_seed():
     runs = []
     for _ in range(2):
         with sim("--json", "--seed=5") as process:
@@ -112,7 +107,7 @@ def test_noise_is_50_db_of_each_voltage_and_repeats_with_its_seed() -> None:
     assert spread == pytest.approx(3.16e-3, rel=0.05)
 
 
-def test_a_scene_is_held_after_the_reference_phase(tmp_path: Path) -> None:
+def test_a_scene_is_held_after_the_reference_phase(tmp_path):
     scene = tmp_path / "scene.json"
     scene.write_text('{"touches": [{"rect_mm": [60, 40, 80, 60]}], "element_size_mm": 6}')
     with sim("--json", "--rate=100", "--noise=none", f"--scene={scene}") as process:
@@ -125,20 +120,9 @@ def test_a_scene_is_held_after_the_reference_phase(tmp_path: Path) -> None:
     assert change[since_s > 1.85].min() > 0.01
 
 
-@pytest.mark.parametrize(
-    ("arguments", "status", "words"),
-    [
-        (["--rate=0"], 2, "--rate"),
-        (["--fault=nonsense"], 2, "nonsense"),
-        (["--seconds=-1"], 2, "--seconds"),
-        (["--rate=50000"], 1, "2272"),
-        (["--config=nowhere.toml"], 1, "nowhere.toml"),
-        (["--scene=nowhere.json"], 1, "nowhere.json"),
-    ],
-)
-def test_bad_options_get_one_line(arguments: list[str], status: int, words: str) -> None:
-    done = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == status
-    assert done.stdout == ""
-    assert words in done.stderr
-    assert done.stderr.count("\n") == 1
+@pytest.mark.parametrize(("option", "words"), [("--rate=50000", "2272"), ("--config=nowhere.toml", "nowhere.toml")])
+def test_what_cannot_be_is_one_line(option, words, capsys):
+    assert cli.main(["virtual-skin", option]) == 1
+    out, error = capsys.readouterr()
+    assert (out, error.count("\n")) == ("", 1)
+    assert words in error

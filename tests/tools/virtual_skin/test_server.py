@@ -1,9 +1,5 @@
 """What a served skin waits for."""
 
-from typing import Any
-
-import pytest
-
 from eitskin_tools.virtual_skin import server
 from eitskin_tools.virtual_skin.device import VirtualDevice
 from eitskin_tools.virtual_skin.process import configuration_for
@@ -12,13 +8,11 @@ from eitskin_tools.virtual_skin.pty import PtyPort
 from ..conftest import Ramp
 
 
-def test_a_skin_that_nobody_asks_anything_still_looks_for_signals_every_so_often(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_skin_that_nobody_asks_anything_still_looks_for_signals_every_so_often(monkeypatch):
     """One that comes between the interpreter's last look and the wait does not end that wait."""
-    waits: list[float | None] = []
+    waits = []
 
-    def waited(*arguments: Any) -> tuple[list[int], list[int], list[int]]:
+    def waited(*arguments):
         waits.append(arguments[3])
         if len(waits) == 5:
             served.stop()

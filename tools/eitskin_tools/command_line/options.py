@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_tools.command_line import files
+from eitskin_tools.command_line.parser import expected_one_of
 from eitskin_tools.errors import UsageError
 
 if TYPE_CHECKING:
@@ -16,9 +17,6 @@ if TYPE_CHECKING:
 
 ONE_WAY: Final[tuple[TouchKind, ...]] = ("lower", "raise")
 """What ``--touches`` takes."""
-
-SOLVERS: Final = ("vd2t", "vd2t-int8", "vd2t-small", "tikhonov")
-"""What a stream's ``--solver`` takes, from the most accurate to the fastest."""
 
 SNR_DB: Final = (0.0, 200.0)
 """Bounds of ``--snr-db``: as loud as the signal, and far below the last bit of any converter."""
@@ -58,6 +56,14 @@ def check_positive(arguments: argparse.Namespace, *names: str, most: float | Non
         if value is not None and not 0 < value <= (float("inf") if most is None else most):
             bound = "" if most is None else f" and at most {most:.0f}"
             raise UsageError(f"{flag(name)} is {value:g}, expected more than 0{bound}")
+
+
+def check_solver(arguments: argparse.Namespace) -> None:
+    """Refuse a ``--solver`` that no stream has."""
+    from eitskin.robot.config import SOLVERS
+
+    if arguments.solver is not None and arguments.solver not in SOLVERS:
+        raise UsageError(expected_one_of("--solver", arguments.solver, SOLVERS))
 
 
 def check_seed(seed: int) -> None:

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 from eitskin_tools.command_line import files, kinds, options
-from eitskin_tools.command_line.parser import expected_one_of
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import endings
 
@@ -56,8 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not 0.0 < arguments.rate <= 1e5:
         raise UsageError(f"--rate is {arguments.rate:g}; expected above 0 frames/s")
     options.check_seed(arguments.seed)
-    if arguments.solver is not None and arguments.solver not in options.SOLVERS:
-        raise UsageError(expected_one_of("--solver", arguments.solver, options.SOLVERS))
+    options.check_solver(arguments)
     scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
     if arguments.record is not None:
         files.writable(arguments.record, kinds.NOTED)

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 from eitskin.pipeline.latency_budget import MOST_MS
 from eitskin_tools.command_line import files, options
 from eitskin_tools.command_line.options import flag
-from eitskin_tools.command_line.parser import expected_one_of
 from eitskin_tools.console.run_log import FORMATS, RunLog, end_unread
 from eitskin_tools.console.run_status import closing, report
 from eitskin_tools.errors import UsageError
@@ -259,8 +258,7 @@ def _check(arguments: argparse.Namespace) -> None:
     options.check_least(arguments, frames=1, reference_frames=2, baud=300)
     options.check_positive(arguments, "seconds", "reconnect", "idle_after", most=1e9)
     options.check_positive(arguments, "budget_ms", most=MOST_MS)
-    if arguments.solver is not None and arguments.solver not in options.SOLVERS:
-        raise UsageError(expected_one_of("--solver", arguments.solver, options.SOLVERS))
+    options.check_solver(arguments)
     if any(not 0 <= number < 16 for number in arguments.exclude_electrode):
         raise UsageError(f"--exclude-electrode is {arguments.exclude_electrode}, expected numbers from 0 to 15")
     if arguments.affinity and not all(part.isdecimal() for part in arguments.affinity.split(",")):

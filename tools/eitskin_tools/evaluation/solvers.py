@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.model.bundle import Bundle
+from eitskin.model.engine import HEADS
 from eitskin.model.gate import Gate
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.skin.made_for import check_made_for
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 Prediction = Literal["scan", "none", "true"]
 """What a head's second input is: V_pred of the cloud, nothing, or the true untouched voltages, which no robot has."""
 
-NETWORKS: Final = ("vd2t", "vd2t-int8", "vd2t-small")
+NETWORKS: Final = tuple(HEADS)
 """Solvers that a bundle provides."""
 
 VERIFIED: Final = "verified"

@@ -1,18 +1,18 @@
 """Explains the frames of one shape of the sheet: by touched units, or by touches anywhere, as the labels say."""
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from eitskin.messaging.streams.verified import VerifiedTouch
+from eitskin.messaging.streams.verified import TIME, UNEXPLAINED, VerifiedTouch
 from eitskin.touches.surface import Surface
 from eitskin_proto.sensor.normalise import inverse_reference
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.verification.shape_verdict import ShapeTouch
 from eitskin_sim.verification.snapped_units import UnitTouch
+from eitskin_sim.verification.verdict import Verdict as Found
 from eitskin_tools.evaluation.verified.solver import MapVerifier, noise_shown
 from eitskin_tools.verifier.letters import Array, FrameLetter, RestLetter, Setup
-from eitskin_tools.verifier.reasons import reason_of
 
 BUDGET_S: Final = 0.2
 """What a frame may take, unless told otherwise."""
@@ -112,3 +112,10 @@ def _shape(one: ShapeTouch, place: Three, normal: Three) -> VerifiedTouch:
         area_range_mm2=one.area_range_mm2, contrast_range=one.contrast_range,
         size_contrast_correlation=one.size_contrast_correlation,
     )  # fmt: skip
+
+
+def reason_of(verdict: Found[Any]) -> str:
+    """Return why a verdict is flagged, in the words of the message; nothing where it is not."""
+    if not verdict.flagged:
+        return ""
+    return TIME if verdict.unfinished else UNEXPLAINED

@@ -1,24 +1,22 @@
 """The server of the page: the standard library's, with everything bounded.
 
-A request is a head of at most 16 kB that is there within 10 s, of a listed path, and has no body. At most ``MOST``
-connections are open at a time. ``/stream`` is one answer without end, in chunks, of which each has the newest message
-of each kind; who does not read for ``STALL_S`` is left, and told of in a line. ``/part/N`` is a second of a recording.
+A request is of a listed path, and has no body. At most ``MOST`` connections are open at a time; one that neither sends
+nor reads for ``STALL_S`` is left. ``/stream`` is one answer without end, in chunks, of which each has the newest
+message of each kind; who does not read it is told of in a line. ``/part/N`` is a second of a recording.
 """
 
 import contextlib
 import errno
 import hmac
-import io
 import ipaddress
 import secrets
 import socket
 import threading
-import time
 from collections.abc import Iterator
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
-from typing import Any, Final, Protocol, Self
+from typing import Any, Final, Self
 
 from eitskin.errors import SkinError
 from eitskin_tools.console.terminal import say
@@ -27,49 +25,17 @@ from eitskin_tools.view.board import Board
 MOST: Final = 64
 """Connections at a time."""
 
-LARGEST_HEAD: Final = 16384
-"""Bytes of a request."""
-
-HEAD_S: Final = 10.0
-"""How long a request may take to come; an idle connection ends after it."""
-
 STALL_S: Final = 5.0
-"""How long a page may take to read what it is sent."""
+"""How long a page may take to send a request, or to read what it is sent."""
 
 SEND_BYTES: Final = 65536
 """What waits for a page within the kernel: some pictures, so that one that stalled shows none of long ago."""
-
 
 PART: Final = "/part/"
 """How the paths of parts of a recording begin; a number follows."""
 
 ACTIONS: Final = ("/record/start", "/record/stop")
 """What a page may ask for, by POST without a body."""
-
-
-class Actions(Protocol):
-    """What starts and stops recordings."""
-
-    def start(self) -> str:
-        """Begin; return "" or why not."""
-        ...
-
-    def stop(self) -> str:
-        """End; return "" or why not."""
-        ...
-
-
-class Parts(Protocol):
-    """A recording in parts."""
-
-    @property
-    def parts(self) -> int:
-        """How many there are."""
-        ...
-
-    def part(self, number: int) -> bytes:
-        """Return the messages of one."""
-        ...
 
 
 class PortTaken(SkinError):  # noqa: N818 -- named as the runtime's own are
@@ -84,8 +50,8 @@ class ViewServer(ThreadingHTTPServer):
         port: 0 for any that is free.
         board: What pages show.
         token: What a page must know, or empty.
-        recorder: What records; None for nothing.
-        film: A recording, of which pages ask for parts.
+        recorder: The :class:`~eitskin_tools.view.viewer.Recorder`; None for nothing.
+        film: A :class:`~eitskin_tools.view.film.Film`, of which pages ask for parts.
 
     Raises:
         PortTaken: The address cannot be bound.
@@ -103,8 +69,8 @@ class ViewServer(ThreadingHTTPServer):
         port: int,
         board: Board,
         token: str = "",
-        recorder: Actions | None = None,
-        film: Parts | None = None,
+        recorder: Any = None,
+        film: Any = None,
     ) -> None:
         if not token and not is_loopback(host):
             raise ValueError(f"{host} can be reached from other machines; expected a token")
@@ -170,41 +136,17 @@ class _Request(BaseHTTPRequestHandler):
     wbufsize = 0
 
     def setup(self) -> None:
+        self.timeout = STALL_S
         super().setup()
         self.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
-        self._rest = b""
 
     def handle_one_request(self) -> None:
-        """Read a whole head within bounds, then have it answered."""
-        head = self._head()
-        if head is None:
-            self.close_connection = True
-            return
-        self.rfile = io.BytesIO(head)
-        self.connection.settimeout(STALL_S)
+        """Have a request answered, unless the connection ends meanwhile."""
         try:
             super().handle_one_request()
         except OSError:
             self.close_connection = True
-
-    def _head(self) -> bytes | None:
-        """Return the next request up to its empty line; None if it does not come, or is too long."""
-        deadline_s = time.monotonic() + HEAD_S
-        while (end := self._rest.find(b"\r\n\r\n")) < 0:
-            left_s = deadline_s - time.monotonic()
-            if left_s <= 0 or len(self._rest) > LARGEST_HEAD:
-                return None
-            self.connection.settimeout(left_s)
-            try:
-                more = self.connection.recv(4096)
-            except OSError:
-                return None
-            if not more or self.server.board.closed:
-                return None
-            self._rest += more
-        head, self._rest = self._rest[: end + 4], self._rest[end + 4 :]
-        return head if len(head) <= LARGEST_HEAD else None
 
     def do_GET(self) -> None:
         """Answer with a file of the page, with the stream, or with a part of a recording."""
@@ -238,7 +180,7 @@ class _Request(BaseHTTPRequestHandler):
         host = self.headers.get("Host", "")
         if not host_allowed(host, self.server.host, self.server.port):
             self._refuse(HTTPStatus.MISDIRECTED_REQUEST, f"this is {self.server.address.partition('#')[0]}")
-        elif not came_from_here(self.headers.get("Sec-Fetch-Site", "")):
+        elif self.headers.get("Sec-Fetch-Site", "") not in FROM_HERE:
             self._refuse(HTTPStatus.FORBIDDEN, "only the page itself may ask for this")
         elif self.headers.get("Content-Length", "0") != "0" or "Transfer-Encoding" in self.headers:
             self.close_connection = True
@@ -247,7 +189,7 @@ class _Request(BaseHTTPRequestHandler):
             return True
         return False
 
-    def _part(self, film: Parts, number: str) -> None:
+    def _part(self, film: Any, number: str) -> None:
         """Send a part of a recording."""
         if not number.isdecimal() or len(number) > 9 or int(number) >= film.parts:
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such part")
@@ -359,15 +301,6 @@ def host_allowed(host: str, bound: str, port: int) -> bool:
     except ValueError:
         return name in {"localhost", own, f"{own.partition('.')[0]}.local"}
     return True
-
-
-def came_from_here(site: str) -> bool:
-    """Return whether a request comes from our own page, or from somebody who typed the address.
-
-    Args:
-        site: Its Sec-Fetch-Site; empty where the browser sends none.
-    """
-    return site in FROM_HERE
 
 
 def token_given(authorization: str, token: str) -> bool:
