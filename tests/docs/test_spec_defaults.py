@@ -22,7 +22,7 @@ from eitskin.reference import captured, normaliser
 from eitskin.touches import moments, pieces, touch, tracking
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.verification import chi_squared
+from eitskin_sim.verification import verdict
 from eitskin_tools.recording import channels, layout, reader
 
 from .test_spec import FLAT
@@ -135,7 +135,7 @@ MAP = [
 
 VERIFIED = [
     f"A message is a MessagePack map of {verified.FIRST_BYTE[0] - 0x80} keys, `{verified.NAME}` first",
-    f"p_value is below {chi_squared.LEVEL}",
+    f"p_value is below {verdict.LEVEL}",
     f"those that explain it best, at most {verified.MOST_TOUCHES}",
     ", ".join(f"`{name}`" for name in verified.COUNTS[:1])
     + " frames, those of them `flagged`, changed frames `skipped`",

@@ -131,7 +131,7 @@ def test_each_of_a_group_is_known_or_not():
 
 @pytest.mark.slow
 def test_the_way_of_presses_is_told_by_the_recording_where_the_skin_says_both(recorded):
-    both = replace(STATED, touches=replace(STATED.touches, higher=True))
+    both = replace(STATED, touches=replace(STATED.touches, kind="both"))
     _, report = calibrate(both, replace(recorded, bents=()), 50.0)
     assert report["press"]["contrast"] < 1.0
     assert "gauge_factor" in report["unknown"], "flat presses say nothing about it"

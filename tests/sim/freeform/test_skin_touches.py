@@ -56,7 +56,7 @@ def test_where_no_measured_strength_fits_sizes_are_drawn_by_themselves(
 
 
 def test_touches_that_raise_conductance_have_no_other_sizes_either() -> None:
-    own = skin(lower=False, higher=True, raising_contrast=(3.0, 9.0), size_mm=(9.0, 20.0))
+    own = skin(kind="raise", raising_contrast=(3.0, 9.0), size_mm=(9.0, 20.0))
     pieces = drawn(own)
     assert within(pieces[:, 6], (3.0, 9.0))
     assert within(pieces[:, 3:5], (9.0, 20.0))
@@ -64,7 +64,7 @@ def test_touches_that_raise_conductance_have_no_other_sizes_either() -> None:
 
 
 def test_where_all_sizes_of_hard_touches_are_the_skin_s_half_have_their_shapes_too() -> None:
-    own = skin(lower=False, higher=True, raising_contrast=(3.0, 9.0), size_mm=(5.0, 25.0), border_mm=(1.0, 4.0))
+    own = skin(kind="raise", raising_contrast=(3.0, 9.0), size_mm=(5.0, 25.0), border_mm=(1.0, 4.0))
     table = pool_of("skin", 320, np.random.default_rng(1), own)
     assert within(table.pieces[:, 6], (3.0, 9.0))
     hard = table.pieces[:, 7] == 0.0
@@ -75,7 +75,7 @@ def test_where_all_sizes_of_hard_touches_are_the_skin_s_half_have_their_shapes_t
 
 
 def test_both_ways_each_with_its_own_contrasts() -> None:
-    pieces = drawn(skin(higher=True, raising_contrast=(3.0, 9.0), lowering_contrast=(0.3, 0.4)))
+    pieces = drawn(skin(kind="both", raising_contrast=(3.0, 9.0), lowering_contrast=(0.3, 0.4)))
     lowers = pieces[:, 6] < 1.0
     assert lowers.mean() == 0.5
     assert within(pieces[lowers, 6], (0.3, 0.4))

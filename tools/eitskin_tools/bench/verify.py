@@ -10,6 +10,7 @@ import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from math import sqrt
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,7 +33,6 @@ from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Rect
 from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE
 from eitskin_sim.shapes.parameters import X, Y
-from eitskin_sim.verification.chi_squared import calibration, p_value
 from eitskin_sim.verification.fit import Frame
 from eitskin_sim.verification.residual import Noise, Whitener
 from eitskin_sim.verification.shape_verifier import BUDGET_S
@@ -40,6 +40,7 @@ from eitskin_sim.verification.sheet_model import SheetModel, model_of_cloud
 from eitskin_sim.verification.snapped_units import unit_shares
 from eitskin_sim.verification.touch_prior import TouchPrior, touch_prior
 from eitskin_sim.verification.unseen import Spreads
+from eitskin_sim.verification.verdict import p_value
 from eitskin_tools.bench.harness import Row, report, say
 from eitskin_tools.bench.verify_conditions import (
     SEED,
@@ -435,10 +436,7 @@ def matched(sets: int) -> list[Row]:
                 read = add_noise(flat * (1.0 + change), flat, law, 50.0, rng) / flat - 1.0
                 white = Whitener(Noise(law).sd(read, flat), np.zeros((len(flat), 0)), 1.0 + read, None, 0.0)
                 p.append(p_value(float(white.chi_squared(read - change)), len(flat)))
-        rows += [
-            {"what": f"p, matched model, {law}", "stated": one.stated, "found": one.found, "error": one.error}
-            for one in calibration(p, LEVELS)
-        ]
+        rows += _below_levels(f"p, matched model, {law}", p)
     return rows
 
 
@@ -447,11 +445,22 @@ def of_rows(units: list[Row]) -> list[Row]:
     rows = []
     for row in units:
         if row["what"].startswith("1 to 6 units") and row["p_values"]:
-            rows += [
-                {"what": f"p, {row['what']}, scanned", "stated": one.stated, "found": one.found, "error": one.error}
-                for one in calibration(row["p_values"], LEVELS)
-            ]
+            rows += _below_levels(f"p, {row['what']}, scanned", row["p_values"])
     return rows
+
+
+def _below_levels(what: str, p_values: list[float]) -> list[Row]:
+    """Return a row for each level: how often p was below it, and the standard error of as many right answers."""
+    p, count = np.array(p_values), len(p_values)
+    return [
+        {
+            "what": what,
+            "stated": level,
+            "found": float(np.mean(p < level)),
+            "error": sqrt(level * (1.0 - level) / count),
+        }
+        for level in LEVELS
+    ]
 
 
 def units_line(row: Row) -> str:

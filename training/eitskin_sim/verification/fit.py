@@ -27,10 +27,10 @@ from eitskin_sim.shapes.parameters import (
 )
 from eitskin_sim.shapes.sheet import Solved
 from eitskin_sim.verification import constants as c
-from eitskin_sim.verification.chi_squared import LEVEL, p_value
 from eitskin_sim.verification.residual import Whitener
 from eitskin_sim.verification.sheet_model import SheetModel
 from eitskin_sim.verification.touch_prior import Joints, TouchPrior, fitted_parameters
+from eitskin_sim.verification.verdict import LEVEL, p_value
 
 IMPOSSIBLE: Final = (ValueError, np.linalg.LinAlgError)
 """What touches raise that the sheet cannot have."""

@@ -24,17 +24,16 @@ from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.verification import alternatives
 from eitskin_sim.verification import constants as c
-from eitskin_sim.verification.chi_squared import LEVEL
 from eitskin_sim.verification.deformation import Deformation
 from eitskin_sim.verification.fit import Budget, Fit, Frame
-from eitskin_sim.verification.frame import change_of, check_frame
 from eitskin_sim.verification.gentler_contrasts import likely_touches
 from eitskin_sim.verification.network_map import starts_of, without_cracks
-from eitskin_sim.verification.residual import Noise, Rows
+from eitskin_sim.verification.residual import Noise, Rows, change_of, check_frame
 from eitskin_sim.verification.shape_verdict import ShapeVerdict, scatter_of, touches_of
 from eitskin_sim.verification.sheet_model import model_of_cloud
 from eitskin_sim.verification.touch_prior import touch_prior
 from eitskin_sim.verification.unseen import Spreads
+from eitskin_sim.verification.verdict import LEVEL
 
 BUDGET_S: Final = 2.0
 """What a frame may take; most take a thirtieth of it."""

@@ -20,14 +20,12 @@ from eitskin_sim.fem.mesh import Index
 from eitskin_sim.scene.touch_table import RECTANGLE, Array
 from eitskin_sim.shapes.parameters import COUNT, LOG_CONTRAST
 from eitskin_sim.verification import constants as c
-from eitskin_sim.verification.chi_squared import LEVEL, p_value
 from eitskin_sim.verification.fit import Budget
-from eitskin_sim.verification.frame import change_of
-from eitskin_sim.verification.residual import Noise, Rows
+from eitskin_sim.verification.residual import Noise, Rows, change_of
 from eitskin_sim.verification.shape_verdict import ShapeVerdict
 from eitskin_sim.verification.sheet_model import SheetModel
 from eitskin_sim.verification.touch_prior import TouchPrior
-from eitskin_sim.verification.verdict import Verdict
+from eitskin_sim.verification.verdict import LEVEL, Verdict, p_value
 
 Bits = npt.NDArray[np.bool_]
 

@@ -1,7 +1,16 @@
-"""What a verifier says of one frame: the touches, and how well they explain it."""
+"""What a verifier says of one frame: the touches, how well they explain it, and how surprising that is.
+
+A right model leaves a chi-squared near its number of degrees of freedom n, give or take sqrt(2 n). The p-value is the
+chance that a right model leaves this much or more: among right answers it is uniform, one in a hundred below 0.01.
+"""
 
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Final, Generic, TypeVar
+
+from scipy import special
+
+LEVEL: Final = 0.01
+"""A verdict whose p-value is below is flagged."""
 
 Touch = TypeVar("Touch")
 """What one touch is: a unit with its contrast, or a shape."""
@@ -31,3 +40,14 @@ class Verdict(Generic[Touch]):
     def flagged(self) -> bool:
         """Whether physics cannot explain the frame by these touches."""
         return self.p_value < self.level
+
+
+def p_value(chi_squared: float, degrees_of_freedom: int) -> float:
+    """Return the chance of so large a chi-squared or a larger one under a right model (``scipy.stats.chi2.sf``).
+
+    Raises:
+        ValueError: There are no degrees of freedom.
+    """
+    if degrees_of_freedom < 1:
+        raise ValueError(f"{degrees_of_freedom} degrees of freedom: more is fitted than there are rows")
+    return float(special.chdtrc(degrees_of_freedom, max(chi_squared, 0.0)))
