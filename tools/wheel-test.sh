@@ -1,21 +1,23 @@
 #!/bin/sh
-# wheel-test.sh PYTHON [--once] [--lowest | --newest]
+# wheel-test.sh PYTHON [--once] [--lowest | --newest | --short]
 #
 # Installs the wheel in .build/wheel for an interpreter and runs the runtime's tests against it, away from the package
 # folders, where torch and scipy are absent. Its dependencies are those that constraints.txt pins, the lowest that
-# pyproject.toml allows, or the newest there are; pytest and hypothesis are the pinned ones in any case. With other
-# versions than the pinned ones whole streams alone start processes: what a dependency may break shows within one.
+# pyproject.toml allows, or the newest there are; pytest and hypothesis are the pinned ones in any case.
+# --short, and with other versions than the pinned ones: whole streams alone start processes. What an interpreter or a
+# dependency may break shows within one.
 # --once: leave out what was tested with this wheel already. Without an index the lowest and the newest are left out,
 # which is a failure where CI is set.
 set -eu
 interpreter=$1
 shift
-versions=pinned once=
+versions=pinned once= short=
 for option; do
     case $option in
         --once) once=yes ;;
-        --lowest | --newest) versions=${option#--} ;;
-        *) echo "wheel-test: $option: expected --once, --lowest or --newest" >&2; exit 2 ;;
+        --lowest | --newest) versions=${option#--} short=yes ;;
+        --short) short=yes ;;
+        *) echo "wheel-test: $option: expected --once, --short, --lowest or --newest" >&2; exit 2 ;;
     esac
 done
 version=$("$interpreter" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
@@ -54,7 +56,7 @@ PY
 away=$(mktemp -d)
 trap 'rm -rf "$away"' EXIT
 mkdir "$away/tests" "$away/firmware_proto"
-cp -r tests/runtime tests/proto tests/golden tests/checks tests/conftest.py tests/second_skin.py "$away/tests/"
+cp -r tests/runtime tests/proto tests/golden tests/conftest.py tests/second_skin.py "$away/tests/"
 rm "$away/tests/proto/test_generated.py" # compares files of the repository, not of the wheel
 cp firmware_proto/SPEC.md "$away/firmware_proto/"
 cp pyproject.toml "$away/"
@@ -64,10 +66,10 @@ names = ("numpy", "onnxruntime", "pyserial", "pyusb", "msgpack", "pyzmq", "cobs"
 print("wheel-test: Python", sys.version.split()[0], "eitskin from", eitskin.__file__)
 print("wheel-test:", *(f"{name} {found.version(name)}" for name in names))'
 try() { "$python" -m pytest -q --numprocesses auto --maxprocesses 8 --dist loadfile "$@"; }
-if [ "$versions" = pinned ]; then
-    try tests
+if [ "$short" ]; then
+    try -m "not process and not slow" tests
+    try -m "not slow" tests/runtime/test_stream.py
 else
-    try -m "not process" tests
-    try tests/runtime/test_stream.py
+    try -m "not slow" tests
 fi
 touch "$done_mark"
