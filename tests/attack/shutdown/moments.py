@@ -144,7 +144,7 @@ def _judged(life: str, number: int, status: int, text: str) -> str:
     wrong = any(word in text for word in WRONG)
     if (
         number == signal.SIGINT
-        and "live/run.py" not in text
+        and "commands/run.py" not in text
         and ("KeyboardInterrupt" in text or (status == 130 and not text))
     ):
         return ""  # Ctrl-C met Python while it started, whose own ways hold until ``eitskin run`` has begun
