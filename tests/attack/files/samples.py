@@ -157,7 +157,7 @@ def members(data: bytes) -> dict[str, bytes]:
 
 def scan(form: str) -> bytes:
     """Return the points of the shipped scan as ``ply``, ``ply-text``, ``pcd``, ``pcd-text``, ``xyz`` or ``npy``."""
-    from eitskin_tools.scans.prepare import SAMPLE, ply
+    from tests.golden.make_sample_points import SAMPLE, ply
 
     data = SAMPLE.read_bytes()
     points = np.frombuffer(data, dtype="<f4", offset=data.index(b"end_header\n") + len("end_header\n")).reshape(-1, 3)

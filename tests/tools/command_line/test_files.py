@@ -123,7 +123,6 @@ WRITING = {
     "calibrate": ["calibrate", ABSENT, "--out"],
     "calibrate --guided": ["calibrate", "--guided", "--port", "/dev/null", "--out", ABSENT],
     "bench tradeoff --plot": ["bench", "tradeoff", "--phantoms", "paper_units", "--plot"],
-    "bench verify --plot": ["bench", "verify", "--plot"],
     "virtual-skin --wire-times": ["virtual-skin", "--seconds=1", "--wire-times"],
     "virtual-skin --log": ["virtual-skin", "--seconds=1", "--log"],
 }

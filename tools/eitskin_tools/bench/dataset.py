@@ -118,22 +118,35 @@ def _timed(work: Callable[[], Any]) -> tuple[Any, tuple[float, float]]:
     return found, (perf_counter() - start, process_time() - cpu_start)
 
 
+def _beside_naive(ours: Row, voltages: Array, checked: int, solve: Callable[[int], Array], note: str) -> list[Row]:
+    """Return a generator's row with its largest error, and the row of one factorisation a sample.
+
+    Args:
+        ours: The generator's row.
+        voltages: (samples, 104) V that it made.
+        checked: How many of them are solved again.
+        solve: Solves a sample by its number.
+        note: Of the naive row.
+    """
+    pick = np.unique(np.linspace(0, len(voltages) - 1, checked).astype(int))
+    solved, seconds = _timed(lambda: np.array([solve(int(number)) for number in pick]))
+    ours["largest_error"] = float(np.abs(voltages[pick] / solved - 1.0).max())
+    return [ours, _row(ours["what"], "naive", len(pick), seconds, note)]
+
+
 def _paper(arguments: argparse.Namespace) -> list[Row]:
     sets = paper_touch_sets(0)[: arguments.touch_sets]
     say("dataset", f"{len(sets)} touch sets at {arguments.bends} bends")
     bends = paper_bends(arguments.bends)
     last, seconds = _timed(lambda: [UnitGenerator(bend).voltages(sets) for bend in bends][-1])
     ours = _row("paper", "ours", len(sets) * len(bends), seconds, "set-up of every bend included")
-    pick = np.unique(np.linspace(0, len(sets) - 1, arguments.checked).astype(int))
     parts, system = unit_system(bends[-1])
 
-    def naive() -> Any:
-        sigma = [np.where(bits[parts.unit_of_element], 50.0, 1.0) for bits in sets[pick]]
-        return np.array([system.factorise(one).voltages() for one in sigma])
+    def solve(number: int) -> Array:
+        return system.factorise(np.where(sets[number][parts.unit_of_element], 50.0, 1.0)).voltages()
 
-    solved, seconds = _timed(naive)
-    ours["largest_error"] = float(np.abs(last[pick] / solved - 1.0).max())
-    return [ours, _row("paper", "naive", len(pick), seconds, f"one factorisation a sample, {parts.mesh.n_nodes} nodes")]
+    note = f"one factorisation a sample, {parts.mesh.n_nodes} nodes"
+    return _beside_naive(ours, last, arguments.checked, solve, note)
 
 
 def _units(arguments: argparse.Namespace, kind: str) -> list[Row]:
@@ -142,16 +155,13 @@ def _units(arguments: argparse.Namespace, kind: str) -> list[Row]:
     contrast = unit_contrasts(plan).of(np.arange(len(sets)))
     found, seconds = _timed(lambda: UnitGenerator(bend).voltages(sets, contrast))
     ours = _row(f"units, {kind}", "ours", len(sets), seconds, "set-up of the bend included; each touch of its contrast")
-    pick = np.unique(np.linspace(0, len(sets) - 1, arguments.checked).astype(int))
     parts, system = unit_system(bend)
 
-    def naive() -> Any:
-        sigma = [np.where(sets[one], contrast[one], 1.0)[parts.unit_of_element] for one in pick]
-        return np.array([system.factorise(one).voltages() for one in sigma])
+    def solve(number: int) -> Array:
+        sigma = np.where(sets[number], contrast[number], 1.0)
+        return system.factorise(sigma[parts.unit_of_element]).voltages()
 
-    solved, seconds = _timed(naive)
-    ours["largest_error"] = float(np.abs(found[pick] / solved - 1.0).max())
-    return [ours, _row(f"units, {kind}", "naive", len(pick), seconds, "one factorisation a sample")]
+    return _beside_naive(ours, found, arguments.checked, solve, "one factorisation a sample")
 
 
 def _free(arguments: argparse.Namespace, kind: Any = "hard") -> list[Row]:
@@ -174,17 +184,12 @@ def _free(arguments: argparse.Namespace, kind: Any = "hard") -> list[Row]:
     note = "drawing, geometry and set-up included; every sample a set of its own"
     row = _row(what, "ours", GROUP * arguments.free, seconds, note)
     sheet = inverted_sheet(bends[-1])
-    pick = np.unique(np.linspace(0, len(touches) - 1, arguments.checked).astype(int))
 
-    def naive() -> Any:
-        return np.array(
-            [Factor(sheet.system, *sheet_blocks(sheet, touches, int(number))).voltages() for number in pick]
-        )
+    def solve(number: int) -> Array:
+        return Factor(sheet.system, *sheet_blocks(sheet, touches, number)).voltages()
 
-    solved, seconds = _timed(naive)
-    row["largest_error"] = float(np.abs(made[-1][pick] / solved - 1.0).max())
-    nodes = sheet.system.mesh.n_nodes
-    return [row, _row(what, "naive", len(pick), seconds, f"one factorisation a sample, {nodes} nodes")]
+    note = f"one factorisation a sample, {sheet.system.mesh.n_nodes} nodes"
+    return _beside_naive(row, made[-1], arguments.checked, solve, note)
 
 
 def _files(arguments: argparse.Namespace, devices: str) -> Row:

@@ -33,12 +33,16 @@ def say(benchmark: str, text: str) -> None:
 
 
 def row_text(row: Mapping[str, object]) -> str:
-    """Return names and values in a line; what was measured stands in front, if the row says ``what``.
+    """Return names and values in a line, lists left out; what was measured stands in front, if the row says ``what``.
 
     Args:
         row: One row, or a summary.
     """
-    shown = {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in row.items()}
+    shown = {
+        name: f"{value:.6g}" if isinstance(value, float) else value
+        for name, value in row.items()
+        if not isinstance(value, list)
+    }
     figures = "  ".join(f"{name} {value}" for name, value in shown.items() if name != "what")
     return f"{row['what']}:  {figures}" if "what" in row else figures
 

@@ -11,7 +11,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from math import sqrt
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -29,19 +28,15 @@ from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.measurement.consistency import Filler
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.scene.nominal import nominal_scene
-from eitskin_sim.scene.parts import Bend, Scene, Touch
-from eitskin_sim.scene.shapes import Disc, Ellipse, Rect
-from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE
-from eitskin_sim.shapes.parameters import X, Y
-from eitskin_sim.verification.fit import Frame
+from eitskin_sim.scene.parts import Bend, Touch
+from eitskin_sim.scene.shapes import Rect
+from eitskin_sim.scene.touch_table import RECTANGLE
 from eitskin_sim.verification.residual import Noise, Whitener
 from eitskin_sim.verification.shape_verifier import BUDGET_S
-from eitskin_sim.verification.sheet_model import SheetModel, model_of_cloud
+from eitskin_sim.verification.sheet_model import model_of_cloud
 from eitskin_sim.verification.snapped_units import unit_shares
-from eitskin_sim.verification.touch_prior import TouchPrior, touch_prior
-from eitskin_sim.verification.unseen import Spreads
 from eitskin_sim.verification.verdict import p_value
-from eitskin_tools.bench.harness import Row, report, say
+from eitskin_tools.bench.harness import Row, report, row_text, say
 from eitskin_tools.bench.verify_conditions import (
     SEED,
     Anywhere,
@@ -53,36 +48,18 @@ from eitskin_tools.bench.verify_conditions import (
     unit_conditions,
     volts,
 )
-from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 from eitskin_tools.evaluation.solvers import Request, bundle_for, named
 from eitskin_tools.evaluation.verified.solver import Verified
-from eitskin_tools.pictures import save
 
 CALIBRATION = "calibration of p"
 """What ``--only`` calls the table of p."""
-
-KNOWN: Final = Spreads(drift=0.0, tilt=0.0, gauge=0.0, material=0.0, scan_mm=0.0)
-"""Of a sheet that is its model."""
-
-PLACES_DRAWN: Final = 200
-"""For each touch set, of where its touches may be."""
 
 LEVELS: Final = (0.001, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9)
 """Stated."""
 
 DRAWS: Final = 20
 """Draws of noise for each set of touches."""
-
-UNITS = (
-    "| touched units | maps | network exact | exact | wrong, unflagged | right, flagged | chi-squared | ms p50 / p95 |",
-    "|---|---|---|---|---|---|---|---|",
-)
-ANYWHERE = (
-    "| touches | maps | network CC, mm | CC mean / worst | mm median / rms | the data allow, mm | with the sheet known "
-    "| right | wrong, unflagged | right, flagged | ms |",
-    "|---|---|---|---|---|---|---|---|---|---|---|",
-)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -102,7 +79,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="sets that p is counted on, 20 draws each (default 50; 0: none)",
     )
-    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw how p keeps its word")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -111,16 +87,10 @@ def run(arguments: argparse.Namespace) -> int:
     budget_ms = arguments.budget_ms or 0.0
     if arguments.deformations < 1 or arguments.each < 1 or arguments.sets < 0 or not budget_ms >= 0.0:
         raise UsageError("--deformations and --each must be at least 1, --sets and --budget-ms at least 0")
-    if arguments.plot is not None:
-        files.picture(arguments.plot)
     units, anywhere = _rows(arguments, _chosen(arguments.only))
-    stated = _calibration(arguments, units)
-    if not arguments.json:
-        print(tables(units, anywhere, stated))
-        return 0
     every = [*units, *anywhere]
     summary = {key: sum(row[key] for row in every) for key in ("maps", "wrong", "wrong_unflagged")}
-    return report(arguments, every + stated, summary)
+    return report(arguments, every + _calibration(arguments, units), summary)
 
 
 def _chosen(only: list[str] | None) -> set[str]:
@@ -149,12 +119,12 @@ def _rows(arguments: argparse.Namespace, chosen: set[str]) -> tuple[list[Row], l
             measured = measured or Units(arguments.deformations, arguments.each, budget_s)
             start = time.process_time()
             units.append(measured.row(condition))
-            _say(units_line(units[-1]), start)
+            _say(row_text(units[-1]), start)
     for place in anywhere_conditions():
         if place.name in chosen:
             start = time.process_time()
             anywhere.append(anywhere_row(place, arguments.deformations, arguments.each))
-            _say(anywhere_line(anywhere[-1]), start)
+            _say(row_text(anywhere[-1]), start)
     return units, anywhere
 
 
@@ -165,8 +135,6 @@ def _calibration(arguments: argparse.Namespace, units: list[Row]) -> list[Row]:
     start = time.process_time()
     stated = matched(arguments.sets) + of_rows(units)
     _say(CALIBRATION, start)
-    if arguments.plot is not None:
-        draw(arguments.plot, stated)
     return stated
 
 
@@ -277,10 +245,8 @@ def anywhere_row(condition: Anywhere, deformations: int, each: int) -> Row:
     phantoms = condition.phantoms(deformations, each)
     kind = phantoms[0].scene.touch_kind
     network = named(Request("vd2t"), "area", touches=kind).run
-    told_of = Noise(condition.noise)
-    verified = Verified(network, told_of, "area", kind, PAPER, at_rest=condition.at_rest)
+    verified = Verified(network, Noise(condition.noise), "area", kind, PAPER, at_rest=condition.at_rest)
     found, scores = [], []
-    allowed = Allowed(told_of, touch_prior(kind, PAPER))
     for number in range(deformations):
         own = phantoms[number * each : (number + 1) * each]
         device = device_of(condition.mismatch, number)
@@ -291,7 +257,6 @@ def anywhere_row(condition: Anywhere, deformations: int, each: int) -> Row:
             else np.full(len(flat), np.nan)
         )
         sheet = Sheet(cloud_of(device, own[0].scene.bend, number), untouched)
-        allowed.deform(sheet.cloud_mm)
         rng = np.random.default_rng([SEED, number, 2])
         for phantom in own:
             scene = device.scene(phantom.scene, as_it_is=kind != "raise")
@@ -301,8 +266,7 @@ def anywhere_row(condition: Anywhere, deformations: int, each: int) -> Row:
             alone, checked = (score(solve(case), truth, labels="area") for solve in (network.solver, verified.solve))
             found.append((told(alone), told(checked), verified.checked[-1]))
             scores.append((alone, checked))
-            allowed.add(scene)
-    return {"what": condition.name, **_figures(scores), **allowed.figures(), **counted(found)}
+    return {"what": condition.name, **_figures(scores), **counted(found)}
 
 
 def told(one: Score) -> bool:
@@ -323,94 +287,6 @@ def _figures(scores: Sequence[tuple[Score, Score]]) -> Row:
             f"{name}localisation_rms_mm": float(np.sqrt(np.mean(distance**2))) if len(distance) else None,
         }
     return found
-
-
-class Allowed:
-    """Adds up what frames of one row allow anybody to know of touches anywhere: the bound of Cramer and Rao.
-
-    Noise hides where a touch is and how large, and so does whatever may differ of the sheet. Both are in the covariance
-    of the true touches' parameters, (J^T C^-1 J + P)^-1 with J their derivatives in the verifier's own model, C the
-    covariance of the frame and P what is known of touches beforehand. No estimate without bias scatters by less; one
-    that is held within what touches may be, as those of gentle touches are, may. Twice: for the sheet as a scan shows
-    it, and for one that is known exactly.
-
-    Args:
-        noise: Of the frames.
-        prior: What is known of touches beforehand.
-    """
-
-    def __init__(self, noise: Noise, prior: TouchPrior) -> None:
-        self._noise, self._prior = noise, prior
-        self._models: dict[str, SheetModel] = {}
-        self._sets = 0
-        self._found: dict[str, list[Array]] = {"allowed": [], "known": []}
-
-    def deform(self, cloud_mm: Array) -> None:
-        """Take the scan of the touch sets that follow."""
-        self._models = {"allowed": model_of_cloud(cloud_mm), "known": model_of_cloud(cloud_mm, spreads=KNOWN)}
-
-    def add(self, scene: Scene) -> None:
-        """Count one touch set; touches of several shapes have no such bound."""
-        self._sets += 1
-        if any(len(touch.shapes) > 1 for touch in scene.touches):
-            return
-        pieces = pieces_of_touches(scene.touches, scene.sheet.conductivity_S_per_m)
-        for name, model in self._models.items():
-            self._found[name].append(_scatter(model, self._noise, self._prior, pieces))
-
-    def figures(self) -> Row:
-        """Return the median and rms of how far centres are off; None if unknown."""
-        found: Row = {}
-        for name, own in self._found.items():
-            off = np.concatenate([one.ravel() for one in own]) if own and len(own) == self._sets else None
-            found |= {
-                f"{name}_median_mm": None if off is None else float(np.median(off)),
-                f"{name}_rms_mm": None if off is None else float(np.sqrt(np.mean(off**2))),
-            }
-        return found
-
-
-def pieces_of_touches(touches: Sequence[Touch], sheet_S_per_m: float) -> Array:
-    """Return touches as (n, 8) pieces; every shape of a touch is one.
-
-    Args:
-        touches: Of rectangles, discs and ellipses.
-        sheet_S_per_m: Conductivity of the sheet.
-
-    Raises:
-        ValueError: A shape is none that is verified.
-    """
-    found = []
-    for touch in touches:
-        for shape in touch.shapes:
-            contrast = touch.factor(sheet_S_per_m)
-            if isinstance(shape, Ellipse):
-                sides = shape.along_mm, shape.across_mm, shape.angle_deg
-                found.append([ELLIPSE, shape.x_mm, shape.y_mm, *sides, contrast, touch.border_mm])
-                continue
-            if not isinstance(shape, Rect | Disc):
-                raise ValueError(f"{type(shape).__name__}: expected rectangles, discs and ellipses")
-            x0, y0, x1, y1 = shape.bounds_mm
-            kind = RECTANGLE if isinstance(shape, Rect) else ELLIPSE
-            middle = (x0 + x1) / 2.0, (y0 + y1) / 2.0
-            found.append([kind, *middle, x1 - x0, y1 - y0, 0.0, contrast, touch.border_mm])
-    return np.array(found)
-
-
-def _scatter(model: SheetModel, noise: Noise, prior: TouchPrior, pieces: Array) -> Array:
-    """Return (draws, n) mm that centres are off."""
-    change = model.solve(pieces)[1]
-    white = model.whitener(change, model.flat_V, noise)
-    fit = Frame(model, white, change, np.zeros(len(change)), prior).at(pieces, bool(pieces[:, 5].any()))
-    _, by, own = fit.linear
-    covariance = np.linalg.pinv(by.T @ by, hermitian=True)
-    number = np.full(own.shape, -1)
-    number[own] = np.arange(own.sum())
-    variance = np.diag(covariance)[number[:, [X, Y]]]
-    rng = np.random.default_rng([SEED, len(pieces)])
-    return np.asarray(
-        np.hypot(*np.moveaxis(np.sqrt(variance) * rng.standard_normal((PLACES_DRAWN, *variance.shape)), -1, 0))
-    )
 
 
 def matched(sets: int) -> list[Row]:
@@ -461,85 +337,3 @@ def _below_levels(what: str, p_values: list[float]) -> list[Row]:
         }
         for level in LEVELS
     ]
-
-
-def units_line(row: Row) -> str:
-    """Return a row of touched units."""
-    return (
-        f"| {row['what']} | {row['maps']} | {_percent(row['network_exact'])} | {_percent(row['exact'])} "
-        f"| {_flags(row)} | {row['chi_squared_median']:.0f} | {_time(row)} |"
-    )
-
-
-def anywhere_line(row: Row) -> str:
-    """Return a row of touches anywhere."""
-    return (
-        f"| {row['what']} | {row['maps']} | {row['network_cc']:.3f}, {_mm(row['network_localisation_median_mm'])} "
-        f"| {row['cc']:.3f} / {row['cc_worst']:.3f} "
-        f"| {_mm(row['localisation_median_mm'])} / {_mm(row['localisation_rms_mm'])} "
-        f"| {_allowed(row, 'allowed')} | {_allowed(row, 'known')} | {_percent(row['right'])} "
-        f"| {_flags(row)} | {row['cpu_ms_median']:.0f} / {row['cpu_ms_p95']:.0f} |"
-    )
-
-
-def tables(units: list[Row], anywhere: list[Row], stated: list[Row]) -> str:
-    """Return all tables that have rows."""
-    found = []
-    if units:
-        found.append([*UNITS, *map(units_line, units)])
-    if anywhere:
-        found.append([*ANYWHERE, *map(anywhere_line, anywhere)])
-    if stated:
-        lines = [f"| {one['what']} | {one['stated']:g} | {one['found']:.4f} | {one['error']:.4f} |" for one in stated]
-        found.append(["| p | stated | found | +- |", "|---|---|---|---|", *lines])
-    return "\n\n".join("\n".join(lines) for lines in found)
-
-
-def _flags(row: Row) -> str:
-    wrong, right = row["wrong"], row["maps"] - row["wrong"]
-    return f"{row['wrong_unflagged']} of {wrong} | {row['right_flagged']} of {right}"
-
-
-def _allowed(row: Row, sheet: str) -> str:
-    """Return the median and rms that no estimate of centres without bias goes below."""
-    return f"{_mm(row[f'{sheet}_median_mm'])} / {_mm(row[f'{sheet}_rms_mm'])}"
-
-
-def _time(row: Row) -> str:
-    return f"{row['cpu_ms_median']:.1f} / {row['cpu_ms_p95']:.1f}"
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f} %"
-
-
-def _mm(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
-
-
-def draw(path: Path, stated: list[Row]) -> None:
-    """Draw stated and found shares, with two standard errors.
-
-    Args:
-        path: Of the picture.
-        stated: Rows of :func:`matched`.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.0, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    axes.plot([0.0, 1.0], [0.0, 1.0], color="0.7", linewidth=1.0, label="p keeps its word")
-    for what in dict.fromkeys(one["what"] for one in stated):
-        own = [one for one in stated if one["what"] == what]
-        axes.errorbar(
-            [one["stated"] for one in own],
-            [one["found"] for one in own],
-            [2.0 * one["error"] for one in own],
-            marker="o", markersize=3.0, linewidth=1.0, capsize=2.0, label=what.removeprefix("p, "),
-        )  # fmt: skip
-    axes.set_xlabel("stated: level of p")
-    axes.set_ylabel("found: share of right answers below")
-    axes.legend(fontsize=8)
-    save(figure, path, dpi=120)

@@ -46,7 +46,7 @@ class Kind:
 SCENE: Final = Kind("a scene as JSON", "eitskin_tools.scenes", ".json")
 PHANTOMS: Final = Kind("a JSON list of phantoms", "eitskin_tools.phantoms", ".json")
 CONFIGURATION: Final = Kind("a configuration as TOML", "eitskin_proto.configurations", ".toml")
-POINTS: Final = Kind("measured points of the surface, as .ply, .pcd, .xyz or .npy", "eitskin_tools.scans", ".ply")
+POINTS: Final = Kind("measured points of the surface, as .ply, .pcd, .xyz or .npy", "eitskin_tools.scenes", ".ply")
 RECORDING: Final = Kind("recorded frames as .npy, (n, 104) V, or a .mcap of 'eitskin record'")
 MEASURED: Final = Kind("measured samples as .npz, see docs/evaluation.md, or a .mcap of 'eitskin record'")
 TO_CALIBRATE: Final = Kind("what was recorded of the sheet as .npz, see docs/calibrate.md")

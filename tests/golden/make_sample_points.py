@@ -1,6 +1,6 @@
 """Makes the sample points: on the sample scene's surface, as a scanner of 0.1 mm sees them, in no order.
 
-``python -m eitskin_tools.scans.prepare`` writes the file that is shipped.
+``python -m tests.golden.make_sample_points`` writes the file that is shipped.
 """
 
 from pathlib import Path
@@ -14,7 +14,7 @@ from eitskin_sim.scene.scene import load_scene
 from eitskin_sim.surface.measured_cloud import NOISE_MM
 from eitskin_tools.command_line import files
 
-SAMPLE: Final = Path(__file__).parent / "sample.ply"
+SAMPLE: Final = Path(__file__).resolve().parents[2] / "tools" / "eitskin_tools" / "scenes" / "sample.ply"
 
 SPACING_MM: Final = 1.5
 """Between points, give or take a third; the file has 82 kB."""

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+from tests.golden import make_sample_points as prepare
 
 from eitskin_proto.skin.cloud import align_cloud
 from eitskin_proto.skin.cloud_file import load_surface
@@ -10,7 +11,6 @@ from eitskin_sim.scene.scene import load_scene
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_tools import cli
 from eitskin_tools.command_line import files
-from eitskin_tools.scans import prepare
 
 
 def test_the_shipped_points_are_those_that_are_made():
