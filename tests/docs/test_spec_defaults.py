@@ -23,7 +23,7 @@ from eitskin.touches import moments, pieces, touch, tracking
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.verification import verdict
-from eitskin_tools.recording import channels, layout, reader
+from eitskin_tools.recording import layout, reader
 
 from .test_spec import FLAT
 
@@ -144,8 +144,8 @@ VERIFIED = [
 RECORDINGS = [
     f"**Metadata** `{layout.HEAD}`, once, before all messages",
     f"**Attachments** `{layout.REFERENCE}*.json`",
-    f"with the same numbers in every file, 1 to {len(channels.CHANNELS)} in this order",
-    *(f"| `{channel.topic}` | {channel.encoding} |" for channel in channels.CHANNELS),
+    f"with the same numbers in every file, 1 to {len(layout.CHANNELS)} in this order",
+    *(f"| `{channel.topic}` | {channel.encoding} |" for channel in layout.CHANNELS),
 ]
 
 DEVICE = [
@@ -184,8 +184,8 @@ def test_the_electrodes_lie_on_the_sides_that_are_stated():
 
 
 def test_the_channels_are_numbered_in_the_order_of_their_table():
-    assert list(channels.TOPICS) == list(range(1, len(channels.CHANNELS) + 1))
-    at = [FLAT.index(f"| `{topic}` |") for topic in channels.TOPICS.values()]
+    assert list(layout.TOPICS) == list(range(1, len(layout.CHANNELS) + 1))
+    at = [FLAT.index(f"| `{topic}` |") for topic in layout.TOPICS.values()]
     assert at == sorted(at)
 
 

@@ -23,7 +23,7 @@ from eitskin.messaging.streams.measured import WireFrame
 from eitskin.messaging.streams.subscription import subscribe_streams
 from eitskin_proto.errors import SkinError
 from eitskin_tools.recording.script import Script
-from eitskin_tools.recording.series import others
+from eitskin_tools.recording.writer import others
 
 LONGEST_S: Final = 3.0
 """Between the first bytes of a file and the kill, at most."""

@@ -172,7 +172,7 @@ def summed(found: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _print(found: dict[str, Any]) -> None:
-    from eitskin_tools.recording.reinfer.tally import told_of_unknown
+    from eitskin_tools.recording.reinfer import unknown_clause
 
     for name in CASES.values():
         one = found[name]
@@ -188,7 +188,7 @@ def _print(found: dict[str, Any]) -> None:
     print(f"recorded {kept['frames']} frames, {kept['missed']} missed, {kept['bytes'] / 1e6:.1f} MB; "
           f"{found['beside']['pictures_a_page_s']} pictures/s a page")  # fmt: skip
     print(f"computed again: {again['equal']} of {again['published']} published maps bit-equal"
-          f"{told_of_unknown(again)}; {again['times_real_time']} times real time, {again['times_real_time_cpu']} by "
+          f"{unknown_clause(again)}; {again['times_real_time']} times real time, {again['times_real_time_cpu']} by "
           "CPU time")  # fmt: skip
 
 

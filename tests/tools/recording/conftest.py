@@ -17,11 +17,10 @@ from eitskin.reference.captured import Reference
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire.answers import Hello
 from eitskin_proto.wire.frames import Frame as WireScan
-from eitskin_tools.recording.recorder import Kept, Recorder
-from eitskin_tools.recording.replay.line import RecordedLine
-from eitskin_tools.recording.replay.play import Manner, Player
+from eitskin_tools.recording.recorder import Recorder, RecorderOptions
+from eitskin_tools.recording.replay import Player, RecordedLine, ReplayOptions
 from eitskin_tools.recording.script import Script, Step
-from eitskin_tools.recording.series import Series
+from eitskin_tools.recording.writer import Series
 
 TINY = Path(__file__).parents[2] / "golden" / "tiny.eitskin"
 VOLTS = 1e-9
@@ -85,7 +84,7 @@ class Taker:
 def play(path: Path, bundle: Bundle, **options: Any) -> list[Any]:
     """Return what a program gets of a recording that is played."""
     taker = Taker()
-    with Player(Script(path), Manner(paced=False, **options), bundle=bundle.path) as player:
+    with Player(Script(path), ReplayOptions(paced=False, **options), bundle=bundle.path) as player:
         for _ in player.skin.publish(taker):
             pass
     return taker.items
@@ -115,7 +114,7 @@ def measured(
     return taker.items
 
 
-def recorded(path: Path, items: list[Any], kept: Kept = Kept(), **options: Any) -> Recorder:  # noqa: B008
+def recorded(path: Path, items: list[Any], kept: RecorderOptions = RecorderOptions(), **options: Any) -> Recorder:  # noqa: B008
     """Write items into a file, and return what wrote them."""
     recorder = Recorder(lambda head: Series(path, head, **options), kept)
     for item in items:
@@ -158,7 +157,7 @@ class _Off:
 def recorded_off(path: Path, items: list[Any]) -> int:
     """Write items into a file, the first touched map as if it had been published otherwise; return that frame's seq."""
     touched: Frame = next(item for item in items if isinstance(item, Frame) and item.map.any())
-    recorder = Recorder(lambda head: Series(path, head), Kept())
+    recorder = Recorder(lambda head: Series(path, head), RecorderOptions())
     for item in items:
         if item is touched:
             recorder._when_known(item.run, recorder._frame, _Off(item))

@@ -19,8 +19,7 @@ from eitskin_tools import cli
 from eitskin_tools.recording.layout import WIRE
 from eitskin_tools.recording.reader import Recording
 from eitskin_tools.recording.script import Script
-from eitskin_tools.recording.series import others
-from eitskin_tools.recording.writer import CHUNK_BYTES
+from eitskin_tools.recording.writer import CHUNK_BYTES, others
 
 from .conftest import TINY, recorded
 

@@ -16,11 +16,10 @@ from eitskin.messaging.streams.measured import WireFrame
 from eitskin.messaging.streams.state import SkinState
 from eitskin.reference.captured import stored
 from eitskin_tools import cli
-from eitskin_tools.recording.convert.files import write_npz, write_parquet
-from eitskin_tools.recording.convert.table import Table, table_of
+from eitskin_tools.recording.convert import Table, table_of, write_npz, write_parquet
 from eitskin_tools.recording.layout import CLOUD as CLOUDS
 from eitskin_tools.recording.layout import MAP, STATE
-from eitskin_tools.recording.recorder import Kept
+from eitskin_tools.recording.recorder import RecorderOptions
 from eitskin_tools.recording.script import Script, Step
 
 from .conftest import CLOUD, PERIOD_NS, VOLTS, measured, recorded, reference, scans
@@ -28,7 +27,7 @@ from .conftest import CLOUD, PERIOD_NS, VOLTS, measured, recorded, reference, sc
 
 @pytest.fixture
 def with_maps(tmp_path: Path, items: list[Any]) -> Path:
-    recorded(tmp_path / "maps.mcap", items, Kept(maps=True))
+    recorded(tmp_path / "maps.mcap", items, RecorderOptions(maps=True))
     return tmp_path / "maps.mcap"
 
 
@@ -65,7 +64,7 @@ def twice() -> list[Step]:
 @pytest.mark.parametrize("every", [1, 3])
 def test_each_frame_has_its_own_map_where_the_device_started_anew(tmp_path: Path, every: int) -> None:
     items = measured(steps=twice())
-    recorded(tmp_path / "a.mcap", items, Kept(maps=True, every=every))
+    recorded(tmp_path / "a.mcap", items, RecorderOptions(maps=True, every=every))
     maps = table_of(Script(tmp_path / "a.mcap")).maps
     frames = [item for item in items if isinstance(item, Frame)]
     assert maps is not None
@@ -127,7 +126,7 @@ def test_rosbag2_has_standard_messages_that_are_the_same(with_maps: Path, items:
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
 
-    from eitskin_tools.recording.convert.rosbag import write_rosbag
+    from eitskin_tools.recording.convert import write_rosbag
 
     script, store = Script(with_maps), get_typestore(Stores.ROS2_JAZZY)
     count = write_rosbag(tmp_path / "bag", script)

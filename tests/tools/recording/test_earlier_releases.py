@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin_tools.recording.bundles import bundle_of
 from eitskin_tools.recording.codec import unpack_map
 from eitskin_tools.recording.layout import MAP
-from eitskin_tools.recording.reinfer.session import reinfer
-from eitskin_tools.recording.script import Script
+from eitskin_tools.recording.reinfer import reinfer
+from eitskin_tools.recording.script import Script, bundle_of
 
 FOLDER = Path(__file__).parents[2] / "golden" / "recordings"
 FRAMES = {"health": 114, "unchanged": 55, "press": 60, "budget": 38, "idle": 44}

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from eitskin_tools.recording import sink as sinks
+from eitskin_tools.recording import writer as sinks
 from eitskin_tools.recording.layout import CLOUD, FRAME, WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording
-from eitskin_tools.recording.series import Series, path_of
-from eitskin_tools.recording.writer import FLUSH_S, RecordingWriter
+from eitskin_tools.recording.writer import FLUSH_S, RecordingWriter, Series, path_of
 
 HEAD = {"wall_minus_host_ns": "7"}
 

@@ -11,13 +11,12 @@ from eitskin import CloudInUse, Conditions, Frame, SkinState, WireFrame
 from eitskin.model.bundle import load_bundle
 from eitskin_tools import cli
 from eitskin_tools.evaluation.measured_file import load_measured
-from eitskin_tools.recording.convert.table import table_of
+from eitskin_tools.recording.convert import table_of
 from eitskin_tools.recording.layout import RecordingError
-from eitskin_tools.recording.reinfer.choice import others
-from eitskin_tools.recording.reinfer.session import reinfer
-from eitskin_tools.recording.replay.play import Manner, Player
+from eitskin_tools.recording.reinfer import others, reinfer
+from eitskin_tools.recording.replay import Player, ReplayOptions
 from eitskin_tools.recording.script import Script
-from eitskin_tools.recording.seek.moments import Moments
+from eitskin_tools.recording.seek import SeekableRecording
 from eitskin_tools.view.film import Film
 
 from .conftest import TINY, Taker, recorded
@@ -55,8 +54,8 @@ def test_the_frames_behind_have_all_that_they_met(lacking: Path, items: Items, f
     assert begins.conditions is not None
     assert begins.cloud is not None
     assert begins.reference == next(item.reference for item in items if isinstance(item, SkinState))
-    assert script.reference() == begins.reference == Moments(lacking).reference()
-    spanned = Moments(lacking).span(0.0, 10.0).steps
+    assert script.reference() == begins.reference == SeekableRecording(lacking).reference()
+    spanned = SeekableRecording(lacking).span(0.0, 10.0).steps
     assert [(step.known, step.frame) for step in spanned] == [(step.known, step.frame) for step in steps]
 
 
@@ -71,7 +70,7 @@ def test_what_is_not_known_is_not_computed_and_what_is_comes_out_the_same(lackin
 
 def test_replay_leaves_it_out_and_says_so(lacking: Path, items: Items, first_frames: int) -> None:
     taker, said = Taker(), []
-    with Player(Script(lacking), Manner(paced=False), bundle=TINY, tell=said.append) as player:
+    with Player(Script(lacking), ReplayOptions(paced=False), bundle=TINY, tell=said.append) as player:
         for _ in player.skin.publish(taker):
             pass
     then = [item for item in items if isinstance(item, Frame)][first_frames:]
@@ -111,4 +110,4 @@ def test_where_no_frame_of_a_part_is_known_replay_says_so(lacking: Path, first_f
     script = Script(lacking)
     last = list(script.steps())[first_frames - 1]
     with pytest.raises(RecordingError, match="does not say what the frames of this part met"):
-        Player(script, Manner(to_s=1e-9 * (last.log_ns - script.first_ns)), bundle=TINY)
+        Player(script, ReplayOptions(to_s=1e-9 * (last.log_ns - script.first_ns)), bundle=TINY)

@@ -15,8 +15,7 @@ import eitskin
 from eitskin import Frame, WireFrame
 from eitskin.acquisition.device import Device
 from eitskin_proto.wire.frames import HEADER
-from eitskin_tools.recording.replay.line import RecordedLine
-from eitskin_tools.recording.replay.play import Manner, Player
+from eitskin_tools.recording.replay import Player, RecordedLine, ReplayOptions
 from eitskin_tools.recording.script import Script
 
 from .conftest import PERIOD_NS, TINY, Taker, hello, recorded, reference, scans
@@ -47,7 +46,7 @@ def test_what_belongs_before_a_frame_is_done_when_the_one_before_it_was_taken() 
 
 
 def test_at_its_pace_no_frame_comes_before_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    from eitskin_tools.recording.replay import line as module
+    from eitskin_tools.recording import replay as module
 
     class Passing:
         """Waiting lets the clock pass."""
@@ -139,7 +138,7 @@ def test_a_signal_amid_a_read_leaves_nobody_waiting_for_ever() -> None:
 
 def play(path: Path, **options: Any) -> list[Any]:
     taker = Taker()
-    with Player(Script(path), Manner(paced=False, **options), bundle=TINY) as player:
+    with Player(Script(path), ReplayOptions(paced=False, **options), bundle=TINY) as player:
         for _ in player.skin.publish(taker):
             pass
     return taker.items

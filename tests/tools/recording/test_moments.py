@@ -7,11 +7,10 @@ from typing import Any
 import pytest
 
 from eitskin_proto.errors import MismatchError
+from eitskin_tools.recording import seek as moments_module
 from eitskin_tools.recording.layout import CLOUD, WIRE, RecordingError
 from eitskin_tools.recording.script import Script, Step
-from eitskin_tools.recording.seek import moments as moments_module
-from eitskin_tools.recording.seek.moments import Moments
-from eitskin_tools.recording.seek.places import Places
+from eitskin_tools.recording.seek import ChunkIndex, SeekableRecording
 
 from .conftest import recorded
 
@@ -32,14 +31,14 @@ def told(step: Step) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
-def at_s(found: Moments, step: Step) -> float:
+def at_s(found: SeekableRecording, step: Step) -> float:
     """Return when a frame came, after the first one; a quarter of a ns later, so that no rounding leaves it out."""
     return (step.log_ns - found.first_ns + 0.25) * 1e-9
 
 
 def test_parts_together_are_the_whole_and_each_begins_with_what_held(chunked: Path) -> None:
-    script, found = Script(chunked), Moments(chunked)
-    assert len(Places(chunked).chunks) > 20
+    script, found = Script(chunked), SeekableRecording(chunked)
+    assert len(ChunkIndex(chunked).chunks) > 20
     assert (found.first_ns, found.last_ns, found.seconds) == (script.first_ns, script.last_ns, script.seconds)
     whole = list(script.steps())
     begins = [at_s(found, whole[k]) for k in range(0, 150, 20)]
@@ -53,19 +52,19 @@ def test_parts_together_are_the_whole_and_each_begins_with_what_held(chunked: Pa
 
 
 def test_a_part_is_found_without_reading_the_others(chunked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found, read = Moments(chunked), []
-    plain = Places.read
-    monkeypatch.setattr(Places, "read", lambda self, number: read.append(number) or plain(self, number))
+    found, read = SeekableRecording(chunked), []
+    plain = ChunkIndex.read
+    monkeypatch.setattr(ChunkIndex, "read", lambda self, number: read.append(number) or plain(self, number))
     whole = list(Script(chunked).steps())
     steps = found.span(at_s(found, whole[100]), at_s(found, whole[104])).steps
     assert [step.frame for step in steps] == [step.frame for step in whole[100:104]]
     assert steps[0].cloud is not None
-    assert len(set(read)) < len(Places(chunked).chunks) / 2
+    assert len(set(read)) < len(ChunkIndex(chunked).chunks) / 2
 
 
 def test_what_is_kept_does_not_grow_with_the_file(chunked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(moments_module, "MOST_KEPT", 1)
-    script, found = Script(chunked), Moments(chunked)
+    script, found = Script(chunked), SeekableRecording(chunked)
     whole = list(script.steps())
     for k in (120, 0, 120, 20):  # what was forgotten is read again
         begin = at_s(found, whole[k])
@@ -77,7 +76,7 @@ def test_what_is_kept_does_not_grow_with_the_file(chunked: Path, monkeypatch: py
 def test_a_cut_file_is_looked_at_as_far_as_it_goes(chunked: Path, share: float) -> None:
     data = chunked.read_bytes()
     chunked.write_bytes(data[: int(share * len(data))])
-    script, found = Script(chunked), Moments(chunked)
+    script, found = Script(chunked), SeekableRecording(chunked)
     assert "cut off" in found.ending
     assert 0 < found.seconds <= script.seconds
     frames = [step.frame for step in found.span(0.0, 10.0).steps]
@@ -85,19 +84,19 @@ def test_a_cut_file_is_looked_at_as_far_as_it_goes(chunked: Path, share: float) 
 
 
 def test_a_damaged_chunk_is_left_out_and_said(chunked: Path) -> None:
-    places = Places(chunked)
+    places = ChunkIndex(chunked)
     middle = places.chunks[len(places.chunks) // 2]
     data = bytearray(chunked.read_bytes())
     data[middle.at + middle.length - 20] ^= 0xFF
     chunked.write_bytes(bytes(data))
-    found = Moments(chunked)
+    found = SeekableRecording(chunked)
     frames = found.span(0.0, 10.0).steps
     assert 0 < len(frames) < 150
     assert "damaged" in found.ending
 
 
 def test_the_index_says_which_chunks_have_clouds(chunked: Path) -> None:
-    places = Places(chunked)
+    places = ChunkIndex(chunked)
     clouds = places.having(CLOUD.topic)
     assert 0 < len(clouds) < len(places.having(WIRE.topic))
     assert all(any(entry.topic == CLOUD.topic for entry in places.read(number)) for number in clouds)
@@ -111,7 +110,7 @@ def test_without_frames_or_of_another_protocol_it_is_refused(tmp_path: Path, ite
     states = [item for item in items if isinstance(item, SkinState)]
     recorded(tmp_path / "none.mcap", states)
     with pytest.raises(RecordingError, match="holds no frame of the wire"):
-        Moments(tmp_path / "none.mcap")
+        SeekableRecording(tmp_path / "none.mcap")
     recorded(tmp_path / "other.mcap", [replace(one, protocol_id="0123456789abcdef") for one in states])
     with pytest.raises(MismatchError, match="protocol_id"):
-        Moments(tmp_path / "other.mcap")
+        SeekableRecording(tmp_path / "other.mcap")

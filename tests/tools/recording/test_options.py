@@ -12,7 +12,7 @@ from eitskin.model.bundle import default_path, load_bundle
 from eitskin_proto.errors import SkinError
 from eitskin_tools import cli
 from eitskin_tools.commands.recorded import replay
-from eitskin_tools.recording.replay.play import Manner
+from eitskin_tools.recording.replay import ReplayOptions
 from eitskin_tools.recording.script import Script
 
 from .conftest import TINY, recorded_off
@@ -23,23 +23,23 @@ Capture = pytest.CaptureFixture[str]
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ([], Manner()),
-        (["--as-fast-as-possible"], Manner(paced=False)),
-        (["--speed", "2.5"], Manner(speed=2.5)),
-        (["--from", "0.01", "--to", "0.02"], Manner(from_s=0.01, to_s=0.02)),
-        (["--loop"], Manner(loop=True)),
+        ([], ReplayOptions()),
+        (["--as-fast-as-possible"], ReplayOptions(paced=False)),
+        (["--speed", "2.5"], ReplayOptions(speed=2.5)),
+        (["--from", "0.01", "--to", "0.02"], ReplayOptions(from_s=0.01, to_s=0.02)),
+        (["--loop"], ReplayOptions(loop=True)),
     ],
 )
 def test_replay_plays_in_the_manner_that_was_asked_for(
-    file: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], expected: Manner
+    file: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], expected: ReplayOptions
 ) -> None:
-    found: list[Manner] = []
+    found: list[ReplayOptions] = []
 
-    def player(script: Script, manner: Manner, **_: Any) -> None:
+    def player(script: Script, manner: ReplayOptions, **_: Any) -> None:
         found.append(manner)
         raise SkinError("enough")
 
-    monkeypatch.setattr("eitskin_tools.recording.replay.play.Player", player)
+    monkeypatch.setattr("eitskin_tools.recording.replay.Player", player)
     assert cli.main(["replay", str(file), "--quiet", *words]) == 1
     assert found == [expected]
 
@@ -151,7 +151,7 @@ def test_a_picture_that_cannot_be_written_is_said_before_anything_is_computed(
     def never(*_: Any, **__: Any) -> None:
         raise AssertionError("it was computed")
 
-    monkeypatch.setattr("eitskin_tools.recording.reinfer.session.reinfer", never)
+    monkeypatch.setattr("eitskin_tools.recording.reinfer.reinfer", never)
     picture = tmp_path / "nowhere" / "maps.png"
     assert cli.main(["reinfer", str(file), "--bundle", str(TINY), "--plot", str(picture)]) != 0
     said = capsys.readouterr().err

@@ -13,11 +13,11 @@ from tests.second_skin import SECOND, rolled
 
 from eitskin import CloudInUse, Conditions, Frame, SkinState, WireFrame
 from eitskin_proto.skin.skin import PAPER
-from eitskin_tools.recording import pictures
+from eitskin_tools.recording import layout, pictures
 from eitskin_tools.recording.codec import digest_of, pack_map, unpack_json, unpack_map
 from eitskin_tools.recording.layout import CLOUD, CONDITIONS, FRAME, MAP, STATE, WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording
-from eitskin_tools.recording.recorder import Kept
+from eitskin_tools.recording.recorder import RecorderOptions
 from eitskin_tools.recording.script import Script
 
 from .conftest import CLOUD as GIVEN
@@ -84,7 +84,7 @@ def test_what_is_told_again_is_written_once(tmp_path: Path, items: list[Any]) ->
 
 @pytest.mark.parametrize("every", [1, 4])
 def test_maps_are_kept_where_they_are_asked_for(tmp_path: Path, items: list[Any], every: int) -> None:
-    recorded(tmp_path / "a.mcap", items, Kept(maps=True, every=every))
+    recorded(tmp_path / "a.mcap", items, RecorderOptions(maps=True, every=every))
     found = dict(unpack_map(entry.data) for entry in Recording(tmp_path / "a.mcap").entries({MAP.topic}))
     frames = {frame.map_sequence: frame.map for frame in of(items, Frame)}
     assert list(found) == list(frames)[::every]
@@ -103,7 +103,7 @@ def test_a_runtime_that_starts_anew_gets_a_file_of_its_own(tmp_path: Path, items
     assert recorder.series is not None
     first, second = (Script(path) for path in recorder.series.files)
     assert (first.frames, second.frames) == (len(of(items, WireFrame)), 60)
-    assert first.told("run") != second.told("run")
+    assert first.head_text("run") != second.head_text("run")
     assert second.conditions
     assert next(second.steps()).reference is not None
 
@@ -152,7 +152,7 @@ def test_the_map_as_foxglove_grid_is_the_map_to_a_1024th() -> None:
     assert np.abs(shown - values).max() <= 0.5 / 1024
     assert found["timestamp"] == {"sec": 1_700_000_000, "nsec": 5}
     assert found["cell_size"]["x"] * found["column_count"] == pytest.approx(0.15)
-    assert set(found) == set(json.loads(pictures.GRID.schema)["properties"])
+    assert set(found) == set(json.loads(layout.GRID.schema)["properties"])
 
 
 def test_the_surface_as_foxglove_points_is_the_cloud_in_metres_with_the_map() -> None:
@@ -170,14 +170,14 @@ def test_the_surface_as_foxglove_points_is_the_cloud_in_metres_with_the_map() ->
         np.testing.assert_allclose(points[name], cloud[axis].reshape(-1) * 1e-3, rtol=1e-6, atol=1e-9)
     assert np.abs(points["touched"] - values.reshape(-1)).max() <= 0.5 / 1024
     assert found["point_stride"] % 3 == 0
-    assert set(found) == set(json.loads(pictures.SURFACE.schema)["properties"])
+    assert set(found) == set(json.loads(layout.SURFACE.schema)["properties"])
 
 
 KEYS = {
-    pictures.GRID: {
+    layout.GRID: {
         "timestamp", "frame_id", "pose", "column_count", "cell_size", "row_stride", "cell_stride", "fields", "data",
     },
-    pictures.SURFACE: {"timestamp", "frame_id", "pose", "point_stride", "fields", "data"},
+    layout.SURFACE: {"timestamp", "frame_id", "pose", "point_stride", "fields", "data"},
 }  # fmt: skip
 """Of ``foxglove.Grid`` and ``foxglove.PointCloud``: https://docs.foxglove.dev/docs/visualization/message-schemas/grid
 and point-cloud."""
@@ -204,7 +204,7 @@ def test_the_grid_of_another_sheet_has_that_sheets_pixels(tmp_path: Path, items:
         return replace(item, map=np.zeros((rows, columns), np.float32)) if isinstance(item, Frame) else item
 
     recorded(tmp_path / "a.mcap", [of_second(item) for item in items])
-    found = [json.loads(one.data) for one in Recording(tmp_path / "a.mcap").entries({pictures.GRID.topic})]
+    found = [json.loads(one.data) for one in Recording(tmp_path / "a.mcap").entries({layout.GRID.topic})]
     assert found
     width, height = SECOND.grid.pixel_mm
     for one in found:
@@ -220,7 +220,7 @@ def test_a_map_that_makes_no_sense_is_refused(data: bytes) -> None:
 
 
 def test_messages_that_make_no_sense_are_counted_and_the_rest_is_read(tmp_path: Path, items: list[Any]) -> None:
-    from eitskin_tools.recording.series import Series
+    from eitskin_tools.recording.writer import Series
 
     class Broken(Series):
         def add(self, channel: Any, data: bytes, log_ns: int, sequence: int = 0) -> None:
@@ -230,7 +230,7 @@ def test_messages_that_make_no_sense_are_counted_and_the_rest_is_read(tmp_path: 
 
     from eitskin_tools.recording.recorder import Recorder
 
-    recorder = Recorder(lambda head: Broken(tmp_path / "a.mcap", head), Kept())
+    recorder = Recorder(lambda head: Broken(tmp_path / "a.mcap", head), RecorderOptions())
     for item in items:
         recorder.take(item)
     recorder.close()

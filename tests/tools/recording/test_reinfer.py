@@ -10,15 +10,22 @@ import pytest
 from eitskin import Frame, WireFrame
 from eitskin.model.bundle import default_path, load_bundle
 from eitskin_proto.errors import MismatchError
-from eitskin_tools.recording.bundles import bundle_of
 from eitskin_tools.recording.codec import digest_of
 from eitskin_tools.recording.layout import RecordingError
-from eitskin_tools.recording.reinfer.choice import others
-from eitskin_tools.recording.reinfer.rerun import Computed
-from eitskin_tools.recording.reinfer.results import draw, write
-from eitskin_tools.recording.reinfer.session import Span, digests, reinfer
-from eitskin_tools.recording.reinfer.tally import Agreement, Equality, centre_mm, told_of_unknown
-from eitskin_tools.recording.script import Script
+from eitskin_tools.recording.reinfer import (
+    Agreement,
+    Computed,
+    Equality,
+    Span,
+    centre_mm,
+    digests,
+    draw,
+    others,
+    reinfer,
+    unknown_clause,
+    write,
+)
+from eitskin_tools.recording.script import Script, bundle_of
 
 from .conftest import TINY, hello, measured, recorded, recorded_off, reference, scans
 
@@ -67,9 +74,9 @@ def test_why_a_map_cannot_be_told_is_said_by_its_cause(file: Path) -> None:
     found = equality.fields()
     assert found["unknown_why"] == {"no_conditions": 3, "before_file": 1, "frame_missing": 1}
     assert found["unknown"] == 5
-    said = told_of_unknown(found)
+    said = unknown_clause(found)
     assert said.startswith("; 5 cannot be told: 3 came before the file says")
-    assert told_of_unknown(Equality().fields()) == ""
+    assert unknown_clause(Equality().fields()) == ""
 
 
 def test_a_map_that_was_published_otherwise_is_found(tmp_path: Path, items: list[Any]) -> None:
@@ -137,7 +144,7 @@ def test_a_solver_of_the_simulation_has_the_sheets_own_model(monkeypatch: pytest
     from types import SimpleNamespace
 
     from eitskin_sim.evaluation.harness import SOLVERS, Sheet
-    from eitskin_tools.recording.reinfer import choice
+    from eitskin_tools.recording import reinfer as choice
 
     bundle, asked = load_bundle(SECOND), []
     steps, cloud = scans(3), bundle.skin.grid.flat_cloud_mm()
@@ -155,7 +162,7 @@ def test_a_solver_of_the_simulation_has_the_sheets_own_model(monkeypatch: pytest
     monkeypatch.setattr("eitskin_sim.surface.predict.flat_voltages", flat_voltages)
     monkeypatch.setattr(Sheet, "predicted", lambda self: np.ones(104))
     monkeypatch.setitem(SOLVERS, "spy", solve)  # type: ignore[misc]
-    solver = choice.OfSimulation(SimpleNamespace(hello=hello()), bundle, "spy")  # type: ignore[arg-type]
+    solver = choice.SimulatedSolver(SimpleNamespace(hello=hello()), bundle, "spy")  # type: ignore[arg-type]
     step = replace(steps[1], frame=replace(steps[1].frame, touched=True), reference=b"it")
     solver.compute(replace(step, cloud=SimpleNamespace(cloud=cloud)))  # type: ignore[arg-type]
     assert asked == [bundle.skin, bundle.skin]

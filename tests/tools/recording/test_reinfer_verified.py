@@ -12,12 +12,10 @@ from eitskin.model.bundle import load_bundle
 from eitskin_sim.verification.snapped_units import UnitVerdict
 from eitskin_tools import cli
 from eitskin_tools.evaluation.verified import recorded as module
-from eitskin_tools.evaluation.verified.recorded import OfPhysics
+from eitskin_tools.evaluation.verified.recorded import VerifiedSolver
 from eitskin_tools.evaluation.verified.resting import FRAMES
 from eitskin_tools.evaluation.verified.solver import Checked, Verified
-from eitskin_tools.recording.reinfer.rerun import Computed, Rerun
-from eitskin_tools.recording.reinfer.results import write
-from eitskin_tools.recording.reinfer.session import reinfer
+from eitskin_tools.recording.reinfer import Computed, Rerun, reinfer, write
 from eitskin_tools.recording.script import Script, Step
 
 from . import conftest
@@ -52,7 +50,9 @@ def physics(monkeypatch: pytest.MonkeyPatch) -> list[Physics]:
         made.append(Physics(*words))
         return made[-1]
 
-    monkeypatch.setattr(OfPhysics, "_of", lambda self, reference: make(module.Run(lambda case: self._image, "pre")))
+    monkeypatch.setattr(
+        VerifiedSolver, "_of", lambda self, reference: make(module.Run(lambda case: self._image, "pre"))
+    )
     return made
 
 
@@ -60,7 +60,7 @@ def test_touched_frames_are_given_with_the_cloud_and_the_reference_that_held(
     file: Path, physics: list[Physics], tmp_path: Path
 ) -> None:
     script, bundle = Script(file), load_bundle(TINY)
-    found = reinfer(script, bundle, OfPhysics(script, bundle), keep=1000)
+    found = reinfer(script, bundle, VerifiedSolver(script, bundle), keep=1000)
     fields = found.fields()
     touched = sum(step.frame.touched for step in script.steps())
     assert fields["against_recorded"]["touched_agreement"] == 1.0
@@ -98,7 +98,7 @@ def test_frames_of_a_shape_without_a_model_are_counted_and_the_model_is_tried_on
 
     monkeypatch.setattr(Physics, "solve", solve)
     script, bundle = Script(file), load_bundle(TINY)
-    found = reinfer(script, bundle, OfPhysics(script, bundle)).fields()["verified"]
+    found = reinfer(script, bundle, VerifiedSolver(script, bundle)).fields()["verified"]
     ((why, count),) = found["not_verified"].items()
     assert "folds in its own plane" in why
     assert count == sum(step.frame.touched for step in script.steps())
@@ -109,7 +109,7 @@ def test_rows_that_are_missing_are_left_out(tmp_path: Path, monkeypatch: pytest.
     recorded(tmp_path / "a.mcap", measured(60))
     script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
     some = np.arange(104) < 26
-    monkeypatch.setattr("eitskin_tools.recording.reinfer.rerun.Rerun.missing", some)
+    monkeypatch.setattr("eitskin_tools.recording.reinfer.Rerun.missing", some)
     seen = []
 
     def solve(self: Verified, case: Any) -> Any:
@@ -117,7 +117,7 @@ def test_rows_that_are_missing_are_left_out(tmp_path: Path, monkeypatch: pytest.
         raise ValueError("enough")
 
     monkeypatch.setattr(Verified, "solve", solve)
-    reinfer(script, bundle, OfPhysics(script, bundle))
+    reinfer(script, bundle, VerifiedSolver(script, bundle))
     assert seen
     assert (seen[0] == ~some).all()
 
@@ -135,14 +135,14 @@ def test_what_the_sheet_read_untouched_is_told_before_its_first_touch(
     monkeypatch.setattr(Verified, "rest", lambda self, *words: told.append(words))
     monkeypatch.setattr(Verified, "solve", solve)
     script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
-    reinfer(script, bundle, OfPhysics(script, bundle))
+    reinfer(script, bundle, VerifiedSolver(script, bundle))
     (volts, frames), *others, behind = told
     assert volts == pytest.approx(counts() * VOLTS, rel=1e-4)
     assert frames == FRAMES
     assert others == ["frame", "frame"], "its cloud came amid the touch: of that shape nothing is known"
     assert len(behind) == 2, "but after it"
     told.clear()
-    reinfer(script, bundle, OfPhysics(script, bundle), every=2)
+    reinfer(script, bundle, VerifiedSolver(script, bundle), every=2)
     assert told == ["frame", "frame"], "every other frame is too few"
 
 
@@ -212,7 +212,7 @@ def test_the_real_verifier_explains_a_touch_of_a_real_sheet(tmp_path: Path, monk
     image = map_of(piece).astype(np.float32)
     monkeypatch.setattr(Rerun, "_map", lambda self: image)
     script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
-    found = reinfer(script, bundle, OfPhysics(script, bundle), keep=10)
+    found = reinfer(script, bundle, VerifiedSolver(script, bundle), keep=10)
     fields = found.fields()["verified"]
     assert (fields["frames"], fields["flagged_share"], fields["not_verified"]) == (1, 0.0, {})
     assert fields["p_value_median"] > 1e-3

@@ -14,8 +14,7 @@ from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.wire.frames import Frame as WireScan
 from eitskin_tools import cli
 from eitskin_tools.recording.codec import note_of
-from eitskin_tools.recording.replay.line import RecordedLine
-from eitskin_tools.recording.replay.play import Manner, Player
+from eitskin_tools.recording.replay import Player, RecordedLine, ReplayOptions
 from eitskin_tools.recording.script import Script, Step
 
 from .conftest import PERIOD_NS, Taker, hello, play, recorded
@@ -127,7 +126,7 @@ def test_a_part_begins_with_the_drift_and_the_electrodes_of_then(
 def test_an_electrode_can_be_excluded_while_it_plays(tmp_path: Path, bundle: Bundle, drifted: list[Any]) -> None:
     recorded(tmp_path / "a.mcap", drifted)
     taker = Taker()
-    with Player(Script(tmp_path / "a.mcap"), Manner(paced=False), bundle=bundle.path) as player:
+    with Player(Script(tmp_path / "a.mcap"), ReplayOptions(paced=False), bundle=bundle.path) as player:
         player.skin.exclude((9,))
         for _ in player.skin.publish(taker):
             pass

@@ -10,11 +10,11 @@ import pytest
 
 from eitskin import SkinState
 from eitskin_tools import cli
-from eitskin_tools.recording import sink as sinks
+from eitskin_tools.recording import writer as sinks
 from eitskin_tools.recording.layout import MAP, WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording
 from eitskin_tools.recording.script import Script
-from eitskin_tools.recording.series import MOST_ENDING, Series, others, path_of
+from eitskin_tools.recording.writer import MOST_ENDING, Series, others, path_of
 
 from .conftest import measured, recorded
 
@@ -43,7 +43,7 @@ def test_what_is_there_is_passed_over_and_stays(tmp_path: Path) -> None:
 
 
 def test_one_that_somebody_makes_just_then_is_passed_over_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from eitskin_tools.recording import series as module
+    from eitskin_tools.recording import writer as module
 
     first, made = tmp_path / "r.mcap", module.RecordingWriter
 
@@ -61,7 +61,7 @@ def test_one_that_somebody_makes_just_then_is_passed_over_too(tmp_path: Path, mo
 
 
 def test_where_no_file_can_be_made_it_does_not_go_on_looking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from eitskin_tools.recording import series as module
+    from eitskin_tools.recording import writer as module
 
     def refused(path: Path, *_: Any, **__: Any) -> None:
         raise RecordingError(f"{path.parent} has less than 8 MB left")
@@ -105,7 +105,7 @@ def test_a_file_that_fills_the_disk_when_it_is_begun_has_its_frame(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The room of the reserve serves it; a file without a frame says nothing to anybody."""
-    from eitskin_tools.recording import series as module
+    from eitskin_tools.recording import writer as module
 
     series, made = Series(tmp_path / "r.mcap", {}, most_bytes=1), module.RecordingWriter
 
@@ -191,7 +191,7 @@ def test_the_command_says_at_its_start_what_is_there(
 ) -> None:
     """The stream comes from this process, and is over when all of it was taken."""
     from eitskin_tools.commands.recorded import record
-    from eitskin_tools.recording import intake
+    from eitskin_tools.recording import recorder as intake
 
     class Here:
         silent, dropped = None, 0

@@ -16,11 +16,11 @@ import pytest
 
 from eitskin import SkinState, WireFrame
 from eitskin_tools.commands.recorded import record
-from eitskin_tools.recording import sink as sinks
+from eitskin_tools.recording import writer as sinks
 from eitskin_tools.recording.layout import WIRE
 from eitskin_tools.recording.reader import Recording
-from eitskin_tools.recording.recorder import Kept, Recorder
-from eitskin_tools.recording.series import Series
+from eitskin_tools.recording.recorder import Recorder, RecorderOptions
+from eitskin_tools.recording.writer import Series
 
 PATIENCE_S = 60.0
 
@@ -114,7 +114,7 @@ def test_what_came_more_than_three_tenths_of_a_second_ago_is_in_the_files_whenev
     def opener(head: dict[str, str]) -> Series:
         return Series(tmp_path / "a.mcap", head, now_s=lambda: now_s[0], **bounds)
 
-    recorder = Recorder(opener, Kept())
+    recorder = Recorder(opener, RecorderOptions())
 
     def pass_(step_s: float) -> None:
         now_s[0] += step_s

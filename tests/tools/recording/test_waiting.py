@@ -9,7 +9,7 @@ import pytest
 
 from eitskin.errors import NoFrame
 from eitskin_tools.commands.recorded import replay
-from eitskin_tools.recording.intake import Intake
+from eitskin_tools.recording.recorder import Intake
 
 
 class Coming:

@@ -144,9 +144,8 @@ def _of_recording(arguments: argparse.Namespace, bundle: Any = None) -> tuple[An
     require("a recording", RECORDINGS)
     from eitskin.errors import BadReference
     from eitskin.health.electrodes import WINDOW
-    from eitskin_tools.recording.bundles import for_skin, reference_of
-    from eitskin_tools.recording.convert.table import table_of
-    from eitskin_tools.recording.script import Script
+    from eitskin_tools.recording.convert import table_of
+    from eitskin_tools.recording.script import Script, for_skin, reference_of
 
     script = Script(files.find(arguments.recorded, files.RECORDING))
     if script.ending:

@@ -118,7 +118,7 @@ def _of_recording(path: str | Path) -> tuple[Arrays, str]:
     from eitskin_tools.command_line.needs import require
 
     require("a recording", ("mcap",))
-    from eitskin_tools.recording.convert.table import measured_arrays
+    from eitskin_tools.recording.convert import measured_arrays
     from eitskin_tools.recording.script import Script
 
     script = Script(path)

@@ -92,3 +92,59 @@ STATE: Final = Channel("/eitskin/state", "json", "eitskin.State", STATE_SCHEMA, 
 CONDITIONS: Final = Channel("/eitskin/conditions", "msgpack", lasts=True)
 FRAME: Final = Channel("/eitskin/frame", "json", "eitskin.Frame", FRAME_SCHEMA)
 MAP: Final = Channel("/eitskin/map", "msgpack")
+
+
+def _object(title: str, **properties: Any) -> dict[str, Any]:
+    return {"title": title, "type": "object", "properties": properties}
+
+
+_TIME: Final = {
+    "type": "object",
+    "title": "time",
+    "properties": {"sec": {"type": "integer", "minimum": 0}, "nsec": {"type": "integer", "minimum": 0}},
+}
+_NUMBER: Final = {"type": "number"}
+_WHOLE: Final = {"type": "integer", "minimum": 0}
+_TEXT: Final = {"type": "string"}
+_BYTES: Final = {"type": "string", "contentEncoding": "base64"}
+_POSE: Final = _object(
+    "foxglove.Pose",
+    position=_object("foxglove.Vector3", x=_NUMBER, y=_NUMBER, z=_NUMBER),
+    orientation=_object("foxglove.Quaternion", x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER),
+)
+_FIELDS: Final = {
+    "type": "array",
+    "items": _object("foxglove.PackedElementField", name=_TEXT, offset=_WHOLE, type=_WHOLE),
+}
+
+GRID: Final = Channel(
+    "/eitskin/grid",
+    "json",
+    "foxglove.Grid",
+    json.dumps(
+        _object(
+            "foxglove.Grid", timestamp=_TIME, frame_id=_TEXT, pose=_POSE, column_count=_WHOLE,
+            cell_size=_object("foxglove.Vector2", x=_NUMBER, y=_NUMBER), row_stride=_WHOLE, cell_stride=_WHOLE,
+            fields=_FIELDS, data=_BYTES,
+        )
+    ),
+)  # fmt: skip
+
+SURFACE: Final = Channel(
+    "/eitskin/surface",
+    "json",
+    "foxglove.PointCloud",
+    json.dumps(
+        _object(
+            "foxglove.PointCloud", timestamp=_TIME, frame_id=_TEXT, pose=_POSE, point_stride=_WHOLE, fields=_FIELDS,
+            data=_BYTES,
+        )
+    ),
+)  # fmt: skip
+
+CHANNELS: Final = (WIRE, CLOUD, STATE, CONDITIONS, FRAME, MAP, GRID, SURFACE)
+"""In the order of their numbers; every file has all of them, so that a number means the same channel in each, even
+where the chunk that says so is lost."""
+
+TOPICS: Final = {number: channel.topic for number, channel in enumerate(CHANNELS, start=1)}
+"""Topic by number."""

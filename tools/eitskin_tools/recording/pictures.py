@@ -11,8 +11,6 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_tools.recording.layout import Channel
-
 NS: Final = 1_000_000_000
 FLOAT32: Final = 7
 """``foxglove.PackedElementField.type`` of a float32."""
@@ -25,55 +23,6 @@ STRIDE: Final = 18
 
 FRAME_ID: Final = "skin"
 POSE: Final = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
-
-
-def _object(title: str, **properties: Any) -> dict[str, Any]:
-    return {"title": title, "type": "object", "properties": properties}
-
-
-_TIME: Final = {
-    "type": "object",
-    "title": "time",
-    "properties": {"sec": {"type": "integer", "minimum": 0}, "nsec": {"type": "integer", "minimum": 0}},
-}
-_NUMBER: Final = {"type": "number"}
-_WHOLE: Final = {"type": "integer", "minimum": 0}
-_TEXT: Final = {"type": "string"}
-_BYTES: Final = {"type": "string", "contentEncoding": "base64"}
-_POSE: Final = _object(
-    "foxglove.Pose",
-    position=_object("foxglove.Vector3", x=_NUMBER, y=_NUMBER, z=_NUMBER),
-    orientation=_object("foxglove.Quaternion", x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER),
-)
-_FIELDS: Final = {
-    "type": "array",
-    "items": _object("foxglove.PackedElementField", name=_TEXT, offset=_WHOLE, type=_WHOLE),
-}
-
-GRID: Final = Channel(
-    "/eitskin/grid",
-    "json",
-    "foxglove.Grid",
-    json.dumps(
-        _object(
-            "foxglove.Grid", timestamp=_TIME, frame_id=_TEXT, pose=_POSE, column_count=_WHOLE,
-            cell_size=_object("foxglove.Vector2", x=_NUMBER, y=_NUMBER), row_stride=_WHOLE, cell_stride=_WHOLE,
-            fields=_FIELDS, data=_BYTES,
-        )
-    ),
-)  # fmt: skip
-
-SURFACE: Final = Channel(
-    "/eitskin/surface",
-    "json",
-    "foxglove.PointCloud",
-    json.dumps(
-        _object(
-            "foxglove.PointCloud", timestamp=_TIME, frame_id=_TEXT, pose=_POSE, point_stride=_WHOLE, fields=_FIELDS,
-            data=_BYTES,
-        )
-    ),
-)  # fmt: skip
 
 
 def pixel_of(cloud_mm: npt.NDArray[np.float32]) -> tuple[float, float]:

@@ -22,8 +22,7 @@ from mcap.stream_reader import StreamReader
 
 from eitskin_proto.files.plain import stated
 from eitskin_proto.files.reading import opened
-from eitskin_tools.recording.channels import TOPICS
-from eitskin_tools.recording.layout import FORMAT, HEAD, REFERENCE, VERSION, RecordingError
+from eitskin_tools.recording.layout import FORMAT, HEAD, REFERENCE, TOPICS, VERSION, RecordingError
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 

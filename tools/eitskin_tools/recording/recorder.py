@@ -2,34 +2,143 @@
 
 The recorder is a process of its own: a chunk that is packed and forced onto the disk takes milliseconds, which the
 frame loop must not wait for. It knows no socket: whoever subscribes hands it one value after the other.
+
+Two subscriptions into one queue: what was measured, and what was published of it.
+
+Each has a thread of its own that does nothing but take messages from its socket; whoever writes them may be held up by
+the disk for a while. All of them rest between whiles and then take what has come: a recording is in no hurry, and each
+waking of a thread takes time from the frame loop where cores are few. They wake when a frame is through, and have done
+before the next one comes.
 """
 
-from collections.abc import Callable
+import threading
+import time
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.errors import NoFrame
 from eitskin.messaging.frame import Frame
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
 from eitskin.messaging.streams.state import SkinState
+from eitskin_proto.errors import SkinError
 from eitskin_proto.skin.skin import PAPER
+from eitskin_tools.processes.rhythm import Rhythm
 from eitskin_tools.recording import pictures
 from eitskin_tools.recording.codec import note_of, pack_json, pack_map
 from eitskin_tools.recording.layout import (
     CLOUD,
     CONDITIONS,
     FRAME,
+    GRID,
     JSON_MEDIA,
     MAP,
     REFERENCE,
     STATE,
+    SURFACE,
     WIRE,
     RecordingError,
 )
-from eitskin_tools.recording.series import Series
+from eitskin_tools.recording.writer import Series
+
+MOST_WAITING: Final = 20_000
+"""Messages that wait for the disk: half a minute at 200 frames/s; more would be memory without end."""
+
+REST_S: Final = 0.02
+"""How long threads rest, at least, where they have taken what there was: 4 frames come meanwhile at 200 frames/s."""
+
+
+def heard(rhythm: Rhythm, found: object) -> None:
+    """Have a rhythm take note of a frame, whatever stream it is of."""
+    match found:
+        case Frame():
+            rhythm.heard(found.number, found.host_ns["read"])
+        case WireFrame():
+            rhythm.heard(found.n, found.read_ns)
+
+
+class Intake:
+    """Takes from subscriptions until it is closed.
+
+    Args:
+        sources: Each makes a subscription that ends its waiting with :class:`eitskin.NoFrame` now and then.
+    """
+
+    def __init__(self, sources: Iterable[Callable[[], Any]]) -> None:
+        self._queue: SimpleQueue[object] = SimpleQueue()
+        self._rhythm = Rhythm()
+        self._closing = threading.Event()
+        self.dropped = 0
+        """Messages that were not taken because the disk was too slow."""
+        self.silent: SkinError | None = None
+        """Why nothing comes, as the last source to wait in vain said it; None once something came since."""
+        self.unusable: SkinError | None = None
+        """The same of a source to which something comes that it cannot use: of another version, say."""
+        self._threads = [
+            threading.Thread(target=self._take, args=(source,), name=f"record-{number}", daemon=True)
+            for number, source in enumerate(sources)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def _take(self, source: Callable[[], Any]) -> None:
+        try:
+            subscription = source()
+        except Exception as error:
+            self._queue.put(error)
+            return
+        rhythm, rejected = Rhythm(), 0
+        try:
+            while not self._closing.is_set():
+                try:
+                    for found in subscription:
+                        self.silent = self.unusable = None
+                        if self._queue.qsize() < MOST_WAITING:
+                            self._queue.put(found)
+                        else:
+                            self.dropped += 1
+                        heard(rhythm, found)
+                        if not subscription.waits:
+                            self._rhythm = rhythm
+                            self._closing.wait(rhythm.rest_s(REST_S))
+                        if self._closing.is_set():
+                            return
+                except NoFrame as error:
+                    self.silent = error
+                    if subscription.rejected > rejected:
+                        self.unusable, rejected = error, subscription.rejected
+        except Exception as error:
+            self._queue.put(error)
+        finally:
+            subscription.close()
+
+    def next(self, timeout_s: float) -> object | None:
+        """Return what came next; None if nothing came in time.
+
+        Raises:
+            SkinError: A subscription failed.
+        """
+        if self._queue.empty():
+            time.sleep(min(self._rhythm.rest_s(REST_S), timeout_s))
+        with suppress(Empty):
+            found = self._queue.get(timeout=timeout_s)
+            if isinstance(found, Exception):
+                raise found
+            return found
+        return None
+
+    def close(self) -> None:
+        """End the subscriptions, and wait for their threads."""
+        self._closing.set()
+        for thread in self._threads:
+            thread.join(5.0)
+
 
 MOST_EARLY: Final = 4000
 """Values that wait until the skin has said what it is: 10 s of a stream of 400 a second."""
@@ -39,7 +148,7 @@ RESTING_NS: Final = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class RecorderOptions:
     """What of the stream is kept beside the wire, the clouds and the state."""
 
     maps: bool = False
@@ -77,7 +186,7 @@ class Recorder:
         kept: What of the stream is kept.
     """
 
-    def __init__(self, opener: Opener, kept: Kept) -> None:
+    def __init__(self, opener: Opener, kept: RecorderOptions) -> None:
         self._opener, self._kept = opener, kept
         self._pixel_mm: tuple[float, float] | None = None
         self._series: Series | None = None
@@ -219,8 +328,8 @@ class Recorder:
             return
         self._picture_ns, self._picture_sequence = wall_ns, sequence
         series = self._series_in_hand
-        series.add(pictures.GRID, pictures.grid(values, self._pixel_mm, wall_ns), wall_ns)
-        series.add(pictures.SURFACE, pictures.surface(values, self._cloud, wall_ns), wall_ns)
+        series.add(GRID, pictures.grid(values, self._pixel_mm, wall_ns), wall_ns)
+        series.add(SURFACE, pictures.surface(values, self._cloud, wall_ns), wall_ns)
 
     def close(self) -> None:
         """End the file; closing twice is fine."""

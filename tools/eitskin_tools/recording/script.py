@@ -5,6 +5,7 @@ of them take no more memory than seconds. Surfaces are kept, some 20 kB each: te
 """
 
 import hashlib
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,10 +13,62 @@ from typing import Any
 
 from eitskin.errors import FrameError
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
+from eitskin.model.bundle import Bundle, default_path, load_bundle
+from eitskin.reference.captured import Reference, parsed
+from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_proto.files.plain import stated
+from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.skin.made_for import check_made_for
+from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_proto.wire.answers import Hello
 from eitskin_tools.recording.codec import unpack_json
 from eitskin_tools.recording.layout import CLOUD, CONDITIONS, FRAME, STATE, WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording
-from eitskin_tools.recording.told import Told
+
+
+class RecordedHead(ABC):
+    """Head and device of a recording.
+
+    Args:
+        recording: It.
+
+    Raises:
+        RecordingError: The device's HELLO cannot be read.
+        MismatchError: It is of another protocol.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        self.path = recording.path
+        self.hello = self._hello()
+
+    def head_text(self, name: str) -> str:
+        """Return a text of the head: ``bundle``, ``configuration``, ``serial``, ..."""
+        return self.recording.head.get(name, "")
+
+    @abstractmethod
+    def reference(self) -> bytes:
+        """Return what the first frame is held against of which that is known, as ``eitskin reference`` writes it.
+
+        Raises:
+            RecordingError: There is none.
+        """
+
+    def _hello(self) -> Hello:
+        head = self.recording.head
+        protocol = head.get("protocol_id", PROTOCOL_ID)
+        hint = "install the release that made the recording ('eitskin --version' names a release's ids)"
+        if protocol != PROTOCOL_ID:
+            raise MismatchError(f"{self.path}: protocol_id", found=stated(protocol), expected=PROTOCOL_ID, hint=hint)
+        try:
+            found = Hello.unpack(bytes.fromhex(head.get("hello", "")))
+            found.check()
+        except MismatchError:
+            raise
+        except (ValueError, IndexError, SkinError) as error:
+            raise RecordingError(f"{self.path}: the device's HELLO cannot be read: {error}") from error
+        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +86,7 @@ class Step:
     then, and of those behind a damaged chunk."""
 
 
-class Script(Told):
+class Script(RecordedHead):
     """What a recording tells of a stream.
 
     Args:
@@ -81,7 +134,7 @@ class Script(Told):
         return (self.last_ns - self.first_ns) * 1e-9
 
     def reference(self) -> bytes:
-        """Return what the first frame is held against of which that is known, as in :class:`Told`."""
+        """Return what the first frame is held against of which that is known, as in :class:`RecordedHead`."""
         for step in self.steps():
             if step.reference is not None:
                 return step.reference
@@ -173,3 +226,56 @@ def step_of(
     if (new_cloud and cloud is None) or (new_reference and reference is None):
         return Step(frame, log_ns, known=False)
     return Step(frame, log_ns, now, cloud if new_cloud else None, reference if new_reference else None)
+
+
+def bundle_of(script: RecordedHead, named: str | Path | None = None) -> Bundle:
+    """Return the bundle that a recording was made with.
+
+    Args:
+        script: The recording.
+        named: A file, which may be another bundle of the same skin; None looks among those that are shipped.
+
+    Raises:
+        RecordingError: None that is shipped is the one that was running.
+        MismatchError: The bundle is of another skin.
+        BundleError: It cannot be read.
+    """
+    if named is not None:
+        return for_skin(load_bundle(named), script)
+    wanted = script.head_text("bundle")
+    kinds: tuple[TouchKind, ...] = ("raise", "lower")
+    paths = [default_path(labels, touches) for labels in ("area", "units") for touches in kinds]
+    for path in paths:
+        if path.exists() and (found := load_bundle(path, lazily=True)).id == wanted:
+            return found
+    raise RecordingError(
+        f"{script.path} was made with bundle {wanted[:16]}, none of the shipped ones; name it with --bundle FILE"
+    )
+
+
+def for_skin(bundle: Bundle, script: RecordedHead) -> Bundle:
+    """Return a bundle, or refuse it.
+
+    Raises:
+        MismatchError: It is of another skin than the recording.
+    """
+    own, grid_id = bundle.skin, script.head_text("grid_id")
+    hint = "name a bundle of the skin that was recorded"
+    if grid_id and grid_id != own.grid_id:
+        raise MismatchError(f"{script.path}: grid_id", found=grid_id, expected=own.grid_id, hint=hint)
+    reference = reference_of(script, script.reference())
+    ids = {"grid_id": reference.grid_id, "skin_digest": reference.skin_digest}
+    check_made_for(str(script.path), own, **ids, hint=hint)
+    return bundle
+
+
+def reference_of(script: RecordedHead, content: bytes, skin: Skin | None = None) -> Reference:
+    """Return a recorded reference.
+
+    Raises:
+        BadReference: It cannot be used.
+        MismatchError: It is of another device or configuration than the frames, or of another skin.
+    """
+    found = parsed(content, f"of {script.path}", "record anew", skin)
+    found.check(script.hello)
+    return found

@@ -2,18 +2,250 @@
 
 Whoever reads a file that was cut off, by a kill or by the power, has everything up to the last chunk
 (:mod:`eitskin_tools.recording.reader`).
+
+Goes on in a new file when one is large or old enough; each of them can be read by itself.
+
+A new file begins with a frame of the wire, and no file is ended before it has one: none is left without, also where the
+disk is full just then. A file that is there already is never written over: the next one takes the next number that is
+free.
+
+A file that is written to its end although the disk is full: a reserve is kept for that, and given up when needed.
+
+The reserve is a second file without a name: whatever ends this process frees it. When the disk is full it is closed,
+and what was being written is finished in the room that it leaves. One reserve serves all files of a series.
+
+A file gets its name when its head is in it, so that nobody ever finds one that does not say what it is, whenever this
+process is killed.
 """
 
+import errno
+import os
+import re
+import tempfile
+import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Final
+from typing import IO, Any, Final
 
 from mcap.writer import Writer
 
-from eitskin_tools.recording.channels import CHANNELS
-from eitskin_tools.recording.layout import FORMAT, HEAD, VERSION, Channel
-from eitskin_tools.recording.sink import Reserve, Sink
+from eitskin_proto.files.writing import check_target
+from eitskin_tools.recording.layout import CHANNELS, FORMAT, HEAD, VERSION, WIRE, Channel, RecordingError
+
+RESERVE_BYTES: Final = 8 << 20
+"""Room for the last chunk, and for the summary of a file of a day."""
+
+FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""What the system says when there is no room."""
+
+NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW
+NAMELESS: Final = os.O_WRONLY | os.O_TMPFILE | os.O_CLOEXEC
+
+
+class Reserve:
+    """Room that is held until somebody needs it.
+
+    Args:
+        folder: On the disk in question.
+        size: Bytes.
+
+    Raises:
+        RecordingError: There is not so much.
+        OSError: It cannot be held.
+    """
+
+    def __init__(self, folder: Path, size: int = RESERVE_BYTES) -> None:
+        self._file: IO[bytes] | None = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 -- kept open
+        try:
+            os.posix_fallocate(self._file.fileno(), 0, size)
+        except OSError as error:
+            self.give_up()
+            if error.errno in FULL:
+                raise RecordingError(
+                    f"{folder} has less than {size >> 20} MB left; free some, or name another place"
+                ) from error
+            raise
+
+    @property
+    def held(self) -> bool:
+        """Whether it has not been given up yet."""
+        return self._file is not None
+
+    def give_up(self) -> None:
+        """Free it; twice is fine."""
+        found, self._file = self._file, None
+        if found is not None:
+            found.close()
+
+
+class Sink:
+    """A new file, written without a buffer of its own; has what :class:`mcap.writer.Writer` needs of a stream.
+
+    What is written before ``begin`` waits for it.
+
+    Args:
+        path: Of the file, which must not be there.
+
+    Raises:
+        RecordingError: It is there.
+        FileError: It is no file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = check_target(path)
+        self.full = False
+        """The reserve is being used: end the file now."""
+        self.bytes = 0
+        """Written so far."""
+        self._reserve: Reserve | None = None
+        self._head, self._begun = bytearray(), False
+        self._handle = -1
+        self._asked, self._closing = threading.Event(), False
+        self._failed: OSError | None = None
+        self._thread = threading.Thread(target=self._sync, name="recording-sync", daemon=True)
+        if os.path.lexists(self.path):
+            raise self._is_there()
+
+    def begin(self, reserve: Reserve | None = None) -> None:
+        """Make the file, with what was written so far.
+
+        Args:
+            reserve: See above; whoever made it gives it up in the end.
+
+        Raises:
+            RecordingError: It is there.
+            OSError: It cannot be made.
+        """
+        self._reserve, self._begun = reserve, True
+        try:
+            self._with_room(self._make)
+        except FileExistsError:
+            raise self._is_there() from None
+        self._thread.start()
+
+    def _make(self) -> None:
+        """Make the file and name it when the head is in it; where every file has a name, name it before."""
+        try:
+            self._handle = self._headed(os.open(self.path.parent, NAMELESS, 0o666))
+        except OSError as error:
+            if error.errno in (*FULL, errno.EEXIST):
+                raise
+            self._handle = self._headed(os.open(self.path, NEW, 0o666), named=True)
+
+    def _headed(self, handle: int, *, named: bool = False) -> int:
+        """Write the head into a file that was opened, name it, and return it; of one that cannot be, leave nothing."""
+        try:
+            rest = memoryview(self._head)
+            while rest:
+                rest = rest[os.write(handle, rest) :]
+            if not named:  # a folder is stated, since os.link follows no link without one
+                os.link(f"/proc/self/fd/{handle}", self.path.absolute(), src_dir_fd=0, follow_symlinks=True)
+        except OSError:
+            os.close(handle)
+            if named:
+                self.path.unlink()
+            raise
+        return handle
+
+    def _is_there(self) -> RecordingError:
+        return RecordingError(f"{self.path} exists already; name another file, or move it away")
+
+    def _with_room(self, write: Callable[[], int | None]) -> int:
+        """Write, if need be into the room of the reserve, and return how much it was."""
+        while True:
+            try:
+                return write() or 0
+            except OSError as error:
+                if error.errno not in FULL or self._reserve is None or not self._reserve.held:
+                    raise
+            self.full = True
+            self._reserve.give_up()
+
+    def write(self, data: bytes) -> int:
+        """Write all of ``data``, if need be into the room of the reserve.
+
+        Raises:
+            OSError: It cannot be written, or even the reserve is used up.
+        """
+        if not self._begun:
+            self._head += data
+            self.bytes += len(data)
+            return len(data)
+        rest = memoryview(data)
+        while rest:
+            written = self._with_room(lambda: os.write(self._handle, rest))  # noqa: B023 -- called at once
+            self.bytes += written
+            rest = rest[written:]
+        return len(data)
+
+    def tell(self) -> int:
+        """Return how much was written."""
+        return self.bytes
+
+    def flush(self) -> None:
+        """Do nothing: nothing is held back."""
+
+    def sync_soon(self) -> None:
+        """Have everything written forced onto the disk, by a thread of its own: a busy disk takes a second for that.
+
+        Raises:
+            OSError: It could not be, the last time.
+        """
+        failed, self._failed = self._failed, None
+        if failed is not None:
+            raise failed
+        self._asked.set()
+
+    def _sync(self) -> None:
+        """Force the head onto the disk, then the name, content whenever asked; at the end all, and close the file."""
+        with suppress(OSError):
+            os.fsync(self._handle)
+            _sync_folder(self.path.parent)
+        while not self._closing:
+            self._asked.wait()
+            self._asked.clear()
+            if not self._closing:
+                try:
+                    os.fdatasync(self._handle)
+                except OSError as error:
+                    self._failed = error
+        try:
+            os.fsync(self._handle)
+        except OSError as error:
+            self._failed = error
+        os.close(self._handle)
+
+    def close(self, *, wait: bool = True) -> None:
+        """End the file, which takes no more; closing twice is fine.
+
+        Args:
+            wait: Until it is on the disk; else that is done behind, and closing again waits.
+
+        Raises:
+            OSError: It could not be forced onto the disk.
+        """
+        if self._handle < 0:
+            return
+        self._closing = True
+        self._asked.set()
+        if wait:
+            self._thread.join()
+            self._handle = -1
+            if self._failed is not None:
+                raise self._failed
+
+
+def _sync_folder(folder: Path) -> None:
+    """Force the names in a folder onto the disk."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
 
 FLUSH_S: Final = 0.25
 """So much waits in memory, and is lost with the process; with the power goes what is on its way to the disk besides."""
@@ -28,7 +260,7 @@ class RecordingWriter:
     Args:
         path: Of the file, which must not be there.
         head: Of the metadata: ids, host, clock offset.
-        reserve: See :mod:`eitskin_tools.recording.sink`; whoever made it gives it up. None for one of its own.
+        reserve: See :mod:`eitskin_tools.recording.writer`; whoever made it gives it up. None for one of its own.
         now_s: The clock of ``FLUSH_S``.
 
     Raises:
@@ -150,3 +382,172 @@ class RecordingWriter:
         """Free the reserve, if it is our own."""
         if self._own is not None:
             self._own.give_up()
+
+
+MOST_ENDING: Final = 4
+"""Files that may be on their way to the disk beside the one in hand."""
+
+
+def path_of(first: Path, number: int) -> Path:
+    """Return the path of a file of a series: FILE.mcap, FILE.0002.mcap, FILE.0003.mcap, ..."""
+    return first if number == 1 else first.with_name(f"{first.stem}.{number:04d}{first.suffix}")
+
+
+def others(first: Path) -> list[Path]:
+    """Return the files that are there already and are called like the second or a later one of a series."""
+    name = re.compile(rf"{re.escape(first.stem)}\.[0-9]{{4,}}{re.escape(first.suffix)}")
+    with suppress(OSError):  # a folder that may be written to and not read
+        return sorted(path for path in first.parent.iterdir() if name.fullmatch(path.name))
+    return []
+
+
+class Series:
+    """Writes one file after another.
+
+    Args:
+        first: Path of the first.
+        head: Metadata of each.
+        most_bytes: A file that has more is followed by another; None for no bound.
+        most_s: The same for its age.
+        options: Of :class:`RecordingWriter`.
+
+    Raises:
+        RecordingError: The first file is there, or there is no room.
+        OSError: It cannot be made.
+    """
+
+    def __init__(
+        self,
+        first: Path,
+        head: Mapping[str, str],
+        *,
+        most_bytes: int | None = None,
+        most_s: float | None = None,
+        **options: Any,
+    ) -> None:
+        self._first, self._head = first, head
+        self._most_bytes, self._most_s, self._options = most_bytes, most_s, options
+        self._lasting: dict[str, tuple[Channel, bytes, int]] = {}
+        self._attached: tuple[str, str, bytes] | None = None
+        self.files: list[Path] = []
+        """Made so far."""
+        self._before = 0
+        self._holds_frames = False
+        """Whether there is one of the wire in the file in hand."""
+        self._number = 1
+        self._ended: deque[RecordingWriter] = deque()
+        self._reserve = Reserve(first.parent)
+        try:
+            self._writer = self._begin(first)
+        except BaseException:
+            self._reserve.give_up()
+            raise
+
+    @property
+    def size(self) -> int:
+        """Of all files."""
+        return self._before + self._writer.size
+
+    @property
+    def full(self) -> bool:
+        """Whether the disk is full."""
+        return self._writer.full
+
+    @property
+    def due_s(self) -> float:
+        """How long what is in memory may stay there yet; 0 where it is late."""
+        return self._writer.due_s
+
+    @property
+    def path(self) -> Path:
+        """Of the file in hand."""
+        return self._writer.path
+
+    def _begin_next(self) -> RecordingWriter:
+        while True:
+            self._number += 1
+            path = path_of(self._first, self._number)
+            if os.path.lexists(path):
+                continue
+            try:
+                return self._begin(path)
+            except RecordingError:
+                if not os.path.lexists(path):  # else somebody else made it just now
+                    raise
+
+    def _begin(self, path: Path) -> RecordingWriter:
+        head = {**self._head, "file": str(len(self.files) + 1)}
+        writer = RecordingWriter(path, head, reserve=self._reserve, **self._options)
+        self.files.append(path)
+        self._holds_frames = False
+        return writer
+
+    def attach(self, name: str, media_type: str, content: bytes, log_ns: int) -> None:
+        """Write a file within the file; the last one is in each file that follows."""
+        self._attached = name, media_type, content
+        self._writer.attach(name, media_type, content, log_ns)
+
+    def add(self, channel: Channel, data: bytes, log_ns: int, sequence: int = 0) -> None:
+        """Write a message, a frame of the wire into a new file if it is time for one; nothing more on a full disk.
+
+        Raises:
+            OSError: It cannot be written, for another reason than a full disk.
+        """
+        if self.full:
+            return
+        if channel.lasts:
+            self._lasting[channel.topic] = channel, data, sequence
+        elif channel.topic == WIRE.topic:
+            if self._holds_frames and self._is_time() and not self._next(log_ns):
+                return
+            self._holds_frames = True
+        self._writer.add(channel, data, log_ns, sequence)
+
+    def begin_anew(self, head: Mapping[str, str]) -> None:
+        """Go on in a new file with another head, of a runtime that was started anew; nothing holds any more."""
+        self._head, self._attached = head, None
+        self._lasting.clear()
+        self._next(0)
+
+    def _is_time(self) -> bool:
+        writer = self._writer
+        if self._most_bytes is not None and writer.size >= self._most_bytes:
+            return True
+        return self._most_s is not None and writer.age_s >= self._most_s
+
+    def _next(self, log_ns: int) -> bool:
+        """End the file in hand and begin the next with whatever still holds; the disk need not have all of it yet.
+
+        Returns:
+            Whether there is a next one: not where the disk was full before.
+        """
+        before = self._writer
+        if len(self._ended) >= MOST_ENDING:
+            self._ended.popleft().close()
+        before.close(wait=False)
+        self._ended.append(before)
+        if before.full:
+            return False
+        self._before += before.size
+        self._writer = self._begin_next()
+        if self._attached is not None:
+            self._writer.attach(*self._attached, log_ns)
+        for channel, data, sequence in self._lasting.values():
+            self._writer.add(channel, data, log_ns, sequence)
+        return True
+
+    def sync(self) -> None:
+        """Have everything forced onto the disk."""
+        self._writer.sync()
+
+    def close(self) -> None:
+        """End the file in hand, and wait until all are on the disk; closing twice is fine.
+
+        Raises:
+            OSError: One of them could not be written, or not forced onto the disk; the others are closed all the same.
+        """
+        with ExitStack() as left:
+            left.callback(self._reserve.give_up)
+            while self._ended:
+                left.callback(self._ended.pop().close)
+            self._writer.close()

@@ -29,14 +29,12 @@ from eitskin.touches.surface import Surface
 from eitskin.touches.touch import LAYOUT, unpack_touches
 from eitskin.touches.watch import TouchWatch
 from eitskin_proto.errors import SkinError
-from eitskin_tools.recording.bundles import bundle_of
 from eitskin_tools.recording.codec import unpack_json
 from eitskin_tools.recording.layout import FRAME, WIRE, RecordingError
 from eitskin_tools.recording.reader import Entry, Recording
-from eitskin_tools.recording.reinfer.rerun import NOTHING, Computed, Rerun
-from eitskin_tools.recording.script import Step
-from eitskin_tools.recording.seek.moments import Moments
-from eitskin_tools.recording.told import Told
+from eitskin_tools.recording.reinfer import NOTHING, Computed, Rerun
+from eitskin_tools.recording.script import RecordedHead, Step, bundle_of
+from eitskin_tools.recording.seek import SeekableRecording
 from eitskin_tools.view.messages import frame_message, packed, skin_message, status_message, surface_message
 from eitskin_tools.view.server import PageServer
 
@@ -63,7 +61,7 @@ class Film:
     """
 
     def __init__(self, path: Path, bundle: Path | None = None) -> None:
-        self._moments = Moments(path)
+        self._moments = SeekableRecording(path)
         self._bundle: Bundle = bundle_of(self._moments, bundle)
         self._rerun = Rerun(self._moments, self._bundle)
         self.path, self.skin = path, self._bundle.skin
@@ -78,7 +76,7 @@ class Film:
         self._watches: OrderedDict[int, TouchWatch] = OrderedDict()
         self._flat = Surface(self.skin.grid.flat_cloud_mm(), self.skin.grid)
         self._nothing = np.zeros(self.skin.grid.shape, dtype=np.float32)
-        self._solver, self._run = default_solver(self._bundle), self._moments.told("run")
+        self._solver, self._run = default_solver(self._bundle), self._moments.head_text("run")
         self._blank = blank(self._moments, self._nothing)
 
     def part(self, number: int) -> bytes:
@@ -145,7 +143,7 @@ LARGEST: Final = 1 << 53
 """Of a count that a page understands."""
 
 
-def blank(told: Told, nothing: npt.NDArray[np.float32]) -> Frame:
+def blank(told: RecordedHead, nothing: npt.NDArray[np.float32]) -> Frame:
     """Return a frame of which only that is known which all of a recording have.
 
     Args:
@@ -156,8 +154,8 @@ def blank(told: Told, nothing: npt.NDArray[np.float32]) -> Frame:
         map=nothing, touched=False, sequence=0, number=0, device_us=0, host_ns=dict.fromkeys(STAGES, 0), received_ns=0,
         age_us=0, solver="none", skipped=(), events=(), electrodes=(), drift_percent=None, drift_sd_percent=None,
         drift_uneven_percent=None, gate_logit=0.0, cloud=0, weak_rows=0, map_sequence=0, regions=(),
-        counts=dict.fromkeys(COUNTS, 0), configuration=told.told("configuration"), bundle=told.told("bundle"),
-        serial_number=told.told("serial"), run=told.told("run"), same_host=True,
+        counts=dict.fromkeys(COUNTS, 0), configuration=told.head_text("configuration"), bundle=told.head_text("bundle"),
+        serial_number=told.head_text("serial"), run=told.head_text("run"), same_host=True,
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from eitskin import WireFrame
 from eitskin.messaging.streams.subscription import subscribe_streams
 from eitskin_tools.recording.layout import MAP, WIRE
 from eitskin_tools.recording.script import Script
-from eitskin_tools.recording.sink import RESERVE_BYTES
+from eitskin_tools.recording.writer import RESERVE_BYTES
 
 from ..test_commands import played
 from .small_disk import on_small_disk, unsharing

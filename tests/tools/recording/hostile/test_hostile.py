@@ -9,14 +9,12 @@ import zstandard
 from mcap.records import Chunk
 
 from eitskin_tools.cli import main
-from eitskin_tools.recording.channels import CHANNELS
-from eitskin_tools.recording.layout import FRAME, STATE, WIRE, RecordingError
+from eitskin_tools.recording.layout import CHANNELS, FRAME, STATE, WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording, unpacked
-from eitskin_tools.recording.replay.play import Manner, Player
+from eitskin_tools.recording.replay import Player, ReplayOptions
 from eitskin_tools.recording.script import Script
-from eitskin_tools.recording.seek.moments import Moments
-from eitskin_tools.recording.sink import Reserve
-from eitskin_tools.recording.writer import RecordingWriter
+from eitskin_tools.recording.seek import SeekableRecording
+from eitskin_tools.recording.writer import RecordingWriter, Reserve
 from eitskin_tools.view.film import number
 
 from ..conftest import TINY, Taker
@@ -62,17 +60,17 @@ def test_times_after_every_era_are_left_out(file, words, tmp_path, capsys, monke
 )
 def test_states_that_make_no_sense_say_nothing(file, fields):
     path = with_fields(file, STATE.topic, **fields)
-    with Player(Script(path), Manner(paced=False), bundle=TINY) as player:
+    with Player(Script(path), ReplayOptions(paced=False), bundle=TINY) as player:
         assert sum(1 for _ in player.skin.publish(Taker())) > 100
 
 
 @pytest.mark.parametrize("fields", [{"drift": HUGE, "drift_sd": float("inf")}, {"number": float("inf")}])
 def test_notes_that_make_no_sense_say_nothing(file, fields):
     path = with_fields(file, FRAME.topic, **fields)
-    with Player(Script(path), Manner(paced=False), bundle=TINY) as player:
+    with Player(Script(path), ReplayOptions(paced=False), bundle=TINY) as player:
         assert sum(1 for _ in player.skin.publish(Taker())) > 100
     assert main(["reinfer", str(path), "--bundle", str(TINY), "--quiet"]) in (0, 1)
-    assert Moments(path).span(0.0, 1.0).steps
+    assert SeekableRecording(path).span(0.0, 1.0).steps
 
 
 def test_numbers_that_a_page_cannot_hold_are_none():
@@ -83,7 +81,7 @@ def test_numbers_that_a_page_cannot_hold_are_none():
 def test_a_reference_that_is_lacking_is_not_looked_for_in_every_second_of_a_thousand_years(file):
     last = [one.log_ns for one in Recording(file).entries({WIRE.topic})][-1]
     path = rewritten(file, lambda _, data, ns: (data, (1 << 62) if ns == last else ns), attached=False)
-    moments = Moments(path)
+    moments = SeekableRecording(path)
     assert moments.seconds > 1e9
     with pytest.raises(RecordingError, match="lacks its reference"):
         moments.reference()

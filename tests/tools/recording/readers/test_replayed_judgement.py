@@ -14,8 +14,7 @@ from eitskin import Frame, WireFrame
 from eitskin.model.bundle import Bundle, default_path, load_bundle
 from eitskin.model.gate import RememberingGate
 from eitskin_proto.wire.frames import Frame as WireScan
-from eitskin_tools.recording.replay.line import RecordedLine
-from eitskin_tools.recording.replay.play import Manner, Player
+from eitskin_tools.recording.replay import Player, RecordedLine, ReplayOptions
 from eitskin_tools.recording.script import Script, Step
 
 from ..conftest import PERIOD_NS, Taker, hello, play, recorded
@@ -136,10 +135,10 @@ def test_another_bundle_and_another_reference_judge_anew(tmp_path: Path, bundle:
     recorded(tmp_path / "a.mcap", pressed)
     step = next(Script(tmp_path / "a.mcap").steps())
     other = default_path("area")
-    with Player(Script(tmp_path / "a.mcap"), Manner(paced=False), bundle=other) as player:
+    with Player(Script(tmp_path / "a.mcap"), ReplayOptions(paced=False), bundle=other) as player:
         player.line.before(step)
         assert player.skin.pipeline.decisions.touched is None
-    with Player(Script(tmp_path / "a.mcap"), Manner(paced=False), bundle=bundle.path) as player:
+    with Player(Script(tmp_path / "a.mcap"), ReplayOptions(paced=False), bundle=bundle.path) as player:
         player.line.before(step)
         assert player.skin.pipeline.decisions.touched is False
         reference = player.skin.reference

@@ -45,13 +45,13 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"eitskin convert: {script.path}{script.ending}", file=sys.stderr)
     found: dict[str, Any] = {"file": str(script.path), "out": str(arguments.out), "format": kind}
     if kind == "rosbag2":
-        from eitskin_tools.recording.convert.rosbag import write_rosbag
+        from eitskin_tools.recording.convert import write_rosbag
 
         found["messages"] = write_rosbag(arguments.out, script, arguments.from_s, arguments.to_s)
         said = f"{found['messages']} messages"
     else:
-        from eitskin_tools.recording.convert import files as writers
-        from eitskin_tools.recording.convert.table import table_of
+        from eitskin_tools.recording import convert as writers
+        from eitskin_tools.recording.convert import table_of
 
         table = table_of(script, arguments.from_s, arguments.to_s)
         {"npz": writers.write_npz, "parquet": writers.write_parquet}[kind](arguments.out, table, script)

@@ -64,9 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     from eitskin.messaging.streams.subscription import subscribe_streams
     from eitskin.messaging.subscription import subscribe
-    from eitskin_tools.recording.intake import Intake
-    from eitskin_tools.recording.recorder import Kept, Recorder
-    from eitskin_tools.recording.series import Series, others
+    from eitskin_tools.recording.recorder import Intake, Recorder, RecorderOptions
+    from eitskin_tools.recording.writer import Series, others
 
     keys = client_keys(arguments)
     if (there := others(arguments.out)) and not arguments.quiet:
@@ -89,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     sources = [streams] if arguments.wire_only else [streams, frames]
     pictures_hz = PICTURES_HZ if arguments.pictures_hz is None else arguments.pictures_hz
-    kept = Kept(arguments.maps, arguments.every or 1, 0.0 if arguments.wire_only else pictures_hz)
+    kept = RecorderOptions(arguments.maps, arguments.every or 1, 0.0 if arguments.wire_only else pictures_hz)
     recorder = Recorder(opener, kept)
     with contextlib.ExitStack() as stack:
         intake = Intake(sources)

@@ -51,8 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from eitskin_tools.console.terminal import StatusLine
-    from eitskin_tools.recording.reinfer.choice import others
-    from eitskin_tools.recording.reinfer.session import Span, reinfer
+    from eitskin_tools.recording.reinfer import Span, others, reinfer
     from eitskin_tools.recording.script import Script
 
     script = Script(arguments.file)
@@ -77,15 +76,15 @@ def run(arguments: argparse.Namespace) -> int:
     )
     line.end()
     if arguments.out is not None:
-        from eitskin_tools.recording.reinfer.results import write
+        from eitskin_tools.recording.reinfer import write
 
         write(arguments.out, found)
     if arguments.plot is not None:
-        from eitskin_tools.recording.reinfer.results import draw
+        from eitskin_tools.recording.reinfer import draw
 
         draw(arguments.plot, found, PICTURES)
     fields = {"file": str(script.path), "bundle": recorded.id, "solver": arguments.solver, **found.fields()}
-    fields["as_recorded"] = recorded.id == script.told("bundle")
+    fields["as_recorded"] = recorded.id == script.head_text("bundle")
     if other is not None:
         fields["other_bundle"] = getattr(other, "bundle_id", "")
     if arguments.json:
@@ -98,15 +97,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _verified(script: Any, bundle: Any) -> Any:
     """Return the verified solver on a recording's frames."""
-    from eitskin_tools.evaluation.verified.recorded import OfPhysics
+    from eitskin_tools.evaluation.verified.recorded import VerifiedSolver
 
-    return OfPhysics(script, bundle)
+    return VerifiedSolver(script, bundle)
 
 
 def _recorded(script: Any, arguments: argparse.Namespace) -> Any:
     """Return the bundle that was running; where it is not there, the one that is named instead."""
-    from eitskin_tools.recording.bundles import bundle_of
     from eitskin_tools.recording.layout import RecordingError
+    from eitskin_tools.recording.script import bundle_of
 
     if arguments.recorded_bundle is not None:
         return bundle_of(script, arguments.recorded_bundle)
@@ -120,7 +119,7 @@ def _recorded(script: Any, arguments: argparse.Namespace) -> Any:
 
 def _lines(found: dict[str, Any]) -> list[str]:
     """Return what people read."""
-    from eitskin_tools.recording.reinfer.tally import told_of_unknown
+    from eitskin_tools.recording.reinfer import unknown_clause
 
     lines = [
         f"{found['frames']} frames, {found['withheld']} of them withheld, in {found['elapsed_s']:.1f} s: "
@@ -130,7 +129,7 @@ def _lines(found: dict[str, Any]) -> list[str]:
         differing = ", ".join(f"{count} by {why}" for why, count in found["differing"].items())
         lines.append(
             f"{found['equal']} of {found['published']} published maps are bit-equal"
-            + told_of_unknown(found)
+            + unknown_clause(found)
             + (f"; differing: {differing}, first at frame {found['first_differing']}" if differing else "")
         )
     elif not found["as_recorded"]:

@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin.messaging.publish import Publisher
     from eitskin.skin import serve
     from eitskin_tools.console.run_log import RunLog
-    from eitskin_tools.recording.replay.play import Manner, Player
+    from eitskin_tools.recording.replay import Player, ReplayOptions
     from eitskin_tools.recording.script import Script
 
     log = RunLog(sys.stderr, quiet=arguments.quiet, command="replay")
@@ -69,8 +69,9 @@ def run(arguments: argparse.Namespace) -> int:
         log.warn(line)
     script = Script(arguments.file)
     say = log.warn if script.ending else log.say
-    say(f"{script.path}: {script.frames} frames of {script.told('serial')} in {script.seconds:.1f} s{script.ending}")
-    manner = Manner(
+    frames = f"{script.frames} frames of {script.head_text('serial')}"
+    say(f"{script.path}: {frames} in {script.seconds:.1f} s{script.ending}")
+    manner = ReplayOptions(
         not arguments.as_fast_as_possible, arguments.loop, arguments.from_s, arguments.to_s, arguments.speed
     )
     with contextlib.ExitStack() as stack:

@@ -17,16 +17,14 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.evaluation.harness import Case, Run, Sheet
 from eitskin_tools.evaluation.verified.resting import FRAMES, Resting
 from eitskin_tools.evaluation.verified.solver import Verified, noise_shown
-from eitskin_tools.recording.bundles import reference_of
-from eitskin_tools.recording.reinfer.rerun import NOTHING, Computed, Rerun
-from eitskin_tools.recording.reinfer.verdicts import Judged, Verdicts
-from eitskin_tools.recording.script import Script, Step
+from eitskin_tools.recording.reinfer import NOTHING, Computed, FrameVerdict, Rerun, Verdicts
+from eitskin_tools.recording.script import Script, Step, reference_of
 
 NETWORK: Final = "vd2t"
 """Whose map physics starts from."""
 
 
-class OfPhysics:
+class VerifiedSolver:
     """A bundle's network and the verifier behind it.
 
     Args:
@@ -122,7 +120,9 @@ class OfPhysics:
         if checked.not_verified:
             self._left_out(checked.not_verified)
             return None
-        judged = Judged(checked.verdict.p_value, bool(checked.verdict.flagged), checked.extra_ms, checked.setup_ms)
+        judged = FrameVerdict(
+            checked.verdict.p_value, bool(checked.verdict.flagged), checked.extra_ms, checked.setup_ms
+        )
         self.verdicts.add(judged)
         return Computed(np.asarray(image, dtype=np.float32), True, "verified", found.gate_logit, judged)
 

@@ -1,1 +1,0 @@
-"""Recordings as files that other programs read: NPZ, Parquet, rosbag2."""

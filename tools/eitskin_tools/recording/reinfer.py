@@ -1,0 +1,739 @@
+"""A recording, computed once more from its first frame to its last.
+
+Recorded frames to maps once more, by the runtime's own pipeline: no line, no socket, no clock.
+
+Every frame is held against the reference, computed with the cloud and under the conditions that held when it came. With
+the bundle that was running the pipeline takes its decisions from the recording (:mod:`eitskin.pipeline.recorded`), and
+the maps come out bit by bit as they were published. Another bundle judges by its own gate.
+
+What a recording's frames are, computed once more: bit by bit against what was published, and against another solver.
+
+Of a published frame the recording keeps a digest of its map. A map that only noise separates from the one before was
+published again as it was: then the digest is that of the earlier frame, which ``map_seq`` names.
+"""
+
+import time
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.errors import MismatchError
+from eitskin.health.imputation import Consistency
+from eitskin.messaging.regions import whole
+from eitskin.messaging.streams.measured import WireFrame
+from eitskin.model.bundle import Bundle
+from eitskin.model.engine import HEADS, SMALLEST_MAP, default_solver
+from eitskin.model.geometry import GeometryGraph
+from eitskin.pipeline.frame_pipeline import Pipeline
+from eitskin.pipeline.map_source import PROJECTION
+from eitskin.pipeline.recorded import RecordedHealth
+from eitskin.reference.normaliser import Normaliser
+from eitskin_proto.files.arrays import save_arrays
+from eitskin_proto.files.writing import replacing
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.wire.frames import FrameView
+from eitskin_proto.wire.scan_rows import ALL_DRIVES
+from eitskin_tools.command_line import needs
+from eitskin_tools.pictures import save
+from eitskin_tools.recording.codec import digest_of, unpack_json
+from eitskin_tools.recording.layout import FRAME, RecordingError
+from eitskin_tools.recording.script import RecordedHead, Script, Step, bundle_of, reference_of
+
+
+@dataclass(frozen=True, slots=True)
+class FrameVerdict:
+    """One frame's verdict."""
+
+    p_value: float
+    """Chance of so large a residual if the touches are right."""
+    flagged: bool
+    """Physics cannot explain the frame by them."""
+    ms: float
+    """What it took, by the clock."""
+    setup_ms: float
+    """Making models of its shape, by the processor; 0 where they were there."""
+
+
+@dataclass(slots=True)
+class Verdicts:
+    """Counts verdicts, and frames of which there is none."""
+
+    p_values: list[float] = field(default_factory=list)
+    flagged: int = 0
+    ms: list[float] = field(default_factory=list)
+    setup_ms: float = 0.0
+    not_verified: Counter[str] = field(default_factory=Counter)
+    """Touched frames without a verdict, by why."""
+
+    def add(self, judged: FrameVerdict) -> None:
+        """Take one frame's."""
+        self.p_values.append(judged.p_value)
+        self.flagged += judged.flagged
+        self.ms.append(judged.ms)
+        self.setup_ms += judged.setup_ms
+
+    def fields(self) -> dict[str, Any]:
+        """Return plain values; None where no frame was verified."""
+        count = len(self.p_values)
+        return {
+            "frames": count,
+            "flagged_share": self.flagged / count if count else None,
+            "p_value_median": float(np.median(self.p_values)) if count else None,
+            "ms_median": round(float(np.median(self.ms)), 3) if count else None,
+            "ms_p95": round(float(np.percentile(self.ms, 95)), 3) if count else None,
+            "setup_ms": round(self.setup_ms, 1),
+            "not_verified": dict(self.not_verified),
+        }
+
+
+NOTHING: Final = "none"
+"""The solver of a map that is 0."""
+
+ALL_SOLVERS_NS: Final = 1 << 62
+"""A latency budget that every solver meets: with one, the pipeline has all solvers of the bundle."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Computed:
+    """What became of one frame."""
+
+    map: npt.NDArray[np.float32]
+    """(rows, columns); zero where nothing touches."""
+    touched: bool
+    solver: str
+    gate_logit: float | None = None
+    """As it came out now; None where there is no gate."""
+    judged: FrameVerdict | None = None
+    """What physics says of it; None of solvers that ask for none, and of frames that nothing touches."""
+    is_whole: bool = True
+    """The runtime computed the whole map then; earlier releases could compute some rectangles alone."""
+
+
+class Rerun:
+    """Computes one frame after another.
+
+    Args:
+        script: The recording.
+        bundle: The solvers.
+        solver: Of the bundle, for every frame; None for the one that made each frame's map, or with another bundle the
+            one that it would use by itself.
+
+    Raises:
+        BundleError: The bundle cannot be used.
+        ValueError: It has no such solver.
+    """
+
+    def __init__(self, script: RecordedHead, bundle: Bundle, solver: str | None = None) -> None:
+        self._script, self._bundle = script, bundle
+        self.as_recorded = bundle.id == script.head_text("bundle")
+        """The bundle is the one that was running."""
+        self.bundle_id = bundle.id
+        arrays = bundle.consistency_arrays()
+        self._health = None if arrays is None else RecordedHealth(Consistency.of(arrays))
+        self._pipeline = Pipeline(bundle, script.hello, ALL_SOLVERS_NS, health=self._health)
+        self._graph = GeometryGraph(bundle)
+        self._pipeline.start_with(self._graph.geometry(None, None, 0))
+        self._solvers = {NOTHING, *(engine.name for engine in self._pipeline.engines)}
+        if solver is not None:
+            self._check(solver)
+        self._solver = solver if solver is not None or self.as_recorded else default_solver(bundle)
+        self._nothing = np.zeros(bundle.skin.grid.shape, dtype=np.float32)
+        self._whole = whole(bundle.skin.grid.shape)
+        self._regions = self._whole
+        self._ready = False
+
+    def _check(self, solver: str) -> None:
+        if solver not in self._solvers:
+            names = ", ".join(engine.name for engine in self._pipeline.engines)
+            raise ValueError(f"solver {solver!r} does not exist; {self._bundle.path} has {names}")
+
+    @property
+    def change(self) -> npt.NDArray[np.float32]:
+        """(104,) dV of the frame whose map came last, as its solver saw it; valid until the next one."""
+        return np.asarray(self._pipeline.buffers.change[0])
+
+    @property
+    def missing(self) -> npt.NDArray[np.bool_]:
+        """(104,) which of its rows were filled in from the others."""
+        nothing = np.zeros(self._pipeline.buffers.change.size, dtype=np.bool_)
+        return nothing if self._health is None else self._health.electrodes.missing
+
+    def compute(self, step: Step, *, every: bool = True) -> Computed | None:
+        """Compute a frame; None where the recording does not say what it is held against, or it was withheld.
+
+        Args:
+            step: The frame, and what changed before it.
+            every: Whether the map is wanted also where that of an earlier frame was published.
+
+        Raises:
+            SkinError: Reference or cloud cannot be used with this bundle.
+        """
+        self._change(step)
+        frame, pipeline = step.frame, self._pipeline
+        record, decided = pipeline.record, pipeline.decisions
+        if not self._ready or not step.known or frame.withheld or frame.seq is None:
+            return None
+        if not pipeline.load_recorded(frame.payload, frame.seq):  # of the idle mode: there is no map
+            return Computed(self._nothing, frame.touched, NOTHING)
+        decided.touched = frame.touched if self.as_recorded or pipeline.gate is None else None
+        decided.inferred_untouched = decided.keeps_map = False
+        decided.solver = self._solver or frame.solver
+        self._check(decided.solver)
+        wanted = decided.solver != NOTHING and (every or frame.map_seq == frame.seq)  # else nobody asked for the map
+        if not pipeline.compute(wanted):
+            return Computed(self._nothing, False, NOTHING)
+        logit = None if pipeline.gate is None else record.gate_logit
+        if not record.touched or decided.solver == NOTHING:
+            return Computed(self._nothing, record.touched, NOTHING, logit)
+        found = self._map() if wanted else self._nothing
+        return Computed(found, True, decided.solver, logit, is_whole=self._regions == self._whole)
+
+    def _map(self) -> npt.NDArray[np.float32]:
+        """Return a copy of the map of the frame in hand, as far as the runtime computed it then."""
+        values: npt.NDArray[np.float32] = self._pipeline.buffers.map[0].reshape(self._nothing.shape)
+        if self._regions == self._whole:
+            return np.array(values)
+        kept = np.zeros_like(values)
+        for region in self._regions:
+            kept[region.slices] = values[region.slices]
+        largest = float(kept.max())
+        scaled = self._pipeline.record.solver == PROJECTION and largest > SMALLEST_MAP
+        return np.divide(kept, np.float32(largest)) if scaled else kept
+
+    def _change(self, step: Step) -> None:
+        """Use what changed before a frame."""
+        pipeline = self._pipeline
+        if step.reference is not None:
+            pipeline.use_reference(reference_of(self._script, step.reference, self._bundle.skin))
+            self._ready = True
+        if (cloud := step.cloud) is not None:
+            if cloud.cloud.shape != (expected := self._bundle.skin.grid.cloud_shape):
+                hint = "name a bundle of the skin that was recorded"
+                raise MismatchError("cloud: shape", found=cloud.cloud.shape, expected=expected, hint=hint)
+            given = cloud.cloud if cloud.why == "given" else None
+            pipeline.start_with(self._graph.geometry(given, cloud.log_predicted, cloud.revision))
+        if (conditions := step.conditions) is not None:
+            pipeline.normaliser.use_scale(conditions.volts_per_count)
+            self._regions = conditions.regions
+            if self._health is not None and self._health.use_recorded(conditions.drift, conditions.electrodes):
+                pipeline.maps.change_projection(self._health.projection)
+            if self.as_recorded and pipeline.gate is not None and conditions.gate_threshold is not None:
+                pipeline.gate.threshold = conditions.gate_threshold
+
+
+REMEMBERED: Final = 256
+"""Digests of maps that a later frame may have been published with: a map is made anew every 100 frames at least."""
+
+UNKNOWN: Final = {
+    "no_conditions": "came before the file says what they were held against",
+    "before_file": "have a map that was kept from before the file",
+    "frame_missing": "have a map of a frame that the file lacks",
+    "region": "differ in a last bit at most: an earlier release computed some rectangles of them alone",
+}
+"""Why it cannot be told of a published map whether it is equal; and what people read."""
+
+BOTH: Final = 0.5
+"""A pixel above it is touched."""
+
+
+@dataclass(slots=True)
+class Equality:
+    """Counts published maps that come out the same."""
+
+    published: int = 0
+    """Frames that were published, with a digest."""
+    equal: int = 0
+    unknown_why: Counter[str] = field(default_factory=Counter)
+    """Of which it cannot be told, by a key of ``UNKNOWN``."""
+    differing: Counter[str] = field(default_factory=Counter)
+    """Why the others are not equal: ``gate``, its value is another one; ``map``."""
+    first_differing: int | None = None
+    """``seq`` of the first of them."""
+    _digests: OrderedDict[int, str] = field(default_factory=OrderedDict)
+    _zero: str = ""
+    _first: int | None = None
+    _first_known: int | None = None
+
+    @property
+    def unknown(self) -> int:
+        """Frames of which it cannot be told."""
+        return self.unknown_why.total()
+
+    def computed(self, sequence: int, found: Computed) -> None:
+        """Take what a frame came to."""
+        self._know_zero(found)
+        self._digests[sequence] = self._zero if found.solver == NOTHING else digest_of(found.map)
+        if len(self._digests) > REMEMBERED:
+            self._digests.popitem(last=False)
+
+    def published_as(self, frame: WireFrame, digest: str, found: Computed | None) -> None:
+        """Hold a published frame's digest against what was computed.
+
+        Args:
+            frame: Of the wire.
+            digest: Of the map that was published.
+            found: What the frame came to; None where nothing could be computed.
+        """
+        self.published += 1
+        if self._first is None:
+            self._first = frame.seq
+        if found is not None:
+            self._know_zero(found)
+            if self._first_known is None:
+                self._first_known = frame.seq
+        ours = (
+            self._zero if frame.solver == NOTHING else self._digests.get(-1 if frame.map_seq is None else frame.map_seq)
+        )
+        if found is None or ours is None:
+            self.unknown_why[self._why_unknown(frame, found)] += 1
+        elif found.gate_logit is not None and found.gate_logit != frame.gate_logit:
+            self._differs("gate", frame)
+        elif ours == digest:
+            self.equal += 1
+        elif not found.is_whole:
+            self.unknown_why["region"] += 1
+        else:
+            self._differs("map", frame)
+
+    def _why_unknown(self, frame: WireFrame, found: Computed | None) -> str:
+        if found is None or frame.map_seq is None or self._first is None or self._first_known is None:
+            return "no_conditions"
+        if frame.map_seq < self._first:
+            return "before_file"
+        return "no_conditions" if frame.map_seq < self._first_known else "frame_missing"
+
+    def _know_zero(self, found: Computed) -> None:
+        self._zero = self._zero or digest_of(np.zeros_like(found.map))
+
+    def _differs(self, why: str, frame: WireFrame) -> None:
+        self.differing[why] += 1
+        if self.first_differing is None:
+            self.first_differing = frame.seq
+
+    def fields(self) -> dict[str, Any]:
+        """Return plain values."""
+        return {
+            "published": self.published,
+            "equal": self.equal,
+            "unknown": self.unknown,
+            "unknown_why": dict(self.unknown_why),
+            "differing": dict(self.differing),
+            "first_differing": self.first_differing,
+        }
+
+
+def unknown_clause(found: Mapping[str, Any]) -> str:
+    """Return what people read of maps that cannot be told, as a clause; "" if there are none.
+
+    Args:
+        found: ``unknown`` and ``unknown_why``, of one file or of several.
+    """
+    if not found["unknown"]:
+        return ""
+    why = ", ".join(f"{count} {UNKNOWN[name]}" for name, count in found["unknown_why"].items())
+    return f"; {found['unknown']} cannot be told: {why}"
+
+
+@dataclass(slots=True)
+class Agreement:
+    """Compares the maps of two solvers, frame by frame."""
+
+    pixel_mm: tuple[float, float]
+    frames: int = 0
+    same_touched: int = 0
+    """Both gates, or maps, say touched, or neither."""
+    both: int = 0
+    """Both show something."""
+    correlations: list[float] = field(default_factory=list)
+    """Of the maps, where both show something."""
+    centres_mm: list[float] = field(default_factory=list)
+    """Between the centres of what is above one half, where both have some."""
+
+    def add(self, one: Computed, other: Computed) -> None:
+        """Take one frame."""
+        self.frames += 1
+        self.same_touched += one.touched == other.touched
+        if one.touched and other.touched and one.map.any() and other.map.any():
+            self.both += 1
+            correlation = float(np.corrcoef(one.map.ravel(), other.map.ravel())[0, 1])
+            if np.isfinite(correlation):
+                self.correlations.append(correlation)
+            centres = centre_mm(one.map, self.pixel_mm), centre_mm(other.map, self.pixel_mm)
+            if centres[0] is not None and centres[1] is not None:
+                self.centres_mm.append(float(np.hypot(*(centres[0] - centres[1]))))
+
+    def fields(self) -> dict[str, Any]:
+        """Return plain values; None where there was nothing to compare."""
+        return {
+            "frames": self.frames,
+            "touched_agreement": self.same_touched / self.frames if self.frames else None,
+            "both_touched": self.both,
+            "cc_median": _quantile(self.correlations, 0.5),
+            "cc_p5": _quantile(self.correlations, 0.05),
+            "centre_mm_median": _quantile(self.centres_mm, 0.5),
+            "centre_mm_p95": _quantile(self.centres_mm, 0.95),
+        }
+
+
+def centre_mm(values: npt.NDArray[np.float32], pixel_mm: tuple[float, float]) -> npt.NDArray[np.float64] | None:
+    """Return (x, y) of the centre of all that is above one half, weighted by the map; None if nothing is.
+
+    Args:
+        values: (rows, columns).
+        pixel_mm: Width and height of a pixel.
+    """
+    weights = np.where(values > BOTH, values, 0.0).astype(np.float64)
+    total = float(weights.sum())
+    if not total:
+        return None
+    rows, columns = np.indices(values.shape)
+    x_mm = float((weights * (columns + 0.5)).sum()) / total * pixel_mm[0]
+    return np.array([x_mm, float((weights * (rows + 0.5)).sum()) / total * pixel_mm[1]])
+
+
+def _quantile(values: list[float], share: float) -> float | None:
+    return float(np.quantile(values, share)) if values else None
+
+
+class Solving(Protocol):
+    """What makes a map of each frame."""
+
+    def compute(self, step: Step) -> Computed | None:
+        """Return what becomes of a frame; None if it cannot be told."""
+
+
+OWN = (*HEADS, "tikhonov")
+"""Solvers that a bundle has."""
+
+
+Makers = Mapping[str, Callable[[Script, Bundle], Solving]]
+"""What makes solvers that neither a bundle nor the simulation has, by their names."""
+
+
+def others(
+    script: Script, recorded: Bundle, named: Path | None, solver: str | None, makers: Makers = MappingProxyType({})
+) -> Solving | None:
+    """Return what to compare with what was running; None where that itself is asked for.
+
+    Args:
+        script: The recording.
+        recorded: The bundle that was running.
+        named: Another bundle's file; None for the same.
+        solver: Its name; None for the bundle's own choice.
+        makers: Of further solvers, which need the simulation.
+
+    Raises:
+        SkinError: The bundle is of another skin, or cannot be used.
+        ValueError: There is no such solver.
+        MissingExtraError: The solver needs packages that are not there.
+    """
+    bundle = recorded if named is None else bundle_of(script, named)
+    if solver is None:
+        return None if bundle.id == recorded.id else Rerun(script, bundle)
+    if solver in OWN:
+        return Rerun(script, bundle, solver)
+    needs.require(f"--solver {solver}", ("scipy",))
+    return (
+        makers[solver](script, bundle) if solver in makers else SimulatedSolver(script, bundle, solver, tuple(makers))
+    )
+
+
+class SimulatedSolver:
+    """A solver of the simulation on recorded frames: what was touched is as the gate said then.
+
+    It takes the untouched voltages as the forward model predicts them of the cloud in use.
+
+    Args:
+        script: The recording.
+        bundle: Says what labels its maps have.
+        name: As ``eitskin evaluate --solver`` takes it.
+        besides: Further names that there are.
+
+    Raises:
+        ValueError: There is none of this name.
+    """
+
+    def __init__(self, script: Script, bundle: Bundle, name: str, besides: tuple[str, ...] = ()) -> None:
+        from eitskin_sim.evaluation.harness import SOLVERS
+
+        if name not in SOLVERS:
+            every = dict.fromkeys((*OWN, *SOLVERS, *besides))
+            raise ValueError(f"solver {name!r} does not exist; expected one of {', '.join(every)}")
+        self._script, self._bundle, self._name, self._solve = script, bundle, name, SOLVERS[name]
+        self.bundle_id = bundle.id
+        self._normaliser = Normaliser(script.hello.volts_per_count)
+        self._view = FrameView()
+        self._nothing = np.zeros(bundle.skin.grid.shape, dtype=np.float32)
+        self._sheet: Any = None
+        self._flat_V: Any = None
+
+    def compute(self, step: Step) -> Computed | None:
+        """Compute a frame; None where the recording does not say what it is held against, or it was withheld."""
+        from eitskin_sim.evaluation.harness import Case, Sheet
+        from eitskin_sim.surface.predict import flat_voltages
+
+        skin = self._bundle.skin
+        if step.reference is not None:
+            self._flat_V = reference_of(self._script, step.reference, skin).flat().voltages_V
+        if step.cloud is not None:
+            self._sheet = Sheet(step.cloud.cloud.astype(np.float64), np.full(N_ROWS, np.nan), skin)
+        if self._flat_V is None or self._sheet is None or not step.known or step.frame.withheld:
+            return None
+        self._view.load(step.frame.payload)
+        if not step.frame.touched or self._view.drives != ALL_DRIVES:
+            return Computed(self._nothing, step.frame.touched, "none")
+        self._normaliser.load(self._view.counts)
+        held = self._sheet.predicted() * self._flat_V / flat_voltages(skin)
+        labels: Any = "units" if self._bundle.labels == "units" else "area"
+        lowering = self._bundle.touch_kind == "lower"
+        case = Case(self._normaliser.voltages(), held, self._flat_V, self._sheet, labels, lowering=lowering)
+        return Computed(np.asarray(self._solve(case), dtype=np.float32), True, self._name)
+
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Of a recording, in seconds since its first frame; None for all."""
+
+    from_s: float | None = None
+    to_s: float | None = None
+
+
+@dataclass(slots=True)
+class Maps:
+    """Maps that are kept, for a file or a picture."""
+
+    sequence: list[int]
+    touched: list[bool]
+    solver: list[str]
+    maps: list[npt.NDArray[np.float32]]
+    log_ns: list[int]
+    judged: list[FrameVerdict | None]
+    most: int
+
+    @classmethod
+    def empty(cls, most: int) -> "Maps":
+        """Return room for so many."""
+        return cls([], [], [], [], [], [], most)
+
+    def add(self, step: Step, found: Computed) -> None:
+        """Keep a copy of a frame's map.
+
+        Raises:
+            RecordingError: There are more than fit into memory.
+        """
+        if len(self.maps) >= self.most:
+            raise RecordingError(f"more than {self.most} maps to keep: choose a part with --from and --to, or --every")
+        self.sequence.append(step.frame.seq or 0)
+        self.touched.append(found.touched)
+        self.solver.append(found.solver)
+        self.maps.append(found.map.copy())
+        self.log_ns.append(step.log_ns)
+        self.judged.append(found.judged)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reinferred:
+    """What came of it."""
+
+    frames: int
+    """Computed."""
+    elapsed_s: float
+    cpu_s: float
+    recorded_s: float
+    withheld: int
+    equality: Equality | None
+    """Against what was published; None with another bundle or solver."""
+    agreement: Agreement | None
+    """With what was running, of another bundle or solver."""
+    maps: Maps | None
+    others: Maps | None
+    """Of what was running, beside ``maps``."""
+    verdicts: Verdicts | None = None
+    """Of a solver that asks physics."""
+
+    def fields(self) -> dict[str, Any]:
+        """Return plain values for ``--json``."""
+        rate = self.frames / self.elapsed_s if self.elapsed_s > 0 else 0.0
+        found: dict[str, Any] = {
+            "frames": self.frames,
+            "withheld": self.withheld,
+            "elapsed_s": round(self.elapsed_s, 3),
+            "cpu_s": round(self.cpu_s, 3),
+            "recorded_s": round(self.recorded_s, 3),
+            "frames_per_s": round(rate, 1),
+            "frames_per_cpu_s": round(self.frames / self.cpu_s, 1) if self.cpu_s > 0 else None,
+            "times_real_time": round(self.recorded_s / self.elapsed_s, 2) if self.elapsed_s > 0 else None,
+        }
+        if self.equality is not None:
+            found |= self.equality.fields()
+        if self.agreement is not None:
+            found["against_recorded"] = self.agreement.fields()
+        if self.verdicts is not None:
+            found["verified"] = self.verdicts.fields()
+        return found
+
+
+def digests(script: Script) -> dict[int, str]:
+    """Return the digest of each published map, by the number of the published frame."""
+    found = {}
+    for entry in script.recording.entries({FRAME.topic}):
+        try:
+            note = unpack_json(entry.data)
+            found[int(note["number"])] = str(note["digest"])
+        except (RecordingError, KeyError, TypeError, ValueError, OverflowError):
+            continue
+    return found
+
+
+def reinfer(
+    script: Script,
+    bundle: Bundle,
+    solver: Solving | None = None,
+    *,
+    span: Span = Span(),
+    every: int = 1,
+    keep: int = 0,
+    progress: Progress | None = None,
+) -> Reinferred:
+    """Compute a recording once more.
+
+    Args:
+        script: The recording.
+        bundle: The one that was running, for what is compared with it.
+        solver: Another way to a map, held against the bundle's; None for the bundle itself, held against what was
+            published.
+        span: Which part.
+        every: Of the frames one in so many goes to ``solver``, or into what is kept.
+        keep: How many maps may be kept; 0 for none.
+        progress: Called with the frames done and all frames.
+
+    Raises:
+        SkinError: The recording, its reference or its clouds cannot be used with the bundle.
+    """
+    rerun = Rerun(script, bundle)
+    published = digests(script) if solver is None and rerun.as_recorded else {}
+    equality = Equality() if published else None
+    agreement = None if solver is None else Agreement(bundle.skin.grid.pixel_mm)
+    maps, others = (Maps.empty(keep) if keep else None), (Maps.empty(keep) if keep and solver is not None else None)
+    count = withheld = 0
+    before: Step | None = None
+    first_ns = last_ns = 0
+    start_s, start_cpu_s = time.perf_counter(), time.process_time()
+    for step in script.steps(span.from_s, span.to_s):
+        first_ns, last_ns = first_ns or step.log_ns, step.log_ns
+        found = rerun.compute(step, every=keep > 0 or solver is not None)
+        before = _together(before, step)
+        other = None
+        if solver is not None and count % every == 0:
+            other, before = solver.compute(before), None
+        count += 1
+        withheld += bool(step.frame.withheld)
+        if progress is not None and count % 200 == 0:
+            progress(count, script.frames)
+        if equality is not None:
+            _hold(equality, step, found, published)
+        if agreement is not None and found is not None and other is not None:
+            agreement.add(found, other)
+        shown = found if solver is None else other
+        if maps is not None and shown is not None and (count - 1) % every == 0:
+            maps.add(step, shown)
+            if others is not None and found is not None:
+                others.add(step, found)
+    elapsed_s, cpu_s = time.perf_counter() - start_s, time.process_time() - start_cpu_s
+    recorded_s, verdicts = (last_ns - first_ns) * 1e-9, getattr(solver, "verdicts", None)
+    return Reinferred(count, elapsed_s, cpu_s, recorded_s, withheld, equality, agreement, maps, others, verdicts)
+
+
+def _together(before: Step | None, step: Step) -> Step:
+    """Return a frame with all that changed at those before it, which were left out."""
+    if before is None:
+        return step
+    return Step(
+        step.frame,
+        step.log_ns,
+        step.conditions or before.conditions,
+        step.cloud or before.cloud,
+        step.reference or before.reference,
+    )
+
+
+def _hold(equality: Equality, step: Step, found: Computed | None, published: dict[int, str]) -> None:
+    """Hold one frame against what was published of it."""
+    frame = step.frame
+    if found is not None and frame.seq is not None and frame.map_seq == frame.seq:
+        equality.computed(frame.seq, found)
+    if frame.frame is not None and frame.frame in published:
+        equality.published_as(frame, published[frame.frame], found)
+
+
+def write(path: Path, found: Reinferred) -> None:
+    """Write ``seq``, ``touched``, ``solver``, ``wall_ns``, ``map``, and ``recorded_map`` beside another solver.
+
+    Of a solver that asks physics also ``p_value``, NaN where nothing touches, and ``flagged``.
+
+    Raises:
+        RecordingError: No maps were kept.
+        OSError: The file cannot be written.
+    """
+    maps = _kept(found)
+    arrays = {
+        "seq": np.array(maps.sequence, dtype=np.int64),
+        "touched": np.array(maps.touched, dtype=np.bool_),
+        "solver": np.array(maps.solver),
+        "wall_ns": np.array(maps.log_ns, dtype=np.int64),
+        "map": np.array(maps.maps, dtype=np.float32),
+    }
+    if found.others is not None:
+        arrays["recorded_map"] = np.array(found.others.maps, dtype=np.float32)
+    if found.verdicts is not None:
+        arrays["p_value"] = np.array([np.nan if one is None else one.p_value for one in maps.judged])
+        arrays["flagged"] = np.array([one is not None and one.flagged for one in maps.judged], dtype=np.bool_)
+    with replacing(path) as stream:
+        save_arrays(stream, arrays, compressed=True)
+
+
+def draw(path: Path, found: Reinferred, most: int) -> None:
+    """Draw the frames with the strongest touches, spread over the recording; beside another solver both maps.
+
+    Args:
+        path: Of the picture.
+        found: With maps.
+        most: How many frames.
+
+    Raises:
+        RecordingError: No maps were kept, or nothing was touched.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    maps = _kept(found)
+    touched = [index for index, values in enumerate(maps.maps) if values.any()]
+    if not touched:
+        raise RecordingError("nothing was touched in this part of the recording: there is nothing to draw")
+    parts = [part for part in np.array_split(touched, most) if len(part)]
+    chosen = [max(part, key=lambda index: float(maps.maps[index].sum())) for part in parts]
+    rows = [("maps", maps)] if found.others is None else [("recorded", found.others), ("computed now", maps)]
+    figure = Figure(figsize=(2.4 * len(chosen), 2.0 * len(rows)), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(len(rows), len(chosen), squeeze=False)
+    for axes_of_row, (title, kept) in zip(grid, rows, strict=True):
+        for axes, index in zip(axes_of_row, chosen, strict=True):
+            axes.imshow(kept.maps[index], origin="lower", vmin=0.0, vmax=1.0, cmap="viridis")
+            axes.set_title(f"{title}, frame {kept.sequence[index]}", fontsize=7)
+            axes.set_axis_off()
+    save(figure, path, dpi=120)
+
+
+def _kept(found: Reinferred) -> Maps:
+    if found.maps is None or not found.maps.maps:
+        raise RecordingError("no map came out of this part of the recording")
+    return found.maps

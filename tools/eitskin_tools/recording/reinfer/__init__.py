@@ -1,1 +1,0 @@
-"""Recorded frames computed once more: by what was running, or by another bundle or solver."""

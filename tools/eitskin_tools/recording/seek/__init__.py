@@ -1,1 +1,0 @@
-"""A recording from any moment on, without going through what comes before it."""
