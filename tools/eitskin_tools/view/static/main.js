@@ -5,7 +5,6 @@ import { fit } from "./canvas.js";
 import { Clock } from "./clock.js";
 import { currentTheme, listen, wearTheme } from "./controls.js";
 import { FlatMap } from "./flat.js";
-import { drawMarks } from "./marks.js";
 import { drawOverlay, skinUnder } from "./overlay.js";
 import * as panel from "./panel.js";
 import { Scene } from "./scene.js";
@@ -97,7 +96,7 @@ function drawSlow(shown) {
   strips.drawLatency($("strip-latency"), history);
   strips.drawLosses($("strip-losses"), history);
   strips.drawDrift($("strip-drift"), history);
-  drawMarks($("marks"), clock, history);
+  strips.drawMarks($("marks"), clock, history);
   if (!shown) return;
   const begun = one.head.begin_ms;
   panel.drawFacts(shown, one.rateAt(shown), begun ? new Date(begun + shown.t).toLocaleString() : "");
