@@ -2,28 +2,28 @@
 
 import threading
 
-from eitskin_tools.verifier.work import LONGEST_STEP_S, TimeHad, Work
+from eitskin_tools.verifier.process import MAX_COUNTED_S, Deadline, ThreadTime
 
 from .conftest import until
 
 
 def test_only_what_is_beyond_what_it_may_take_is_late():
-    work = Work(lambda: 1.0)
-    assert work.late_s() == 0.0  # at nothing
-    with work.within(2.0):
-        assert [work.late_s() for _ in range(4)] == [0.0, 0.0, 1.0, 2.0]
-    assert work.late_s() == 0.0
-    with work.within(0.5):
-        assert work.late_s() == 0.5  # counted anew
+    deadline = Deadline(lambda: 1.0)
+    assert deadline.late_s() == 0.0  # at nothing
+    with deadline.within(2.0):
+        assert [deadline.late_s() for _ in range(4)] == [0.0, 0.0, 1.0, 2.0]
+    assert deadline.late_s() == 0.0
+    with deadline.within(0.5):
+        assert deadline.late_s() == 0.5  # counted anew
 
 
 def test_what_ends_by_an_error_is_late_no_more():
-    work = Work(lambda: 1.0)
+    deadline = Deadline(lambda: 1.0)
     try:
-        with work.within(0.0):
+        with deadline.within(0.0):
             raise ValueError
     except ValueError:
-        assert work.late_s() == 0.0
+        assert deadline.late_s() == 0.0
 
 
 def test_a_thread_that_sleeps_has_time_and_one_that_waits_for_a_core_has_none(tmp_path):
@@ -31,9 +31,9 @@ def test_a_thread_that_sleeps_has_time_and_one_that_waits_for_a_core_has_none(tm
     thread = threading.Thread(target=wakes.wait)
     thread.start()
     try:
-        had = TimeHad(thread)
+        had = ThreadTime(thread)
         until(lambda: had() > 0.0)
-        assert had() <= LONGEST_STEP_S
+        assert had() <= MAX_COUNTED_S
         had._stat = tmp_path / "stat"
         had._stat.write_text("7 (a) thread) R 1 2 3")
         until(lambda: had() == 0.0)  # computed nothing, and would like to
@@ -53,7 +53,7 @@ def test_a_thread_that_computes_has_what_it_computes():
     thread = threading.Thread(target=compute)
     thread.start()
     try:
-        had, total = TimeHad(thread), []
+        had, total = ThreadTime(thread), []
         until(lambda: total.append(had()) or sum(total) > 0.05)
     finally:
         ends.set()
