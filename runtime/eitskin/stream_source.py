@@ -22,7 +22,7 @@ from eitskin.frame_loop import FrameLoop
 from eitskin.messaging.frame import host_id
 from eitskin.messaging.regions import whole
 from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, STATE, WIRE
-from eitskin.messaging.streams.measured import CloudInUse, Conditions, wire_body
+from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
 from eitskin.messaging.streams.publisher import StreamPublisher
 from eitskin.messaging.streams.state import MOST_EVENTS, Event, SkinState
 from eitskin.pipeline.frame_pipeline import Pipeline
@@ -144,14 +144,13 @@ class StreamSource:
             self._tell_state(now_ns, repeat=repeat)
         if streams.wire:
             published = number is not None
-            streams.send(
-                WIRE,
-                wire_body(
-                    payload, record.sequence, record.device_us, now_ns, "", number, bool(record.touched),
-                    float(record.gate_logit), record.solver if published else "none",
-                    record.map_sequence if published else None, self._revision,
-                ),
+            found = WireFrame(
+                payload, record.sequence, now_ns, device_us=record.device_us, frame=number,
+                touched=bool(record.touched), gate_logit=float(record.gate_logit),
+                solver=record.solver if published else "none",
+                map_seq=record.map_sequence if published else None, conditions=self._revision,
             )  # fmt: skip
+            streams.send(WIRE, found.body())
 
     def withheld(self, payload: bytes, read_ns: int) -> None:
         """Tell of a frame that was withheld just now.
@@ -167,10 +166,10 @@ class StreamSource:
             known = intake.last_reason != "malformed"
             seq = intake.counter.sequence if known else None
             device_us = intake.counter.device_us if known else None
-            self._waiting.append(
-                wire_body(payload, seq, device_us, read_ns, intake.last_reason, None, False, 0.0, "none", None,
-                          self._revision)
-            )  # fmt: skip
+            found = WireFrame(
+                payload, seq, read_ns, device_us=device_us, withheld=intake.last_reason, conditions=self._revision
+            )
+            self._waiting.append(found.body())
         if len(self._waiting) >= MOST_WAITING:
             self._send_waiting()
         if streams.state and read_ns - self._state_ns >= REPEAT_NS:

@@ -22,6 +22,11 @@ from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS
 LARGEST_PAYLOAD: Final = 1024
 """Bytes of a packet's payload (SPEC.md, section 1)."""
 
+_WIRE_FIELDS: Final = (
+    "seq", "device_us", "read_ns", "payload", "withheld", "frame", "touched", "gate_logit", "solver", "map_seq",
+    "conditions",
+)  # fmt: skip
+
 MAX_TEXT: Final = 256
 """Characters."""
 
@@ -29,28 +34,6 @@ Value = TypeVar("Value")
 
 Finding = tuple[int, str, int | None]
 """An electrode that is not well: its number, its state, and the other one of a short or an exchange."""
-
-
-def wire_body(
-    payload: bytes,
-    seq: int | None,
-    device_us: int | None,
-    read_ns: int,
-    withheld: str,
-    frame: int | None,
-    touched: bool,
-    gate_logit: float,
-    solver: str,
-    map_seq: int | None,
-    conditions: int,
-) -> bytes:
-    """Return the body of a message of the wire; arguments as in :class:`WireFrame`."""
-    found: bytes = msgpack.packb(
-        {"seq": seq, "device_us": device_us, "read_ns": read_ns, "payload": payload, "withheld": withheld,
-         "frame": frame, "touched": touched, "gate_logit": gate_logit, "solver": solver, "map_seq": map_seq,
-         "conditions": conditions}
-    )  # fmt: skip
-    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,10 +74,8 @@ class WireFrame:
 
     def body(self) -> bytes:
         """Return it as a stream carries it."""
-        return wire_body(
-            self.payload, self.seq, self.device_us, self.read_ns, self.withheld, self.frame, self.touched,
-            self.gate_logit, self.solver, self.map_seq, self.conditions,
-        )  # fmt: skip
+        found: bytes = msgpack.packb({name: getattr(self, name) for name in _WIRE_FIELDS})
+        return found
 
     @classmethod
     def of(cls, body: bytes, *, n: int = 0, run: str = "", received_ns: int = 0) -> Self:
