@@ -30,7 +30,7 @@ from typing import Any, Final, Protocol
 from eitskin.acquisition.device import Device, DeviceClock
 from eitskin.errors import BadReference, HandshakeError, NotReady, PortReturned, SkinError, TransportError
 from eitskin.frame_record import INFER, PACK, PUBLISH, READ, FrameRecord
-from eitskin.messaging.frame_message import Asked, FrameMessages
+from eitskin.messaging.frame_message import Demand, FrameMessages
 from eitskin.messaging.streams.publisher import StreamFeed, begin
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.idle import IdleMode
@@ -419,14 +419,14 @@ class FrameSource:
 CAPTURE_S: Final = 30.0
 """How long capturing a reference may take before it is given up, beyond what its frames take."""
 
-PLAIN: Final = Asked()
+PLAIN: Final = Demand()
 """Frames, and no touches."""
 
 
 class Taker(Protocol):
     """Who takes the messages of frames: a publisher, or this process.
 
-    One may also have ``asked``, an :class:`eitskin.messaging.frame_message.Asked`; one without takes frames, and no
+    One may also have ``asked``, an :class:`eitskin.messaging.frame_message.Demand`; one without takes frames, and no
     touches. One may have ``streams`` (:mod:`eitskin.messaging.streams.publisher`).
     """
 
@@ -552,7 +552,7 @@ class FrameLoop:
 
     def _hand_over(self, taker: Taker) -> None:
         """Give the taker what it asks for."""
-        asked: Asked = getattr(taker, "asked", PLAIN)
+        asked: Demand = getattr(taker, "asked", PLAIN)
         if asked.touches or self._pipeline.record.touches is not None:
             self._look_for_touches(wanted=asked.touches)
         message = self._pack(short=taker.short, frames=asked.frames)

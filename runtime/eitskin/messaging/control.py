@@ -40,7 +40,7 @@ import zmq
 
 from eitskin.errors import ControlError
 from eitskin.messaging.control_commands import Answer, Commands, Controlled, answer_of, largest_request, refusal
-from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
+from eitskin.messaging.curve_keys import CurveAuthenticator, ServerKeys
 from eitskin.messaging.listener import Listener, sender_of
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.skin import Skin as SkinDescription
@@ -86,7 +86,7 @@ class ControlServer:
         """Requests that were answered with an error."""
         self._closing = False
         self._slow = _SlowRequest()
-        self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
+        self._authenticator = CurveAuthenticator(self._context, keys) if keys is not None else None
         self._socket: Any = self._context.socket(zmq.ROUTER)
         self._socket.setsockopt(zmq.MAXMSGSIZE, self._largest)
         self._socket.setsockopt(zmq.RCVHWM, 4)
@@ -184,10 +184,10 @@ class ControlServer:
             return  # nobody can be reached any more
 
     def _end(self) -> None:
-        self._context.term()  # wakes the doorkeeper, and waits until all sockets are closed and the last answers sent
+        self._context.term()  # wakes the authenticator; waits until sockets are closed and answers sent
         self._slow.close()
-        if self._doorkeeper is not None:
-            self._doorkeeper.join()
+        if self._authenticator is not None:
+            self._authenticator.join()
 
     def close(self) -> None:
         """Answer nobody any more; closing twice is fine."""

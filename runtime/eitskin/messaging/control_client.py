@@ -18,7 +18,7 @@ from eitskin.errors import CloudWarning, ControlError, EndpointError
 from eitskin.messaging.control_commands import LARGEST_REQUEST, unpack_fields
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import CONTROL, ROBOT, check_client_keys, default_control
-from eitskin.messaging.reachability import who_else
+from eitskin.messaging.reachability import other_runtimes
 from eitskin.reference.predicted import check_voltages
 from eitskin_proto.skin.cloud import check_cloud
 from eitskin_proto.skin.cloud_file import Surface, load_surface
@@ -150,7 +150,7 @@ def _why_silent(endpoint: str) -> str:
     path = Path(endpoint.removeprefix("ipc://"))
     of_robot = (path.parent.parent / ROBOT).exists()
     command = "eitskin run --config ROBOT.toml" if of_robot else f"eitskin run --port PORT --control {endpoint}"
-    start = who_else(endpoint, CONTROL) or f"is the runtime running? Start it with: {command}"
+    start = other_runtimes(endpoint, CONTROL) or f"is the runtime running? Start it with: {command}"
     if endpoint.startswith("ipc://") and not path.exists():
         return f"there is no {path}; {start}"
     return f"is it the control endpoint that 'eitskin run' printed, not the one of frames? Else {start}"

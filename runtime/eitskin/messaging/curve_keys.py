@@ -191,7 +191,7 @@ def load_client_keys(server_key: str | Path, client_secret: str | Path) -> Clien
     return ClientKeys(public, secret, server)
 
 
-class Doorkeeper:
+class CurveAuthenticator:
     """Admits the clients whose keys are in the folder; ZeroMQ asks it once a connection (ZAP, RFC 27).
 
     Its thread blocks until there is a question and ends when the context is terminated.

@@ -299,7 +299,7 @@ class FrameMessages:
         return self._packer.touch_message()
 
 
-class Asked(NamedTuple):
+class Demand(NamedTuple):
     """What takers of messages ask for besides."""
 
     frames: bool = True
@@ -321,7 +321,7 @@ class LastMessage:
     wanted, short = True, False
 
     def __init__(self, *, touches: bool = False) -> None:
-        self.asked = Asked(touches=touches)
+        self.asked = Demand(touches=touches)
         self.message = b""
         """A copy of the last one."""
 

@@ -33,9 +33,9 @@ from typing import Any, Final
 
 import zmq
 
-from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
+from eitskin.messaging.curve_keys import CurveAuthenticator, ServerKeys
 from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE, patient_topics
-from eitskin.messaging.frame_message import Asked
+from eitskin.messaging.frame_message import Demand
 from eitskin.messaging.listener import Listener, sender_of
 from eitskin.messaging.regions import ALWAYS, TOUCHES, UNCHANGED
 from eitskin.messaging.streams.publisher import StreamPublisher
@@ -92,10 +92,10 @@ class Publisher:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self.dropped = 0
         """Frames that the socket did not take."""
-        self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
+        self._authenticator = CurveAuthenticator(self._context, keys) if keys is not None else None
         self.wanted = False
         """Whether anybody subscribes, as of the last ``look``."""
-        self.asked = Asked()
+        self.asked = Demand()
         """What else is asked for."""
         self.verified = False
         """Whether anybody asks for what physics says of frames."""
@@ -166,7 +166,7 @@ class Publisher:
         )
         frames = plain or any(topic in DECLARING for topic in topics)
         alone = any(topic[:1] == TOUCH_FIRST_BYTE for topic in topics)
-        self.asked = Asked(frames, alone or TOUCHES in topics, alone)
+        self.asked = Demand(frames, alone or TOUCHES in topics, alone)
         self.verified = any(map(asked_for, topics))
         self.wanted = frames or alone or self.verified
         self.takes_short = UNCHANGED in topics and ALWAYS not in topics and not plain
@@ -210,8 +210,8 @@ class Publisher:
 
     def _end(self) -> None:
         self._context.term()
-        if self._doorkeeper is not None:
-            self._doorkeeper.join()
+        if self._authenticator is not None:
+            self._authenticator.join()
 
     def close(self) -> None:
         """Release the address; closing twice is fine."""

@@ -37,10 +37,10 @@ def explain_silence(endpoint: str, waited_s: float, what: str = "frame", likely:
             "runtime still captures its reference, or serves as many subscribers as it may, or CURVE keys are missing "
             "or wrong; 'ready publishing on ...' is the line in which 'eitskin run' says where"
         )
-    return f"{found}; {who_else(endpoint, FRAMES) or START}"
+    return f"{found}; {other_runtimes(endpoint, FRAMES) or START}"
 
 
-def who_else(endpoint: str, name: str) -> str:
+def other_runtimes(endpoint: str, name: str) -> str:
     """Return which of this user's runtimes run elsewhere, and how to see one, as a clause; empty where none does.
 
     Args:

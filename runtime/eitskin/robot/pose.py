@@ -19,7 +19,7 @@ from eitskin.touches.touch import Touch
 
 Array = npt.NDArray[np.float64]
 
-NEARLY: Final = 2e-3
+ROTATION_TOLERANCE: Final = 2e-3
 """How far from a rotation a matrix or a quaternion may be that was written with three digits."""
 
 FARTHEST_MM: Final = 1e6
@@ -150,7 +150,7 @@ def _numbers(values: object, shape: tuple[int, ...], name: str) -> Array:
 
 def _of_quaternion(values: Array) -> Array:
     length = float(np.sqrt(values @ values))
-    if abs(length - 1.0) > NEARLY:
+    if abs(length - 1.0) > ROTATION_TOLERANCE:
         raise ValueError(f"quaternion has the length {length:.4g}, expected 1: it is no rotation")
     w, x, y, z = (values / length).tolist()
     return np.array(
@@ -164,13 +164,13 @@ def _of_quaternion(values: Array) -> Array:
 
 def _nearest(matrix: Array) -> Array:
     """Return the rotation nearest to a matrix that nearly is one."""
-    if np.abs(matrix).max() > 1.0 + NEARLY:
+    if np.abs(matrix).max() > 1.0 + ROTATION_TOLERANCE:
         raise ValueError(f"rotation has an entry of {np.abs(matrix).max():g}, expected -1 to 1: it is no rotation")
     off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
-    if off > NEARLY:
+    if off > ROTATION_TOLERANCE:
         raise ValueError(
-            f"rotation times its transpose is off the unit matrix by {off:.3g}, expected at most {NEARLY:g}: "
-            "it is no rotation"
+            f"rotation times its transpose is off the unit matrix by {off:.3g}, expected at most "
+            f"{ROTATION_TOLERANCE:g}: it is no rotation"
         )
     if np.linalg.det(matrix) < 0.0:
         raise ValueError("rotation has the determinant -1, expected +1: it is a mirror, and no rotation")

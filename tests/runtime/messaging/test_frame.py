@@ -60,21 +60,6 @@ def test_a_packed_frame_comes_back_field_by_field(packer):
     assert frame.stages_us() == {name: 1.0 for name in (*STAGES[1:],)} | {"deliver": 2.0}
 
 
-def test_numbers_put_together_are_those_put_one_by_one(packer):
-    drift = {"drift": 0.25, "drift_sd": 0.125, "drift_uneven": 0.5}
-    together = filled(packer, **drift)
-    for name in reversed(NUMBERS):
-        packer.put(name, TOUCHED[False] if name == "touched" else 0)
-    assert bytes(packer.message()) != together
-    values = {"n": 3, "seq": 7, "device_us": 2**33, "age_us": 400, "gate_logit": -1.5, "cloud": 2, "weak_rows": 1}
-    values |= {"map_seq": 7, "touched": TOUCHED[True], **drift}
-    values |= {name: 10 + index for index, name in enumerate(COUNTS)}
-    values |= {name: 1000 * (index + 1) for index, name in enumerate(STAGES)}
-    for name, value in values.items():
-        packer.put(name, value)
-    assert bytes(packer.message()) == together
-
-
 def test_how_far_the_sheet_is_from_its_reference_comes_along(packer):
     frame = unpack_frame(filled(packer, drift=-1.5, drift_sd=0.125, drift_uneven=0.5), 0)
     assert (frame.drift_percent, frame.drift_sd_percent, frame.drift_uneven_percent) == (-1.5, 0.125, 0.5)
@@ -87,29 +72,10 @@ def test_how_far_the_sheet_is_from_its_reference_comes_along(packer):
     assert (older.drift_percent, older.drift_sd_percent, older.drift_uneven_percent) == (None, None, None)
 
 
-def test_any_messagepack_reader_sees_one_plain_map(packer):
-    fields = msgpack.unpackb(filled(packer))
-    assert fields["v"] == 1
-    assert fields["shape"] == [30, 45]
-    assert len(fields["map"]) == 5400
-    assert set(fields["host_ns"]) == set(STAGES)
-
-
 def test_the_map_of_a_frame_cannot_be_written(packer):
     frame = unpack_frame(filled(packer), 0)
     with pytest.raises(ValueError, match="read-only"):
         frame.map[0, 0] = 1.0
-
-
-def test_the_next_frame_overwrites_everything_that_changes(packer):
-    filled(packer)
-    packer.put("touched", TOUCHED[False])
-    packer.put_map(bytes(5400))
-    packer.put_texts("none", ("inference:untouched",), ())
-    packer.put("seq", 8)
-    frame = unpack_frame(bytes(packer.message()), 0)
-    assert (frame.sequence, frame.touched, frame.solver, frame.events) == (8, False, "none", ())
-    assert not frame.map.any()
 
 
 def test_age_counts_from_the_scan_and_grows(packer):
@@ -121,12 +87,17 @@ def test_age_counts_from_the_scan_and_grows(packer):
     assert frame.age_s > first + 0.001
 
 
-def test_every_shortened_message_is_rejected(packer):
-    message = filled(packer)
+HOSTILE = (b"\x91" * 5000, b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff", b"\xdd\x7f\xff\xff\xff", bytes(20000))
+
+
+def test_what_is_shortened_random_nested_or_claims_gigabytes_is_rejected(packer):
+    message, rng = filled(packer), np.random.default_rng(1)
     assert unpack_frame(message, 0).sequence == 7
-    for length in [*range(0, len(message), 97), *range(len(message) - 200, len(message))]:
+    ends = [*range(0, len(message), 97), *range(len(message) - 200, len(message))]
+    random = [rng.integers(0, 256, size, dtype=np.uint8).tobytes() for size in rng.integers(0, 400, 2000)]
+    for wrong in [*(message[:end] for end in ends), *random, *HOSTILE]:
         with pytest.raises(FrameError):
-            unpack_frame(message[:length], 0)
+            unpack_frame(wrong, 0)
 
 
 def test_no_flipped_bit_outside_the_values_raises_anything_but_frame_error(packer):
@@ -138,13 +109,6 @@ def test_no_flipped_bit_outside_the_values_raises_anything_but_frame_error(packe
             damaged[at] ^= 1 << bit
             with contextlib.suppress(FrameError):  # a flipped digit of a counter is still a frame
                 unpack_frame(bytes(damaged), 0)
-
-
-def test_random_bytes_are_never_a_frame_and_never_another_error():
-    rng = np.random.default_rng(1)
-    for length in rng.integers(0, 400, 2000):
-        with pytest.raises(FrameError):
-            unpack_frame(rng.integers(0, 256, length, dtype=np.uint8).tobytes(), 0)
 
 
 @pytest.mark.parametrize(
@@ -161,20 +125,6 @@ def test_a_publisher_that_lies_about_one_field_is_rejected(packer, field, value)
     fields = msgpack.unpackb(filled(packer))
     with pytest.raises(FrameError):
         unpack_frame(msgpack.packb(fields | {field: value}), 0)
-
-
-def test_a_message_that_is_nested_or_huge_or_claims_gigabytes_is_rejected():
-    hostile = [
-        b"\x91" * 5000,
-        b"\xdf\xff\xff\xff\xff",
-        b"\xc6\xff\xff\xff\xff",
-        b"\xdd\x7f\xff\xff\xff",
-        bytes(20000),
-        b"\xd4\x05\x00",
-    ]
-    for message in hostile:
-        with pytest.raises(FrameError):
-            unpack_frame(message, 0)
 
 
 def test_a_later_runtime_may_add_fields(packer):

@@ -5,7 +5,7 @@ import pytest
 
 from eitskin.frame_record import STAGES, FrameRecord
 from eitskin.messaging.frame import unpack_frame
-from eitskin.messaging.frame_message import FrameMessages, FramePacker, LastMessage
+from eitskin.messaging.frame_message import FrameMessages, LastMessage
 from eitskin_proto.skin.skin import PAPER
 
 
@@ -49,23 +49,6 @@ def test_a_frame_for_which_nothing_was_computed_has_a_map_of_zeros_whatever_the_
     record.solver = "none"
     assert record.map_is_zero
     assert not unpack_frame(packed(messages, record), 0).map.any()
-
-
-def test_a_map_is_copied_once_and_again_when_it_is_another_ones(messages, record, memory, monkeypatch):
-    copied = []
-    put_map = FramePacker.put_map
-    monkeypatch.setattr(FramePacker, "put_map", lambda packer, values: (copied.append(1), put_map(packer, values)))
-    for _ in range(3):
-        record.sequence += 1
-        packed(messages, record)
-    assert len(copied) == 1
-    record.map_sequence = record.sequence
-    memory[:] = 0.5
-    assert (unpack_frame(packed(messages, record), 0).map == 0.5).all()
-    record.solver = "none"
-    packed(messages, record)
-    packed(messages, record)
-    assert len(copied) == 3
 
 
 def test_a_message_goes_without_a_map_only_if_the_last_one_had_it(messages, record):

@@ -19,34 +19,8 @@ from eitskin.messaging.control_client import request
 from eitskin.messaging.curve_keys import load_client_keys, load_server_keys
 from eitskin.messaging.frame import EVERY_FRAME
 
-from .publishing import send, wait_for, wait_until_wanted
+from .publishing import Peer, send, wait_for, wait_until_wanted
 from .test_control_answers import Slow
-
-GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x00NULL" + bytes(48)
-READY = b"\x04\x19\x05READY\x0bSocket-Type\x00\x00\x00\x03SUB"
-
-
-class Peer:
-    """Says what libzmq's own clients never say."""
-
-    def __init__(self, publisher):
-        self.stream = socket.socket(socket.AF_UNIX)
-        self.stream.connect(publisher.endpoint.removeprefix("ipc://"))
-        self.stream.sendall(GREETING + READY)
-        self.stream.setblocking(False)
-        self._received = 0
-        wait_for(publisher, self._greeted)
-
-    def _greeted(self):
-        with suppress(BlockingIOError):
-            self._received += len(self.stream.recv(64))
-        return self._received > 64  # until the other side is ready, libzmq takes no message
-
-    def send(self, *bodies):
-        self.stream.sendall(b"".join(bytes([0, len(body)]) + body for body in bodies))
-
-    def close(self):
-        self.stream.close()
 
 
 def connect(path):

@@ -2,6 +2,7 @@
 
 import os
 import socket
+from contextlib import closing
 
 import pytest
 import zmq
@@ -72,6 +73,19 @@ def test_somebody_who_says_nothing_is_told_from_nobody(session):
         assert "somebody listens there, but sends no frame" in said_to(publisher.endpoint)
     finally:
         publisher.close()
+
+
+@pytest.mark.parametrize("frames", [True, False])
+def test_who_waits_for_verdicts_is_told_how_to_start_a_verifier(session, frames):
+    def said():
+        verdicts = subscribe_verified(f"ipc://{session}/f", frames=frames, timeout_s=0.1)
+        with verdicts, pytest.raises(NoFrame) as caught:
+            next(verdicts)
+        return str(caught.value)
+
+    assert "nobody listens there" in said()
+    with closing(Publisher(f"ipc://{session}/f")):
+        assert "sends no verdict: nobody verifies its frames (start it as 'eitskin run --verify always')" in said()
 
 
 def test_a_runtime_that_publishes_in_the_other_default_folder_is_named(session, monkeypatch):
@@ -154,6 +168,8 @@ def newer(session):
     """A runtime of another release: what it sends is up to the test."""
     context = zmq.Context()
     socket = context.socket(zmq.XPUB)
+    socket.setsockopt(zmq.XPUB_VERBOSE, 1)
+    socket.setsockopt(zmq.RCVTIMEO, 60_000)
     socket.bind(f"ipc://{session}/newer")
     yield socket, f"ipc://{session}/newer"
     context.destroy(linger=0)
@@ -162,7 +178,8 @@ def newer(session):
 def said_after(newer, opened, message, ask):
     """Return what a subscriber is told to whom one message came."""
     with opened(newer[1], timeout_s=0.05) as found:
-        assert newer[0].poll(60_000)  # it has subscribed
+        while not ((said := newer[0].recv())[:1] == b"\x01" and message.startswith(said[1:])):
+            pass  # it has not subscribed yet
         newer[0].send(message)
         assert found.socket.poll(60_000)
         with pytest.raises(NoFrame) as caught:
@@ -173,53 +190,23 @@ def said_after(newer, opened, message, ask):
     return str(caught.value)
 
 
-def another_version(message):
-    return message.replace(b"\xa1v\x01", b"\xa1v\x02")
+def all_frames(endpoint, **wishes):
+    return eitskin.subscribe(endpoint, "all", **wishes)
 
 
-@pytest.mark.parametrize("mode", ["latest", "all"])
-def test_frames_of_another_version_are_told_from_silence(newer, packer, mode):
-    def opened(endpoint, **wishes):
-        return eitskin.subscribe(endpoint, mode, **wishes)
-
-    text = said_after(newer, opened, another_version(bytes(packer.message())), next)
-    assert "is no frame that can be used: frames of version 2 come; this program knows 1: use the runtime's" in text
-
-
-def test_damaged_frames_are_told_from_silence(newer, packer):
-    text = said_after(newer, eitskin.subscribe, bytes(packer.message())[:-20], next)
-    assert "is no frame that can be used: a message of" in text
-
-
-def test_a_newer_stream_is_told_from_silence(newer):
-    [message] = packed("wire", 1, "r", b"\x80")
-    text = said_after(newer, subscribe_streams, message.replace(b"\xa1v\x03", b"\xa1v\x04"), next)
-    assert "stream version: found 4, expected 3" in text
-
-
-def test_verdicts_that_cannot_be_read_are_told_from_silence(newer):
-    text = said_after(newer, subscribe_verified, TOPIC + b"damaged", next)
-    assert "is no verdict that can be used" in text
-
-
-@pytest.mark.parametrize("wish", [{}, {"mode": "all"}, {"skip_unchanged": True}])
-def test_it_has_subscribed_before_it_connects(session, monkeypatch, wish):
-    """With CONFLATE libzmq loses a subscription that is sent while its own thread looks for one."""
-    connect, at_connect = zmq.Socket.connect, []
-
-    def connected(socket, address):
-        at_connect.append(list(topics))
-        return connect(socket, address)
-
-    topics, setsockopt = [], zmq.Socket.setsockopt
-
-    def noted(socket, option, value):
-        if option == zmq.SUBSCRIBE:
-            topics.append(value)
-        return setsockopt(socket, option, value)
-
-    monkeypatch.setattr(zmq.Socket, "connect", connected)
-    monkeypatch.setattr(zmq.Socket, "setsockopt", noted)
-    eitskin.subscribe(**wish).close()
-    assert at_connect == [topics]
-    assert topics
+def test_what_cannot_be_used_is_told_from_silence(newer, packer):
+    frame = bytes(packer.message())
+    (stream,) = packed("wire", 1, "r", b"\x80")
+    another = frame.replace(b"\xa1v\x01", b"\xa1v\x02")
+    for opened, message, said in (
+        (
+            eitskin.subscribe,
+            another,
+            "is no frame that can be used: frames of version 2 come; this program knows 1: use",
+        ),
+        (all_frames, another, "is no frame that can be used: frames of version 2 come; this program knows 1: use"),
+        (all_frames, frame[:-20], "is no frame that can be used: a message of"),
+        (subscribe_streams, stream.replace(b"\xa1v\x03", b"\xa1v\x04"), "stream version: found 4, expected 3"),
+        (subscribe_verified, TOPIC + b"damaged", "is no verdict that can be used"),
+    ):
+        assert said in said_after(newer, opened, message, next)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from eitskin.robot.pose import NEARLY, Pose
+from eitskin.robot.pose import ROTATION_TOLERANCE, Pose
 from eitskin.touches.touch import Touch
 
 HALF = math.sqrt(0.5)
@@ -64,7 +64,7 @@ def test_what_was_written_with_three_digits_becomes_a_rotation():
     pose = Pose.of(rotation=[[0.707, -0.707, 0], [0.707, 0.707, 0], [0, 0, 1]])
     np.testing.assert_allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-14)
     assert np.linalg.det(pose.rotation) == pytest.approx(1.0)
-    np.testing.assert_allclose(pose.rotation[:2, :2], [[HALF, -HALF], [HALF, HALF]], atol=NEARLY)
+    np.testing.assert_allclose(pose.rotation[:2, :2], [[HALF, -HALF], [HALF, HALF]], atol=ROTATION_TOLERANCE)
 
 
 def test_a_touch_is_moved_and_all_else_of_it_stays():
@@ -103,7 +103,7 @@ def test_what_is_no_pose_is_refused_in_a_line(given, said):
 
 
 def test_rotations_that_are_a_little_too_far_off_are_refused_and_nearer_ones_are_not():
-    for off, fits in ((0.5 * NEARLY, True), (2.0 * NEARLY, False)):
+    for off, fits in ((0.5 * ROTATION_TOLERANCE, True), (2.0 * ROTATION_TOLERANCE, False)):
         skewed = [[1, 0, 0], [off, 1, 0], [0, 0, 1]]
         if fits:
             Pose.of(rotation=skewed)

@@ -1,66 +1,30 @@
 """Who is served first: libzmq goes from the shortest prefix to the longest, so robots come before those who look on."""
 
 import select
-import socket
 import time
 
 import pytest
 
 import eitskin
-from eitskin.messaging import subscription
-from eitskin.messaging.frame import EVERY_FRAME, FIRST_BYTE, KEYS, TOUCH_FIRST_BYTE, patient_topics, unpack_frame
-from eitskin.messaging.publish import Publisher
+from eitskin.messaging.frame import EVERY_FRAME, FIRST_BYTE, KEYS, TOUCH_FIRST_BYTE, patient_topics
 from eitskin.messaging.regions import ALWAYS, UNCHANGED, WHOLE, Region
 from eitskin_proto.skin.skin import PAPER
 
-from ..publishing import send, wait_for
+from .publishing import Peer, send, wait_for
 
 ROUNDS = 40
 PATIENT = patient_topics(FIRST_BYTE)
 TOUCHED = b"", b"", 0
 
 
-def packed(body, flags=0):
-    return bytes([flags, len(body)]) + body
-
-
-class Raw:
-    """A subscriber of bare sockets: the kernel says when its bytes came, whoever runs meanwhile."""
-
-    def __init__(self, endpoint, topics):
-        scheme, _, rest = endpoint.partition("://")
-        self.stream = socket.socket(socket.AF_UNIX if scheme == "ipc" else socket.AF_INET)
-        host, _, port = rest.rpartition(":")
-        self.stream.connect(rest if scheme == "ipc" else (host, int(port)))
-        self.stream.setblocking(False)
-        self.stream.sendall(b"\xff" + bytes(8) + b"\x7f\x03\x00NULL" + bytes(48))
-        self.stream.sendall(packed(b"\x05READY\x0bSocket-Type\x00\x00\x00\x03SUB", 4))
-        self.said, self.received = topics, b""
-
-    def ready(self):
-        """Go on with the handshake; True once everything is asked for."""
-        self.take()
-        if self.said and len(self.received) > 66 and len(self.received) >= 66 + self.received[65]:
-            self.stream.sendall(b"".join(packed(b"\x01" + topic) for topic in self.said))
-            self.said, self.received = (), b""
-        return not self.said
-
-    def take(self):
-        try:
-            while came := self.stream.recv(1 << 16):
-                self.received += came
-        except BlockingIOError:
-            return len(self.received)
-
-
-def test_robots_are_served_before_those_who_look_on_whoever_came_first(tmp_path, packer):
+def test_robots_are_served_before_those_who_look_on_whoever_came_first(publisher, packer):
     said = {"patient": (WHOLE, ALWAYS, *PATIENT), "robot": (EVERY_FRAME,), "region": (WHOLE, ALWAYS, FIRST_BYTE)}
-    publisher = Publisher(f"ipc://{tmp_path}/frames")
     here, orders = {}, []
     try:
         for name, topics in said.items():
-            here[name] = Raw(publisher.endpoint, topics)
-            wait_for(publisher, lambda name=name, last=topics[-1]: here[name].ready() and last in publisher.topics)
+            here[name] = Peer(publisher)
+            here[name].subscribe(*topics)
+            wait_for(publisher, lambda last=topics[-1]: last in publisher.topics)
         size = len(packer.message()) + 9
         for number in range(1, ROUNDS + 1):
             with select.epoll() as came:  # of what happens once, it tells in the order in which it happened
@@ -76,8 +40,7 @@ def test_robots_are_served_before_those_who_look_on_whoever_came_first(tmp_path,
                 one.received = b""
     finally:
         for one in here.values():
-            one.stream.close()
-        publisher.close()
+            one.close()
     assert orders.count(["region", "robot", "patient"]) > 0.75 * ROUNDS  # its thread may still be at the one before
 
 
@@ -116,27 +79,6 @@ def test_of_touches_alone_the_patient_come_last_too(publisher, packer):
         assert (publisher.asked.frames, publisher.asked.alone) == (False, True)
         publisher.send(memoryview(packer.touch_message()))
         assert next(touches).touches == ()
-
-
-def test_the_newest_frame_is_the_only_one_that_is_read(publisher, packer, monkeypatch):
-    read = []
-
-    def noted(message, *arguments):
-        read.append(unpack_frame(message, *arguments))
-        return read[-1]
-
-    monkeypatch.setattr(subscription, "unpack_frame", noted)
-    with eitskin.subscribe(publisher.endpoint, patient=True, timeout_s=60) as newest:
-        wait_for(publisher, lambda: set(PATIENT) <= set(publisher.topics))
-        for number in range(1, 21):
-            send(publisher, packer, number)
-        end = time.perf_counter() + 60
-        while not read or read[-1].number < 20:
-            assert time.perf_counter() < end
-            time.sleep(0.05)
-            newest.next_frame()
-    assert len(read) == newest.received < 20
-    assert newest.received + newest.lost >= read[-1].number - read[0].number
 
 
 def test_unchanged_maps_come_from_frames_that_were_passed_over(publisher, packer):
