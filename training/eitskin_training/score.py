@@ -10,9 +10,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.skin.grid import Grid
-from eitskin_sim.measurement.noise import Kind, add_noise
+from eitskin_sim.measurement.noise import Kind
 from eitskin_training.network.model import VD2T
 from eitskin_training.samples.batches import TrainingData, assemble, noisy_change, pixels_per_unit
 
@@ -153,44 +152,6 @@ def score(
     return Score(
         loss_sum / len(chosen), float(all_cc.mean()), float(per_bend[np.unique(all_bends)].min()), untouched_peak
     )
-
-
-def untouched_peaks(
-    model: VD2T,
-    data: TrainingData,
-    deformations: npt.NDArray[np.intp],
-    kinds: tuple[Kind, ...],
-    *,
-    snr_db: float = 50.0,
-    draws: int = 8,
-    seed: int = 0,
-) -> npt.NDArray[np.float32]:
-    """Return the (n,) highest pixel of maps of deformed sheets that nothing touches.
-
-    Args:
-        model: A network.
-        data: The data set.
-        deformations: Which of its deformations.
-        kinds: Noises; each is drawn.
-        snr_db: Signal-to-noise ratio.
-        draws: Noise draws for each deformation and noise.
-        seed: Of the noise.
-    """
-    rng = np.random.default_rng([seed, len(deformations)])
-    which = np.repeat(deformations, draws)
-    peaks = []
-    was_training = model.training
-    model.eval()
-    device = next(model.parameters()).device
-    clouds, predicted = torch.from_numpy(data.clouds[which]), torch.from_numpy(data.log_predicted[which])
-    with torch.inference_mode():
-        for kind in kinds:
-            noisy = add_noise(data.untouched[which], data.reference, kind, snr_db, rng)
-            dv = torch.from_numpy(relative_change(noisy, data.reference).astype(np.float32))
-            logits = model(dv.to(device), clouds.to(device), None, predicted.to(device))
-            peaks.append(model.maps(logits).amax(dim=1).cpu().numpy())
-    model.train(was_training)
-    return np.concatenate(peaks)
 
 
 def maps_of(

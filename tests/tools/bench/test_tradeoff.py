@@ -8,7 +8,7 @@ from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.device_runs import Plan
 from eitskin_sim.evaluation.harness import Conditions, solve_l1
 from eitskin_sim.measurement.noise import Kind
-from eitskin_tools.bench.tradeoff import mark_front, markdown, of_devices, of_phantoms, variants, whole_error
+from eitskin_tools.bench.tradeoff import mark_front, of_devices, of_phantoms, variants, whole_error
 from eitskin_tools.cli import main
 
 pytestmark = pytest.mark.heavy
@@ -33,7 +33,7 @@ def test_every_variant_has_an_error_and_a_time_and_the_front_is_not_beaten(
     path.write_text(json.dumps(PHANTOMS))
     assert main(["bench", "tradeoff", "--phantoms", str(path), "--calls", "10", "--plot", str(picture), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    (rows,) = found["files"].values()
+    rows = found["rows"]
     names = [row["variant"] for row in rows]
     assert {"tikhonov", "sbl", "l1, 10 steps", "vd2t", "vd2t-int8", "verified", "gate alone"} <= set(names)
     assert all(0.0 <= row["error"] <= 2.0 and row["p50"] > 0.0 for row in rows)
@@ -44,7 +44,6 @@ def test_every_variant_has_an_error_and_a_time_and_the_front_is_not_beaten(
     assert not any(row["variant"].startswith("gate") for row in front)
     for one in front:
         assert not any(other["error"] < one["error"] and other["p50"] < one["p50"] for other in whole)
-    assert markdown(rows).count("\n") == len(rows) + 1
     assert picture.stat().st_size > 10_000
 
 
@@ -56,7 +55,6 @@ def test_the_gate_gives_no_map_and_so_is_on_no_front() -> None:
     ]
     mark_front(rows)
     assert [row["pareto"] for row in rows] == [True, False, False]
-    assert "| vd2t | 0.0200 | 400 | 500 | yes |" in markdown(rows)
 
 
 def test_phantoms_that_nothing_touches_have_no_error(tmp_path: Path) -> None:

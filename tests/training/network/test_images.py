@@ -9,7 +9,6 @@ from tests.training.network.skins import ALL, SKINS
 from torch import nn
 
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_training.ablations import VARIANTS, variant_recipe
 from eitskin_training.network import images
 from eitskin_training.network.architecture import Architecture, Outputs
 from eitskin_training.network.images import ImageLinear, ImageNorm, Parts
@@ -98,14 +97,6 @@ def test_the_map_of_a_mirrored_sheet_is_the_mirrored_map(skin: Skin, mirror: int
     assert whole.shape == (3, len(permutation))
     assert whole.std() > 0.05
     torch.testing.assert_close(mirrored, whole[:, permutation], atol=1e-5, rtol=0)
-
-
-def test_symmetry_buys_width_at_as_many_weights_a_frame() -> None:
-    base = recipe("free")
-    assert "unmirrored" in VARIANTS
-    plain, symmetric = (VD2T(variant_recipe(base, name).architecture, PAPER) for name in ("unmirrored", "both"))
-    assert symmetric.streamed_weights() < 1.02 * plain.streamed_weights()
-    assert symmetric.bias_width > 2 * plain.bias_width
 
 
 def test_what_has_no_symmetric_form_is_refused() -> None:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from eitskin_proto.errors import SkinError
+from eitskin_tools.bench.harness import report
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
@@ -105,18 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
             for key in ("load_ms", "cpu_ms", "rss_mb", "installed_mb")
             if ours[key] and theirs[key]
         }
-    if arguments.json:
-        print(json.dumps({"rows": rows, "summary": summary}))
-        return 0
-    print(f"{'':18}{'load, ms':>10}{'CPU, ms':>9}{'RSS, MB':>10}{'threads':>9}{'installed, MB':>15}")
-    for row in rows:
-        size = "" if row["installed_mb"] is None else f"{row['installed_mb']:.0f}"
-        print(
-            f"{row['what']:18}{row['load_ms']:10.0f}{row['cpu_ms']:9.0f}{row['rss_mb']:10.0f}{row['threads']:9}{size:>15}"
-        )
-    for name, reason in missing.items():
-        print(f"{name} was left out: {reason}")
-    return 0
+    return report(arguments, rows, summary)
 
 
 def _probe(name: str, body: str, bundle: Path | None, repeats: int, bytecode: str) -> dict[str, Any]:

@@ -1,14 +1,13 @@
 """``eitskin bench physics``: what the forward model is measured against, a row each.
 
 Convergence of the untouched voltages with the element size, by both contacts and both contact laws, beside independent
-triangles; a touch's size by three rules for the elements that its border cuts; reciprocity, the bend that must change
+triangles; a touch's size by two rules for the elements that its border cuts; reciprocity, the bend that must change
 nothing, and the coarse Jacobian. ``tools/studies/solid_slab.py`` compares with an independent solid, which takes
 minutes.
 
-A border that cuts elements, by three rules: the error that a 10 mm square shows ::
+A border that cuts elements, by two rules: the error that a 10 mm square shows ::
 
     area fraction   a cut element has the mean of the two conductivities, by area
-    laminate        it conducts as layers do: the mean along the border, the harmonic mean across
     enriched        what eitskin does: :mod:`eitskin_sim.fem.borders.cut_elements`
 
 The size is fitted: the exact change of the voltages with the size, on a mesh that follows the square, is the yardstick.
@@ -28,13 +27,11 @@ from scipy.sparse.linalg import splu
 from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.borders.cut_elements import touch
-from eitskin_sim.fem.borders.cut_rule import half_plane_share
 from eitskin_sim.fem.contacts import FRINGE
 from eitskin_sim.fem.forward import Factor, System, assemble, reciprocity_error
 from eitskin_sim.fem.jacobian import COARSE_MM, relative_jacobian
 from eitskin_sim.fem.mesh import MM, TensorMesh, graded_lines
 from eitskin_sim.fem.meshing import REFERENCE_MM, electrode_lines, on_sheet, scene_mesh
-from eitskin_sim.fem.q2 import GAUSS, WEIGHTS, gradients
 from eitskin_sim.fem.solve import Law, factorise_scene, solve_scene
 from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
@@ -46,7 +43,7 @@ Array = npt.NDArray[np.float64]
 SQUARE_MM = 10.0
 PLACES_MM = ((71.4, 33.1), (21.7, 14.3), (103.26, 57.62))
 """Lower left corners, off every line of the meshes."""
-RULES = ("area fraction", "laminate", "enriched")
+RULES = ("area fraction", "enriched")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -122,7 +119,7 @@ def _summary(rows: list[Row]) -> dict[str, float]:
         "reciprocity": by["reciprocity"][0]["error_max"],
         "isometric": max(r["error_max"] for r in by["isometric"]),
     }
-    found |= {f"size_error_mm_{r['rule']}".replace(" ", "_"): r["size_error_max_mm"] for r in by["border rule"][:3]}
+    found |= {f"size_error_mm_{r['rule']}".replace(" ", "_"): r["size_error_max_mm"] for r in by["border rule"][:2]}
     return found
 
 
@@ -186,26 +183,9 @@ def _blind_system(largest_mm: float) -> System:
 
 def _solve(system: System, item: Touch, rule: str) -> Array:
     touched = touch(system, (item,))
-    if rule == "enriched":
-        return Factor(system, touched.blocks, touched.density).voltages()
-    blocks = touched.sigma[:, None, None] * system.stiffness
-    if rule == "laminate":
-        blocks[touched.cut] = _laminates(system, touched.cut, item)
+    enriched = rule == "enriched"
+    blocks = touched.blocks if enriched else touched.sigma[:, None, None] * system.stiffness
     return Factor(system, blocks, touched.density).voltages()
-
-
-def _laminates(system: System, cut: npt.NDArray[np.intp], item: Touch) -> Array:
-    """Return the (k, 9, 9) blocks of cut elements of a flat sheet as layers along the border."""
-    sizes = system.mesh.sizes_mm[cut]
-    distance, normal = item.shapes[0].distance_mm(system.mesh.centres_mm[cut])
-    share = half_plane_share(distance, normal, sizes)
-    along = share * item.conductivity_S_per_m + (1 - share) * system.background
-    across = 1.0 / (share / item.conductivity_S_per_m + (1 - share) / system.background)
-    tensor = along[:, None, None] * np.eye(2) + (across - along)[:, None, None] * normal[:, :, None] * normal[:, None]
-    slopes = np.stack(gradients(GAUSS), axis=1)  # (points, 2, nodes)
-    scaled = slopes[None] / sizes[:, None, :, None]
-    weight = WEIGHTS * np.prod(sizes, axis=1)[:, None] * system.thickness_mm * MM
-    return np.asarray(np.einsum("eq,eqai,eab,eqbj->eij", weight, scaled, tensor, scaled, optimize=True))
 
 
 def solve_triangles(scene: Scene, spacing_mm: float = 3.0, rounds: int = 14) -> tuple[Array, int]:

@@ -17,7 +17,6 @@ variant that gives a map beats in both is on the Pareto front (``pareto``); the 
 """
 
 import argparse
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -44,7 +43,7 @@ from eitskin_sim.measurement.noise import Kind
 from eitskin_sim.scene.parts import Phantom
 from eitskin_sim.scene.scene import load_phantoms
 from eitskin_sim.surface.predict import flat_voltages
-from eitskin_tools.bench.harness import Row, machine, paced, say
+from eitskin_tools.bench.harness import Row, machine, paced, report, say
 from eitskin_tools.command_line import files
 from eitskin_tools.demo.score import percentiles_us
 from eitskin_tools.errors import UsageError
@@ -139,14 +138,8 @@ def run(arguments: argparse.Namespace) -> int:
         found[panel.name] = measure(panel, arguments.bundle, arguments.noise, arguments.calls)
     if arguments.plot is not None:
         plot(found, arguments.plot)
-    if arguments.json:
-        told = {"rows": flat_rows(found), "summary": summary(found), "files": found}
-        print(json.dumps({"noise": arguments.noise, "seeds": arguments.seeds, **told, "machine": machine()}))
-    else:
-        for name, rows in found.items():
-            print(f"\n{name}\n")
-            print(markdown(rows))
-    return 0
+    more = {"noise": arguments.noise, "seeds": arguments.seeds, "machine": machine()}
+    return report(arguments, flat_rows(found), summary(found), **more)
 
 
 def _panels(arguments: argparse.Namespace) -> Iterator[Panel]:
@@ -330,15 +323,6 @@ def summary(panels: Mapping[str, Sequence[Row]]) -> Row:
         }
         for name, rows in panels.items()
     }
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """Return the table, the most accurate first."""
-    lines = ["| variant | 1 - CC | p50, us | p99, us | on the front |", "|---|---|---|---|---|"]
-    for row in sorted(rows, key=lambda row: row["error"]):
-        front = "yes" if row["pareto"] else ""
-        lines.append(f"| {row['variant']} | {row['error']:.4f} | {row['p50']:.0f} | {row['p99']:.0f} | {front} |")
-    return "\n".join(lines)
 
 
 def plot(found: Mapping[str, Sequence[Row]], path: Path) -> None:
