@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.sim.verification.frames import ELL, NOTHING, OTHER, SQUARE, Array, changed, flat_model, frame_of, shares_of
+from tests.sim.verification.frames import ELL, NOTHING, SQUARE, changed, flat_model, frame_of, shares_of
 
 from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE
 from eitskin_sim.verification import alternatives
@@ -81,22 +81,6 @@ def test_small_touches_of_another_contrast_read_alike() -> None:
     assert wide[0, 3] * wide[0, 4] / 3.0 == pytest.approx(25.0 * 49.0 / 51.0)
     one, other = (flat_model().solve(pieces)[1] for pieces in (small, wide))
     assert np.abs(one - other).max() < 0.2 * np.abs(one).max()
-
-
-@pytest.mark.parametrize(("touches", "shown", "left"), [
-    (np.vstack([SQUARE, OTHER]), [SQUARE], 2),
-    (SQUARE, [SQUARE], 1),
-    (NOTHING, [], 0),
-])  # fmt: skip
-def test_a_touch_that_only_physics_sees_must_explain_much(touches: Array, shown: list[Array], left: int) -> None:
-    frame = frame_of(touches)
-    speck = np.array([[0, 100.0, 80.0, 3.0, 3.0, 0.0, 1.5, 0.0]])
-    fit = frame.at(np.vstack([touches, speck]))
-    found, confirmed = alternatives.without_unconfirmed(frame, fit, shares_of(*shown), budget())
-    assert len(found.pieces) == left
-    assert confirmed
-    none_left = Budget(1.0, iter([0.0, *[2.0] * 9]).__next__)
-    assert alternatives.without_unconfirmed(frame, fit, shares_of(*shown), none_left) == (fit, False)
 
 
 def test_what_the_network_shows_as_one_is_one_body_unless_the_frame_speaks_against_it() -> None:

@@ -13,7 +13,6 @@ from eitskin_sim.verification import network_map
 from eitskin_sim.verification.network_map import (
     joints_of,
     map_of,
-    not_shown,
     rectangles_of,
     shown_as_large,
     starts_of,
@@ -80,13 +79,6 @@ def test_shares_of_the_stream_are_maps() -> None:
     pixels = np.array([columns + 1, 2 * columns + 3])
     found = network_map.shares_of(pixels, np.array([0, 1]), np.array([0.5, 1.0]), 2, GRID)
     assert (found[0, 0, 0], found[1, 1, 2], found.sum()) == (0.5, 1.0, 1.5)
-
-
-def test_a_touch_that_only_physics_sees_is_known_by_its_place() -> None:
-    both = np.vstack([SQUARE, OTHER])
-    assert not_shown(changed(both, x=4.0, y=-3.0), shares_of(SQUARE, OTHER), GRID) == []
-    assert not_shown(changed(both, x=4.0, y=-3.0), shares_of(SQUARE), GRID) == [1]
-    assert not_shown(both, shares_of(), GRID) == [0, 1]
 
 
 def test_a_touch_is_shown_as_large_where_the_nearest_one_has_its_sides() -> None:

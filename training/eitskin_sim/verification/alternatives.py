@@ -3,13 +3,11 @@
 Size and contrast lie in a long valley in which steps are short, so touches of usual contrast are tried outright. A
 finger is round, so ellipses are tried in place of rectangles that do not explain a frame. Two touches near each other
 read nearly as one over both, and on a sheet that is known badly one between the two explains a frame as well, so two
-are tried in place of one. A sheet that is not quite the model's leaves a residual that one more touch takes in part, so
-a touch that the network does not show has to explain much.
+are tried in place of one.
 
 Each function returns the fit that it was given where nothing is better or time is over.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -22,15 +20,12 @@ from eitskin_sim.verification.fit import IMPOSSIBLE, Budget, Fit, Frame, refine
 from eitskin_sim.verification.network_map import (
     ELLIPSE_SIDES_OF_RECTANGLE,
     joints_of,
-    not_shown,
     shown_as_large,
     without_cracks,
 )
 
 
-def fitted(
-    frame: Frame, pieces: Array, turning: bool, budget: Budget, over: Callable[[], bool] | None = None
-) -> Fit | None:
+def fitted(frame: Frame, pieces: Array, turning: bool, budget: Budget) -> Fit | None:
     """Return touches fitted to a frame; None where the sheet cannot have them.
 
     Args:
@@ -38,11 +33,10 @@ def fitted(
         pieces: (n, 8) where to start.
         turning: Whether angles are fitted.
         budget: Of the frame.
-        over: Whether to stop; None stops when nothing new is to be tried.
     """
     budget.fits += 1
     try:
-        return refine(frame, frame.at(pieces, turning), c.MAX_STEPS, over or budget.search_over)
+        return refine(frame, frame.at(pieces, turning), c.MAX_STEPS, budget.search_over)
     except IMPOSSIBLE:
         return None
 
@@ -117,19 +111,6 @@ def two_in_place_of_one(frame: Frame, fit: Fit, shares: Array, budget: Budget) -
     over[largest] = True  # a thin one overlaps itself by less
     other = fitted(frame, np.vstack([fit.pieces[~over], two]), fit.turning, budget)
     return _cheaper(fit, other, 0.0 if weak else c.MIN_GAIN_OF_TWO)
-
-
-def without_unconfirmed(frame: Frame, fit: Fit, shares: Array, budget: Budget) -> tuple[Fit, bool]:
-    """Return the fit without touches that the network does not show and that explain little; and if time sufficed."""
-    for number in reversed(not_shown(fit.pieces, shares, frame.model.skin.grid)):
-        if budget.over():
-            return fit, False
-        other = fitted(frame, np.delete(fit.pieces, number, axis=0), fit.turning, budget, budget.over)
-        if other is not None and other.chi_squared - fit.chi_squared < c.MIN_CHI2_OF_TOUCH_NOT_SHOWN:
-            fit = other
-        elif budget.over():
-            return fit, False  # more time for what is left might have explained the frame as well
-    return fit, True
 
 
 def as_one_body(frame: Frame, fit: Fit, shares: Array, budget: Budget) -> Fit:

@@ -161,15 +161,6 @@ MIN_OVERLAP_OF_PART_MM: Final = 3.0
 MAX_LOG_RATIO_OF_SAME_SIDES: Final = 0.25
 """Up to which the network's map shows a touch as large as it was found: then it is one."""
 
-# Touches that the network does not show: without this, one wrong map more of 24 pairs is not flagged.
-
-MIN_SHOWN_SHARE: Final = 0.2
-"""Of a touch, in the network's map."""
-
-MIN_CHI2_OF_TOUCH_NOT_SHOWN: Final = 300.0
-"""What it explains, beside others that the network shows: a sheet that is not the model's often seems to have one more,
-which explains 50 to 200. A hard touch of 10 mm explains thousands."""
-
 # Gentler contrasts: contrast 2 0.083, contrast 3 of 16 mm 0.136; lab-like singles lose 0.013 by them.
 
 GENTLER_RAISING: Final = ((1.5, 0.1), (2.0, 0.1), (3.0, 0.1), (5.0, 0.1))

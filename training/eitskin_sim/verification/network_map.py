@@ -146,16 +146,6 @@ def _cuts(share: Array, grid: Grid) -> Iterator[list[Array]]:
             yield [_upright_rectangle(first, grid), _upright_rectangle(share - first, grid)]
 
 
-def not_shown(pieces: Array, shares: Array, grid: Grid) -> list[int]:
-    """Return numbers of touches of which the network's map shows less than a fifth."""
-    shown, lines, found = shares.sum(axis=0), pixel_lines(grid), []
-    for number, piece in enumerate(pieces):
-        rows, columns, share = cover(piece, *lines)
-        if np.sum(share * shown[rows, columns]) < c.MIN_SHOWN_SHARE * share.sum():
-            found.append(number)
-    return found
-
-
 def shown_as_large(piece: Array, shares: Array, grid: Grid) -> bool:
     """Return whether the network's map shows a touch (8,) as large as it was found, along and across."""
     if not len(shares):

@@ -114,16 +114,17 @@ class ShapeVerifier:
         check_frame(voltages_V, self._reference, shares, rows)
         change, grid = change_of(voltages_V, self._reference, rows), self._skin.grid
         starts = starts_of(shares, self._prior, grid)
-        fit, unfinished = self._explained(change, rows, starts, shares, budget)
+        fit = self._explained(change, rows, starts, shares, budget)
         while self.deformation.has_others and fit.p_value <= LEVEL and self._time_for_model(budget):
             back = self._counted(budget, partial(self.deformation.try_other, self._amplitudes(fit)))
             if back is None:
                 continue
-            other, still_unfinished = self._explained(change, rows, starts, shares, budget)
+            other = self._explained(change, rows, starts, shares, budget)
             if other.p_value > max(c.MIN_P_OF_OTHER_SHEET, fit.p_value):
-                fit, unfinished = other, still_unfinished
+                fit = other
             else:
                 back()
+        unfinished = budget.search_over() and not fit.explains
         fit = alternatives.as_one_body(fit.frame, fit, shares, budget)
         likely, scatter = likely_touches(fit.frame, fit, budget), scatter_of(fit)
         return ShapeVerdict(
@@ -141,17 +142,13 @@ class ShapeVerifier:
             fit.frame.joints,
         )
 
-    def _explained(
-        self, change: Array, rows: Rows, starts: list[Array], shares: Array, budget: Budget
-    ) -> tuple[Fit, bool]:
-        """Return what explains a frame best on the present sheet, and whether time ended the search for it."""
+    def _explained(self, change: Array, rows: Rows, starts: list[Array], shares: Array, budget: Budget) -> Fit:
+        """Return what explains a frame best on the present sheet."""
         fit = self._best_start(self.frame(change, rows, len(starts[0])), starts, budget)
         if not fit.explains:
             usual = alternatives.of_usual_contrast(fit.frame, fit, budget)
             fit = self._on_its_sheet(alternatives.as_ellipses(fit.frame, usual, budget), budget)
-        fit, confirmed = alternatives.without_unconfirmed(fit.frame, fit, shares, budget)
-        fit = alternatives.two_in_place_of_one(fit.frame, fit, shares, budget)
-        return fit, not confirmed or (budget.search_over() and not fit.explains)
+        return alternatives.two_in_place_of_one(fit.frame, fit, shares, budget)
 
     def _best_start(self, frame: Frame, starts: list[Array], budget: Budget) -> Fit:
         """Return the first start that explains the frame once it is fitted, or the best of them."""
