@@ -159,23 +159,6 @@ def test_what_is_left_to_do_is_done_while_the_line_rests_or_when_bytes_come_and_
     assert len(spans) == 4
 
 
-def test_electrodes_and_drift_are_looked_at_when_streams_were_told_of_the_frame(streaming, monkeypatch):
-    """What they change holds from the next frame on: told before, a map could not be made again."""
-    taker, pipeline = Both([FIRST_BYTE]), streaming.pipeline
-    note_health = pipeline.note_health
-
-    def noted():
-        taker.got.append("health")
-        note_health()
-
-    monkeypatch.setattr(pipeline, "note_health", noted)
-    for _ in streaming.publish(taker):
-        if streaming.published == 10:
-            break
-    assert taker.got[2::3] == ["health"] * 10
-    assert [one.frame for one in taker.got[1::3]] == taker.got[::3] == list(range(1, 11))
-
-
 def test_what_is_told_never_waits_for_a_later_frame(virtual_skin, tiny_path):
     """Frames that come together, as after a pause, are told of one by one, each before the next is looked at."""
     with virtual_skin(touches=[[0.1, 60, 0.3]], rate_hz=100.0) as port, Skin(port, bundle=tiny_path) as skin:
@@ -187,23 +170,6 @@ def test_what_is_told_never_waits_for_a_later_frame(virtual_skin, tiny_path):
             if skin.published == 20:
                 break
     assert [one if isinstance(one, int) else one.frame for one in taker.got] == [n // 2 for n in range(2, 42)]
-
-
-def test_what_comes_behind_publishing_is_told_apart_from_the_stages(streaming):
-    taker, handled_ns = Both([FIRST_BYTE]), 20_000_000
-
-    def slow(message):
-        end = time.perf_counter_ns() + handled_ns
-        while time.perf_counter_ns() < end:
-            pass
-
-    taker.streams._send = slow
-    for _ in streaming.publish(taker):
-        if streaming.published == 5:
-            break
-    summary = streaming.statistics.summary()
-    assert summary["behind_us"]["streams"]["p50"] >= handled_ns / 1000 > summary["stages_us"]["publish"]["p50"]
-    assert set(summary["left_us"]) == {"p50", "p1", "min"}
 
 
 def test_what_is_left_of_a_period_is_from_ready_to_read():

@@ -23,7 +23,6 @@ from eitskin.model.bundle import load_bundle
 from eitskin.model.engine import engines
 from eitskin.model.geometry import GeometryGraph
 from eitskin.model.skin_in_use import use_skin
-from eitskin.pipeline.frame_pipeline import GateAudit
 from eitskin.reference import captured as references
 from eitskin.reference.builder import ReferenceBuilder
 from eitskin.reference.plausible import check_prediction
@@ -97,11 +96,6 @@ def test_every_solver_fills_its_map(second):
         engine.infer()
         assert buffers.map.shape == (1, 810)
         assert buffers.map.any()
-
-
-def test_the_look_at_a_map_counts_its_pixels():
-    audit = GateAudit(810, SECOND.grid.n_pixels)
-    assert audit.overrules(np.ones(810, np.float32))
 
 
 def test_frames_have_its_shape_within_bounds():
@@ -228,8 +222,3 @@ def test_subscribers_name_a_region_by_its_skin(virtual_skin, running, tmp_path):
         wrong = eitskin.subscribe(endpoint, region_mm=(0, 0, 50, 30), timeout_s=60)
         with wrong, pytest.raises(MismatchError, match=r"found \[18, 45\], expected \[30, 45\]; name .*--skin"):
             next(wrong)
-
-
-def test_a_bundle_is_held_against_a_skin_before_the_port_is_opened():
-    with pytest.raises(MismatchError, match="eitskin build"):
-        Skin("/dev/none", bundle=PATH, skin=PAPER)

@@ -1,22 +1,17 @@
 """No number that is slow to compute reaches the arithmetic, whatever a cloud, a prediction or a bundle holds."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from eitskin.model import geometry as geometry_module
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import load_bundle
 from eitskin.model.denormals import SMALLEST, flushed, is_small
-from eitskin.model.engine import HeadEngine, ProjectionEngine
+from eitskin.model.engine import ProjectionEngine
 from eitskin.model.gate import Gate
-from eitskin.model.geometry import GeometryGraph
 from eitskin.model.onnx.protobuf import GRAPH, INITIALISER, content, fields_of
 from eitskin.model.onnx.small_weights import without_small_weights
-from eitskin.model.session import onnxruntime
-from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
 
 DENORMAL = np.float32(1e-40)
@@ -30,30 +25,6 @@ def test_what_is_too_small_becomes_0_and_nothing_else_changes():
     assert found.dtype == np.float32
     assert values[1] == -DENORMAL
     assert flushed(found) is found
-
-
-def test_a_cloud_of_denormals_is_flat_before_the_graph_sees_it(tiny, monkeypatch):
-    seen = []
-
-    def recording(bundle, file, graph):
-        session = open_session(bundle, file, graph)
-
-        def run(names, feed):
-            seen.append(feed["cloud"].copy())
-            return [np.full((1, tiny.bias_width), DENORMAL)]
-
-        return SimpleNamespace(get_inputs=session.get_inputs, get_outputs=session.get_outputs, run=run)
-
-    open_session = geometry_module.open_session
-    monkeypatch.setattr(geometry_module, "open_session", recording)
-    for size in (1e-36, 1e-38, 1e-40, 1e-43, 5e-324):
-        cloud = flat_cloud()
-        cloud[2] = size * np.random.default_rng(1).standard_normal(cloud[2].shape)
-        found = GeometryGraph(tiny).geometry(cloud, np.full(104, DENORMAL), 1)
-        assert not is_small(seen[-1]).any(), size
-        assert not found.bias.any()
-        assert not found.log_predicted.any()
-    assert len(seen) == 5
 
 
 def with_tiny_weights(model):
@@ -97,18 +68,6 @@ def test_what_is_no_network_is_left_for_onnx_runtime_to_refuse(tiny):
     for _ in range(300):
         noise = rng.bytes(int(rng.integers(0, 60)))
         assert len(without_small_weights(noise)) == len(noise)
-
-
-def test_what_is_loaded_is_what_was_mended(tiny, monkeypatch):
-    loaded = []
-    make = onnxruntime.InferenceSession
-    monkeypatch.setattr(
-        onnxruntime, "InferenceSession", lambda model, *a, **k: loaded.append(model) or make(model, *a, **k)
-    )
-    mended = replace(tiny, files={**tiny.files, "head.onnx": with_tiny_weights(tiny.files["head.onnx"])})
-    HeadEngine(mended, "head.onnx", "vd2t", Buffers(tiny))
-    assert len(loaded) == 1
-    assert DENORMAL.tobytes() not in loaded[0]
 
 
 def test_a_projections_denormals_are_0_also_after_rows_were_taken_out():

@@ -12,7 +12,7 @@ from eitskin.model import gentle
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import graphs_of, load_bundle
 from eitskin.model.engine import engines, solvers
-from eitskin.model.gentle import EDGES_PX, FIRM, NOTHING, RAMP, SURE, VERY_WIDE, WINDOW_MM, GentleEngine, edges_px
+from eitskin.model.gentle import EDGES_PX, FIRM, RAMP, SURE, VERY_WIDE, WINDOW_MM, GentleEngine, edges_px
 from eitskin.model.geometry import GeometryGraph
 from eitskin_proto.skin.skin import PAPER
 
@@ -82,14 +82,6 @@ def test_what_is_shown_is_the_most_in_any_window(skin_shape):
     assert one.shown_mm2() == pytest.approx(float(expected), rel=1e-5)
 
 
-def test_two_faint_touches_far_apart_are_faint():
-    both = touched(4, row=2, column=3) + touched(4, row=25, column=40)
-    one, _, ran = engine(both, touched(12))
-    one.infer()
-    assert ran == ["own", "gentle"]
-    assert SURE[1] < 8 * 11.0, "together they would not be"
-
-
 def blob(side_px, width_px, at=(15.0, 22.0)):
     """A map of a square touch whose edges are logistic."""
     found = 1.0
@@ -105,11 +97,6 @@ def test_a_straight_edge_is_as_wide_as_it_is(width_px, axis):
     along = 1.0 / (1.0 + np.exp(-(np.arange(60) - 29.5) / width_px))
     edge = np.broadcast_to(np.expand_dims(along, 1 - axis), (60, 60)).astype(np.float32)
     assert edges_px(edge) == pytest.approx(width_px, rel=0.06), "0.3 is less than pixels resolve"
-
-
-def test_an_even_map_and_a_single_row_have_no_edges():
-    assert edges_px(np.full((30, 45), 0.5, dtype=np.float32)) == 0.0
-    assert edges_px(np.linspace(0.0, 1.0, 45, dtype=np.float32)[None]) == 0.0
 
 
 def test_a_firm_touch_with_sharp_edges_asks_nobody():
@@ -221,7 +208,3 @@ def test_a_bundle_that_lacks_its_graphs_or_states_no_width_is_refused(with_gentl
         path = changed(with_gentle, tmp_path / "b.eitskin", change)
         with pytest.raises(BundleError, match=said):
             load_bundle(path)
-
-
-def test_nothing_is_less_than_a_tenth_of_a_pixel():
-    assert 0.1 * GRID.size_mm[0] * GRID.size_mm[1] / GRID.n_pixels > NOTHING

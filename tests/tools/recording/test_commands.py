@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,10 +15,8 @@ import pytest
 from eitskin import WireFrame
 from eitskin.messaging.curve_keys import make_keys
 from eitskin_tools import cli
-from eitskin_tools.recording.layout import WIRE
 from eitskin_tools.recording.reader import Recording
 from eitskin_tools.recording.script import Script
-from eitskin_tools.recording.writer import CHUNK_BYTES, others
 
 from .conftest import TINY, recorded
 
@@ -157,60 +154,6 @@ def test_killed_at_any_moment_it_leaves_a_file_that_lacks_no_frame_but_the_last_
         assert Recording(tmp_path / f"k{number}.mcap").head
 
 
-@pytest.mark.process
-@pytest.mark.slow
-@pytest.mark.parametrize("rotation", [("--rotate-mb", "0.02"), ("--rotate-minutes", "0.004")])
-def test_killed_while_one_file_is_ended_and_the_next_begun_all_are_readable_and_lack_no_frame(
-    file: Path, tmp_path: Path, rotation: tuple[str, str]
-) -> None:
-    from tests.faults.recorder_kill import Witness, kill_one
-
-    with played(file, tmp_path) as endpoint:
-        witness = Witness(endpoint)
-        left = [
-            kill_one(
-                endpoint, tmp_path / f"k{number}.mcap", 0.301 + 0.307 * number, witness, rotation, at_next_file=True
-            )
-            for number in range(3)
-        ]
-        witness.close()
-    assert [(one.gaps, one.unreadable) for one in left] == [(0, 0)] * 3
-    assert all(one.files > 1 and one.frames > 0 for one in left)
-
-
-@pytest.mark.process
-@pytest.mark.slow
-@pytest.mark.parametrize("rotation", [(), ("--rotate-mb", "0.02")], ids=["one file", "several"])
-def test_what_comes_is_seen_in_the_files_while_it_goes_on_and_is_there_after_the_kill(
-    file: Path, tmp_path: Path, rotation: tuple[str, ...]
-) -> None:
-    out = tmp_path / "b.mcap"
-    words = ["record", "--wire-only", "--out", str(out), "--quiet", *rotation]
-    fewest = CHUNK_BYTES // 1000  # frames that end a chunk by their size alone
-    with (
-        played(file, tmp_path) as endpoint,
-        subprocess.Popen([sys.executable, "-m", "eitskin_tools.cli", *words, endpoint]) as recorder,
-    ):
-        before, seen, end_s = 0, list[int](), time.monotonic() + 120
-        try:
-            while not 100 < before < len(seen) < before + fewest:
-                assert recorder.poll() is None
-                assert time.monotonic() < end_s, "chunks came when they were large, not when they were due"
-                before, seen = len(seen), numbers_in(out)
-                time.sleep(0.01)
-        finally:
-            recorder.kill()
-            recorder.wait(60)
-    assert numbers_in(out)[: len(seen)] == seen
-    assert (len(others(out)) > 0) == bool(rotation)
-
-
-def numbers_in(first: Path) -> list[int]:
-    """Return the numbers of the frames of the wire in all files of a recorder that may be running."""
-    paths = [path for path in (first, *others(first)) if path.exists() and path.stat().st_size]
-    return [entry.sequence for path in paths for entry in Recording(path).entries({WIRE.topic})]
-
-
 def test_what_a_killed_recorder_left_is_told(tmp_path: Path, items: list[Any]) -> None:
     """Files that cannot be read, and frames that are missing in the middle of a series, are found."""
     from tests.faults.recorder_kill import left_in
@@ -240,57 +183,3 @@ def test_where_nobody_publishes_the_recorder_says_so_in_a_line(tmp_path: Path) -
     assert done.stderr.count("\n") == 1, done.stderr
     assert "nobody within 0.5 s: nobody listens there" in done.stderr
     assert not (tmp_path / "a.mcap").exists()
-
-
-@pytest.mark.process
-def test_robots_are_served_before_the_recorder(tmp_path: Path) -> None:
-    from eitskin.messaging.frame import FIRST_BYTE, patient_topics
-    from eitskin.messaging.publish import Publisher
-    from eitskin.messaging.regions import UNCHANGED
-
-    publisher = Publisher(f"ipc://{tmp_path}/frames")
-    recorder = subprocess.Popen(
-        [sys.executable, "-m", "eitskin_tools.cli", "record", publisher.endpoint, "--out", str(tmp_path / "a.mcap")],
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        asked, end_s = {*patient_topics(FIRST_BYTE), UNCHANGED}, time.monotonic() + 60
-        while not (publisher.wanted and publisher.streams.wire) and time.monotonic() < end_s:
-            publisher.look()
-            time.sleep(0.005)
-        while not asked <= publisher.topics and time.monotonic() < end_s:
-            publisher.look()
-        assert asked <= publisher.topics
-        assert not {b"", FIRST_BYTE} & publisher.topics
-        assert publisher.takes_short  # it does without maps that have not changed, as before
-    finally:
-        recorder.terminate()
-        recorder.wait(60)
-        publisher.close()
-
-
-@pytest.mark.parametrize(("silent_from_s", "ends_s"), [(0.5, 4.0), (3.8, 4.8), (9.0, 4.1)])
-def test_seconds_are_over_by_the_clock_too_where_the_stream_falls_silent(
-    monkeypatch: pytest.MonkeyPatch, silent_from_s: float, ends_s: float
-) -> None:
-    from types import SimpleNamespace
-
-    from eitskin_tools.commands.recorded import record
-
-    now_s = [0.0]
-    series = SimpleNamespace(sync=lambda: None, due_s=0.0)
-    stream: Any = SimpleNamespace(frames=0, recorded_s=0.0, full=False, series=series)
-
-    def next_one(timeout_s: float) -> object | None:
-        now_s[0] += 0.1
-        if now_s[0] > silent_from_s:
-            return None
-        stream.frames += 1
-        return stream
-
-    stream.take = lambda found: setattr(stream, "recorded_s", 0.1 * (stream.frames - 1))
-    intake = SimpleNamespace(next=next_one, silent=None, unusable=None)
-    monkeypatch.setattr(record, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
-    words = SimpleNamespace(seconds=4.0, frames=None, timeout_s=None, quiet=True)
-    assert not record._go_on(words, stream, intake, SimpleNamespace(asked=False))  # type: ignore[arg-type]
-    assert now_s[0] == pytest.approx(ends_s, abs=0.15)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from eitskin_tools.recording import writer as sinks
-from eitskin_tools.recording.layout import CLOUD, FRAME, WIRE, RecordingError
+from eitskin_tools.recording.layout import CLOUD, WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording
 from eitskin_tools.recording.writer import FLUSH_S, RecordingWriter, Series, path_of
 
@@ -200,27 +200,6 @@ def test_where_the_disk_is_full_the_file_is_ended_whole(tmp_path: Path, monkeypa
         assert summary is not None
         assert summary.statistics is not None
         assert summary.statistics.message_count == len(contents)
-
-
-def test_a_series_that_met_a_full_disk_takes_no_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    series = Series(tmp_path / "a.mcap", HEAD, most_bytes=1)
-    monkeypatch.setattr(Series, "full", property(lambda _: True))
-    series.add(FRAME, b"{}", 1)
-    series.close()
-    assert len(series.files) == 1
-    assert list(Recording(tmp_path / "a.mcap").entries()) == []
-
-
-def test_no_room_even_for_the_reserve_is_said_and_leaves_no_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: int) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(sinks.os, "posix_fallocate", full)
-    with pytest.raises(RecordingError, match="less than 8 MB left"):
-        RecordingWriter(tmp_path / "a.mcap", HEAD)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path) -> None:

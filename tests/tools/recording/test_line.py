@@ -4,7 +4,6 @@ import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
-from queue import Empty
 from types import FrameType
 from typing import Any
 
@@ -18,7 +17,7 @@ from eitskin_proto.wire.frames import HEADER
 from eitskin_tools.recording.replay import Player, RecordedLine, ReplayOptions
 from eitskin_tools.recording.script import Script
 
-from .conftest import PERIOD_NS, TINY, Taker, hello, recorded, reference, scans
+from .conftest import TINY, Taker, hello, recorded, reference, scans
 
 
 def test_it_answers_the_handshake_and_sends_what_was_recorded_in_order() -> None:
@@ -43,34 +42,6 @@ def test_what_belongs_before_a_frame_is_done_when_the_one_before_it_was_taken() 
     for number in range(5):
         device.payloads(1.0)
         assert done == [100, 101, 102, 103, 104][: number + 1]
-
-
-def test_at_its_pace_no_frame_comes_before_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    from eitskin_tools.recording import replay as module
-
-    class Passing:
-        """Waiting lets the clock pass."""
-
-        def put(self, item: None) -> None:
-            pass
-
-        def get(self, timeout: float | None = None) -> None:
-            now[0] += int((timeout or 0.0) * 1e9) + 1
-            raise Empty
-
-    now = [1]
-    monkeypatch.setattr(module, "perf_counter_ns", lambda: now[0])
-    steps = scans(10)
-    line = RecordedLine("it", hello(), lambda: iter(steps), speed=2.0)
-    line._wakes = Passing()  # type: ignore[assignment]
-    line.write(b"")
-    line._streaming = True
-    came = []
-    for _ in steps:
-        assert line.read(10.0)
-        came.append(now[0])
-    assert np.diff(came) == pytest.approx(PERIOD_NS / 2, abs=3)
-    assert line.read(0.25) == b""
 
 
 def test_a_gap_of_the_recording_is_no_silence_of_the_device(monkeypatch: pytest.MonkeyPatch) -> None:

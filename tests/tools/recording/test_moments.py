@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 from eitskin_proto.errors import MismatchError
-from eitskin_tools.recording import seek as moments_module
 from eitskin_tools.recording.layout import CLOUD, WIRE, RecordingError
 from eitskin_tools.recording.script import Script, Step
 from eitskin_tools.recording.seek import ChunkIndex, SeekableRecording
@@ -60,16 +59,6 @@ def test_a_part_is_found_without_reading_the_others(chunked: Path, monkeypatch: 
     assert [step.frame for step in steps] == [step.frame for step in whole[100:104]]
     assert steps[0].cloud is not None
     assert len(set(read)) < len(ChunkIndex(chunked).chunks) / 2
-
-
-def test_what_is_kept_does_not_grow_with_the_file(chunked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(moments_module, "MOST_KEPT", 1)
-    script, found = Script(chunked), SeekableRecording(chunked)
-    whole = list(script.steps())
-    for k in (120, 0, 120, 20):  # what was forgotten is read again
-        begin = at_s(found, whole[k])
-        assert told(found.span(begin, begin + 1.0).steps[0])[2:] == told(next(script.steps(begin)))[2:]
-    assert len(found._clouds._found) == 1
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])

@@ -9,39 +9,12 @@ from typing import Any
 import pytest
 
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin_proto.errors import SkinError
 from eitskin_tools import cli
-from eitskin_tools.commands.recorded import replay
-from eitskin_tools.recording.replay import ReplayOptions
 from eitskin_tools.recording.script import Script
 
 from .conftest import TINY, recorded_off
 
 Capture = pytest.CaptureFixture[str]
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ([], ReplayOptions()),
-        (["--as-fast-as-possible"], ReplayOptions(paced=False)),
-        (["--speed", "2.5"], ReplayOptions(speed=2.5)),
-        (["--from", "0.01", "--to", "0.02"], ReplayOptions(from_s=0.01, to_s=0.02)),
-        (["--loop"], ReplayOptions(loop=True)),
-    ],
-)
-def test_replay_plays_in_the_manner_that_was_asked_for(
-    file: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], expected: ReplayOptions
-) -> None:
-    found: list[ReplayOptions] = []
-
-    def player(script: Script, manner: ReplayOptions, **_: Any) -> None:
-        found.append(manner)
-        raise SkinError("enough")
-
-    monkeypatch.setattr("eitskin_tools.recording.replay.Player", player)
-    assert cli.main(["replay", str(file), "--quiet", *words]) == 1
-    assert found == [expected]
 
 
 @pytest.mark.parametrize("words", [["replay"], ["reinfer"], ["convert", "--out", "a.npz"]])
@@ -157,14 +130,3 @@ def test_a_picture_that_cannot_be_written_is_said_before_anything_is_computed(
     said = capsys.readouterr().err
     assert "nowhere" in said
     assert said.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("published", "said"),
-    [
-        (0, "2008 frames played, 3 lost when recorded; nobody subscribed to them"),
-        (2000, "2008 frames played, 2000 published, 3 lost when recorded"),
-    ],
-)
-def test_a_recording_that_nobody_looked_at_was_played_all_the_same(published: int, said: str) -> None:
-    assert replay._told({"sent": 2008, "published": published, "lost": 3}) == said

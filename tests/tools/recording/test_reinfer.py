@@ -27,7 +27,7 @@ from eitskin_tools.recording.reinfer import (
 )
 from eitskin_tools.recording.script import Script, bundle_of
 
-from .conftest import TINY, hello, measured, recorded, recorded_off, reference, scans
+from .conftest import TINY, measured, recorded, recorded_off
 
 SECOND = TINY.with_name("second.eitskin")
 
@@ -44,17 +44,6 @@ def test_they_do_by_whatever_solver_and_options(tmp_path: Path, options: dict[st
     recorded(tmp_path / "a.mcap", measured(90, **options))
     found = reinfer(Script(tmp_path / "a.mcap"), load_bundle(TINY)).fields()
     assert (found["equal"], found["differing"]) == (90, {})
-
-
-def test_a_recording_that_begins_while_an_earlier_untouched_map_is_published_on(file: Path) -> None:
-    frame = next(step.frame for step in Script(file).steps() if step.frame.frame is not None)
-    before = replace(frame, solver="none", map_seq=0)
-    nothing, equality = np.zeros((30, 45), dtype=np.float32), Equality()
-    equality.published_as(before, digest_of(nothing), Computed(nothing, False, "none"))
-    assert (equality.equal, equality.published) == (1, 1)
-    equality.published_as(replace(before, solver="vd2t"), digest_of(nothing), Computed(nothing, True, "vd2t"))
-    assert (equality.equal, equality.unknown) == (1, 1), "a map from before the recording is not known"
-    assert equality.fields()["unknown_why"] == {"before_file": 1}
 
 
 def test_why_a_map_cannot_be_told_is_said_by_its_cause(file: Path) -> None:
@@ -138,34 +127,6 @@ def test_a_solver_that_is_not_there_is_named_with_those_that_are(file: Path) -> 
         ValueError, match=r"'sblx' does not exist; expected one of vd2t, vd2t-int8, vd2t-small, tikhonov, .*sbl"
     ):
         others(script, bundle, None, "sblx")
-
-
-def test_a_solver_of_the_simulation_has_the_sheets_own_model(monkeypatch: pytest.MonkeyPatch) -> None:
-    from types import SimpleNamespace
-
-    from eitskin_sim.evaluation.harness import SOLVERS, Sheet
-    from eitskin_tools.recording import reinfer as choice
-
-    bundle, asked = load_bundle(SECOND), []
-    steps, cloud = scans(3), bundle.skin.grid.flat_cloud_mm()
-    flat = SimpleNamespace(flat=reference)
-
-    def flat_voltages(skin: Any) -> Any:
-        asked.append(skin)
-        return np.ones(104)
-
-    def solve(case: Any) -> Any:
-        asked.append(case.sheet.skin)
-        return np.zeros(bundle.skin.grid.shape)
-
-    monkeypatch.setattr(choice, "reference_of", lambda *_: flat)
-    monkeypatch.setattr("eitskin_sim.surface.predict.flat_voltages", flat_voltages)
-    monkeypatch.setattr(Sheet, "predicted", lambda self: np.ones(104))
-    monkeypatch.setitem(SOLVERS, "spy", solve)  # type: ignore[misc]
-    solver = choice.SimulatedSolver(SimpleNamespace(hello=hello()), bundle, "spy")  # type: ignore[arg-type]
-    step = replace(steps[1], frame=replace(steps[1].frame, touched=True), reference=b"it")
-    solver.compute(replace(step, cloud=SimpleNamespace(cloud=cloud)))  # type: ignore[arg-type]
-    assert asked == [bundle.skin, bundle.skin]
 
 
 def test_a_bundle_of_another_skin_is_refused(file: Path) -> None:

@@ -1,6 +1,5 @@
 """Played, a recording takes the drift out of frames, and does without electrodes, as the runtime did then."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ from eitskin import Conditions, Frame, SkinState, WireFrame
 from eitskin.model.bundle import Bundle, default_path, load_bundle
 from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.wire.frames import Frame as WireScan
-from eitskin_tools import cli
 from eitskin_tools.recording.codec import note_of
 from eitskin_tools.recording.replay import Player, RecordedLine, ReplayOptions
 from eitskin_tools.recording.script import Script, Step
@@ -134,17 +132,3 @@ def test_an_electrode_can_be_excluded_while_it_plays(tmp_path: Path, bundle: Bun
     assert all("9:excluded:imputed" in frame.electrodes for frame in frames[1:])
     assert any(len(frame.electrodes) == 2 for frame in frames)
     assert sum("electrode:9:excluded:imputed" in frame.events for frame in frames) == 1
-
-
-def test_quiet_still_says_that_the_file_was_cut(
-    tmp_path: Path, bundle: Bundle, drifted: list[Any], capsys: pytest.CaptureFixture[str]
-) -> None:
-    recorded(tmp_path / "a.mcap", drifted)
-    data = (tmp_path / "a.mcap").read_bytes()
-    (tmp_path / "a.mcap").write_bytes(data[:-200])
-    ends = ["--publish", f"ipc://{tmp_path}/f", "--control", f"ipc://{tmp_path}/c", "--as-fast-as-possible"]
-    words = ["replay", str(tmp_path / "a.mcap"), "--bundle", str(bundle.path), "--quiet", "--json", *ends]
-    assert cli.main(words) == 0
-    out, err = capsys.readouterr()
-    assert json.loads(out)["sent"] > 0
-    assert sum("cut off" in line for line in err.splitlines()) == 1

@@ -1,6 +1,5 @@
 """Files of a series: each takes the next number that is free, and none that is there is lost."""
 
-import errno
 import os
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,10 +10,10 @@ import pytest
 from eitskin import SkinState
 from eitskin_tools import cli
 from eitskin_tools.recording import writer as sinks
-from eitskin_tools.recording.layout import MAP, WIRE, RecordingError
+from eitskin_tools.recording.layout import MAP, WIRE
 from eitskin_tools.recording.reader import Recording
 from eitskin_tools.recording.script import Script
-from eitskin_tools.recording.writer import MOST_ENDING, Series, others, path_of
+from eitskin_tools.recording.writer import Series, others, path_of
 
 from .conftest import measured, recorded
 
@@ -42,54 +41,6 @@ def test_what_is_there_is_passed_over_and_stays(tmp_path: Path) -> None:
     assert not (tmp_path / "nowhere").exists()
 
 
-def test_one_that_somebody_makes_just_then_is_passed_over_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from eitskin_tools.recording import writer as module
-
-    first, made = tmp_path / "r.mcap", module.RecordingWriter
-
-    def beaten(path: Path, *arguments: Any, **options: Any) -> Any:
-        if path == path_of(first, 2):
-            path.write_bytes(b"precious")
-        return made(path, *arguments, **options)
-
-    series = Series(first, {}, most_bytes=1)
-    monkeypatch.setattr(module, "RecordingWriter", beaten)
-    series.begin_anew({})
-    series.close()
-    assert series.files == [first, path_of(first, 3)]
-    assert path_of(first, 2).read_bytes() == b"precious"
-
-
-def test_where_no_file_can_be_made_it_does_not_go_on_looking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from eitskin_tools.recording import writer as module
-
-    def refused(path: Path, *_: Any, **__: Any) -> None:
-        raise RecordingError(f"{path.parent} has less than 8 MB left")
-
-    series = Series(tmp_path / "r.mcap", {})
-    monkeypatch.setattr(module, "RecordingWriter", refused)
-    with pytest.raises(RecordingError, match="less than 8 MB"):
-        series.begin_anew({})
-    series.close()
-
-
-def test_room_is_kept_once_for_all_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody else can take what one file would give back before the next begins."""
-    series = Series(tmp_path / "r.mcap", {}, most_bytes=1)
-
-    def taken(*_: int) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(sinks.os, "posix_fallocate", taken)
-    for number in range(7):
-        series.add(WIRE, bytes([number]), number, number)
-        series.sync()
-    series.close()
-    assert len(series.files) == 7 > MOST_ENDING
-    found = [entry.data for path in series.files for entry in Recording(path).entries({WIRE.topic})]
-    assert found == [bytes([number]) for number in range(7)]
-
-
 def test_every_file_begins_with_a_frame_of_the_wire(tmp_path: Path) -> None:
     series = Series(tmp_path / "r.mcap", {}, most_bytes=1)
     for number in range(3):
@@ -99,29 +50,6 @@ def test_every_file_begins_with_a_frame_of_the_wire(tmp_path: Path) -> None:
     series.close()
     found = [[entry.topic for entry in Recording(path).entries()] for path in series.files]
     assert found == [[WIRE.topic, MAP.topic]] * 3
-
-
-def test_a_file_that_fills_the_disk_when_it_is_begun_has_its_frame(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The room of the reserve serves it; a file without a frame says nothing to anybody."""
-    from eitskin_tools.recording import writer as module
-
-    series, made = Series(tmp_path / "r.mcap", {}, most_bytes=1), module.RecordingWriter
-
-    def filling(*arguments: Any, **options: Any) -> Any:
-        found = made(*arguments, **options)
-        found._sink.full = True
-        return found
-
-    monkeypatch.setattr(module, "RecordingWriter", filling)
-    for number in range(3):
-        series.add(WIRE, bytes([number]), number, number)
-        series.sync()
-    series.close()
-    assert series.full
-    found = [[entry.data for entry in Recording(path).entries({WIRE.topic})] for path in series.files]
-    assert found == [[b"\0"], [b"\1"]]
 
 
 @pytest.mark.parametrize("step", ["write", "link"])
@@ -146,30 +74,6 @@ def test_no_file_is_ever_there_without_its_head(tmp_path: Path, monkeypatch: pyt
         series.sync()
     series.close()
     assert seen > 3
-
-
-@pytest.mark.parametrize("refused", ["open", "link"])
-def test_where_every_file_has_a_name_it_is_made_under_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: str
-) -> None:
-    """FAT and some network disks know no nameless files; a container may have no /proc."""
-    really = getattr(os, refused)
-
-    def refuse(*given: Any, **more: Any) -> Any:
-        if refused == "link" or given[1] & os.O_TMPFILE == os.O_TMPFILE:
-            raise OSError(errno.EOPNOTSUPP, "Operation not supported")
-        return really(*given, **more)
-
-    reserve = sinks.Reserve(tmp_path)
-    monkeypatch.setattr(sinks, "os", SimpleNamespace(**{**vars(os), refused: refuse}))
-    sink = sinks.Sink(tmp_path / "a.mcap")
-    sink.write(b"head")
-    sink.begin(reserve)
-    sink.write(b"tail")
-    sink.close()
-    reserve.give_up()
-    assert (tmp_path / "a.mcap").read_bytes() == b"headtail"
-    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
 
 
 def test_a_runtime_that_starts_anew_passes_over_a_file_as_well(tmp_path: Path, items: list[Any]) -> None:
