@@ -7,11 +7,14 @@ from pathlib import Path
 import pytest
 from tests.second_skin import SECOND
 
+from eitskin.model.bundle import load_bundle
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.toml import named, to_toml
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build import steps
-from eitskin_tools.build.steps import fitted_to, plan_of
+from eitskin_tools.build.making import REST_S, Pace, scale, seconds
+from eitskin_tools.build.recipe import Leg, MissingElectrodesWork
+from eitskin_tools.build.steps import MISSING_RUN, fitted_to, plan_of
 from eitskin_tools.cli import main
 from eitskin_tools.command_line import files
 
@@ -142,3 +145,55 @@ def test_what_would_fail_hours_later_is_refused_at_once(tmp_path, capsys):
         assert (out, line.count("\n")) == ("", 1)
         assert said in line
         assert not (tmp_path / "b.eitskin.build").exists()
+
+
+@pytest.mark.slow
+def test_hours_scale_deformations_and_epochs_alike():
+    small = recipes.load("tiny")
+    data = {"presses": replace(small.data["presses"], deformations=30, per_deformation=1000)}
+    tiny = replace(small, data=data, training=(Leg(epochs=20),))
+    pace = Pace(deformation_s=40.0, sample_s=0.02, trained_s=1e-2)
+    whole = seconds(tiny, pace)
+    assert scale(tiny, whole / 3600, pace) == tiny
+    for hours in (0.4 * whole / 3600, 2.5 * whole / 3600):
+        found = scale(tiny, hours, pace)
+        assert seconds(found, pace) == pytest.approx(3600 * hours, rel=0.1)
+        for name, one in found.data.items():
+            share = one.deformations / tiny.data[name].deformations
+            assert share == pytest.approx(found.training[0].epochs / tiny.training[0].epochs, rel=0.15)
+    with pytest.raises(ValueError, match=r"--hours 0.1 is too little on this machine, expected 0\.\d+ or more"):
+        scale(tiny, 0.1, pace)
+    assert REST_S < 3600
+
+
+LESSON = "\n[missing_electrodes]\nfitting_steps = 3\nsteps = 2\n"
+"""What the legs learned is taught to go on without electrodes, once."""
+
+
+def test_the_lesson_is_part_of_what_names_a_build():
+    without, found = recipes.parse(tomllib.loads(TINY)), recipes.parse(tomllib.loads(TINY + LESSON))
+    assert without.missing_electrodes is None
+    assert "missing_electrodes" not in without.as_dict()
+    assert found.missing_electrodes == MissingElectrodesWork(fitting_steps=3, steps=2)
+    assert found.digest != without.digest
+    assert recipes.load("units").missing_electrodes == MissingElectrodesWork()
+    with pytest.raises(ValueError, match=r"\[missing_electrodes\]"):
+        recipes.parse(tomllib.loads(TINY + "\n[missing_electrodes]\nepochs = 3\n"))
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_the_last_lesson_is_exported_and_not_done_twice(tmp_path):
+    recipe, told = recipes.parse(tomllib.loads(TINY + LESSON)), []
+    steps.make_data(recipe, tmp_path, 1, told.append)
+    run = steps.train_legs(recipe, tmp_path, told.append)
+    assert run == tmp_path / "runs" / MISSING_RUN
+    assert (run / "gate.npz").exists()
+    assert "learning to go on without electrodes" in told
+    stamp = (run / "best.pt").stat().st_mtime_ns
+    assert steps.train_legs(recipe, tmp_path, told.append) == run
+    assert (run / "best.pt").stat().st_mtime_ns == stamp
+    bundle, _ = steps.export_run(recipe, tmp_path, run, told.append)
+    manifest = load_bundle(bundle).manifest
+    assert manifest["build"]["missing_electrodes"]["steps"] == 2
+    assert manifest["metrics"]["electrodes"]["adapted"]["plan"]["steps"] == 2

@@ -1,9 +1,6 @@
 """The commands as a user types them: what cannot be shown is one line; what can is seen in a browser, and recorded."""
 
 import os
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -15,7 +12,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_tools import cli
 from eitskin_tools.recording.script import Script
 from eitskin_tools.view.source import Source, sources_of
-from eitskin_tools.view.viewer import Recorder, Viewer
+from eitskin_tools.view.viewer import Viewer
 
 from ..recording.conftest import TINY, measured, recorded
 from .chromium import PROGRAM
@@ -82,13 +79,6 @@ def test_a_robots_skins_are_found_by_its_file_and_by_its_folder(tmp_path):
     assert [(one.name, one.endpoint) for one in sources_of(tmp_path / "s", PAPER)] == [
         (one.name, one.endpoint) for one in (arm, hand)
     ]
-
-
-@pytest.mark.process
-def test_a_live_page_needs_no_package_that_recordings_need():
-    code = "import sys, eitskin_tools.view.viewer, eitskin_tools.commands.view; print('mcap' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "False\n"
 
 
 SEEN = "window.eitskin && eitskin.page.drawings > 0 && eitskin.history?.shown"
@@ -163,28 +153,6 @@ def test_the_record_button_makes_a_recording_that_can_be_read(path, tmp_path):
     script = Script(made)
     assert script.frames > 0
     assert script.ending == ""
-
-
-@pytest.mark.process
-@pytest.mark.slow
-def test_each_skin_is_recorded_by_its_name_and_one_that_is_not_there_ends_no_other(path, tmp_path):
-    endpoint, folder = f"ipc://{tmp_path}/f", tmp_path / "made"
-    folder.mkdir()
-    words = ["replay", path, "--bundle", TINY, "--loop", "--publish", endpoint, "--control", f"ipc://{tmp_path}/c"]
-    sources = [Source(PAPER, endpoint, "arm"), Source(PAPER, f"ipc://{tmp_path}/none", "hand")]
-    with started(*words, until="ready"):
-        recorder = Recorder([one.endpoint for one in sources], sources, folder)
-        assert recorder.start() == ""
-        assert "is being recorded already" in recorder.start()
-        assert recorder.about()["recording"].count(".mcap") == 2
-        (made,) = wait_for_frames(folder)
-        while "hand.mcap ended: " not in recorder.about()["recorder"]:
-            time.sleep(0.05)
-        assert recorder.about()["recording"] == made.name
-        assert recorder.stop() == ""
-        recorder.close()
-    assert made.name.endswith("-arm.mcap")
-    assert Script(made).ending == ""
 
 
 def wait_for_frames(folder):

@@ -1,8 +1,6 @@
 """A recording as a page gets it: the maps that were published, second by second, and what the bar has marks for."""
 
-import contextlib
 import json
-import random
 import time
 from dataclasses import replace
 from itertools import count, pairwise
@@ -11,7 +9,6 @@ import numpy as np
 import pytest
 
 from eitskin import Frame, WireFrame
-from eitskin.errors import SkinError
 from eitskin_tools.recording.layout import FRAME, WIRE
 from eitskin_tools.recording.reader import Entry, Recording
 from eitskin_tools.view import film as parts_module
@@ -156,37 +153,3 @@ def test_losses_and_events_are_marked_once_and_within_bounds():
         (pytest.approx(50.0, abs=0.2), 5)
     ]
     assert head["share"] == pytest.approx(0.99, abs=0.02)
-
-
-@pytest.mark.parametrize(
-    "data",
-    [b"", b"[]", b"{", b'{"number": "x"}', b'{"host_ns": 3, "counts": [], "events": {}, "peak": "high", "drift": NaN}',
-     b'{"counts": {"corrupt": -5}, "host_ns": {"read": 1e400}, "events": [1, null, "a"]}'],
-)  # fmt: skip
-def test_a_note_that_makes_no_sense_is_nothing_worse(data):
-    overview = Overview(1.0, 0)
-    overview.add(Entry(FRAME.topic, 5, 0, data))
-    overview.add(Entry(WIRE.topic, 5, 0, data))
-    assert unpacked(overview.message(done=True))
-
-
-def test_whatever_is_damaged_ends_in_one_line_or_is_left_out(path):
-    rng, whole, outcomes = random.Random(3), path.read_bytes(), set()
-    for _ in range(40):
-        data = bytearray(whole)
-        for _ in range(rng.choice((1, 8))):
-            data[rng.randrange(len(data))] = rng.randrange(256)
-        path.write_bytes(bytes(data[: rng.choice((len(data), rng.randrange(len(data))))]))
-        try:
-            film = Film(path, TINY)
-            messages(film)
-        except (SkinError, OSError, ValueError) as error:
-            outcomes.add("two lines" if "\n" in str(error) else "refused")
-        else:
-            outcomes.add("seen")
-        overview = Overview(1.0, 0)
-        with contextlib.suppress(SkinError):
-            for entry in Recording(path).entries({WIRE.topic, FRAME.topic}):
-                overview.add(entry)
-        assert unpacked(overview.message(done=True))
-    assert outcomes == {"refused", "seen"}

@@ -12,7 +12,6 @@ import pytest
 
 from eitskin_tools import cli
 from eitskin_tools.commands import view
-from eitskin_tools.demo.show import show_page
 
 from .conftest import started
 
@@ -93,17 +92,6 @@ def test_view_opens_the_address_that_it_prints_where_a_browser_would_be_seen(
     assert out.endswith(" until Ctrl-C\n")
     address = out.split()[3]
     assert ("#token=" in address) == ("--token" in words)
-    assert opened == ([address] if seen else [])
-
-
-@pytest.mark.parametrize(("seat", "seen"), SEATS)
-def test_the_demonstration_opens_the_address_that_it_prints_where_a_browser_would_be_seen(
-    capsys, opened, sit, seat, seen
-):
-    address = "http://127.0.0.1:4711/#token=abc"
-    sit(sys.stderr, seat)
-    show_page(address)
-    assert capsys.readouterr() == ("", f"look at it: {address}\n")
     assert opened == ([address] if seen else [])
 
 
