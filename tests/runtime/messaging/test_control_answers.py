@@ -109,31 +109,6 @@ def test_a_client_that_does_not_wait_for_its_reference_disturbs_nobody(server, r
     assert last["frames"] == 8
 
 
-def test_a_reference_for_which_no_thread_is_left_is_refused_and_the_next_one_is_taken(server, raw, monkeypatch):
-    def none_left(self):
-        raise RuntimeError("can't start new thread")
-
-    monkeypatch.setattr(threading.Thread, "start", none_left)
-    answered = raw(msgpack.packb({"command": "reference", "frames": 8}))
-    assert "can't start new thread" in answered["error"]
-    monkeypatch.undo()
-    assert raw(msgpack.packb({"command": "reference", "frames": 8}))["frames"] == 8
-
-
-def test_a_server_that_fails_gives_its_address_back_and_can_be_closed(tmp_path, recorder, monkeypatch):
-    def fail():
-        raise LookupError
-
-    failed = threading.Event()
-    monkeypatch.setattr(threading, "excepthook", lambda _: failed.set())
-    server = ControlServer(f"ipc://{tmp_path}/failing", recorder)
-    monkeypatch.setattr(server._listener, "look", fail)
-    server._slow.ring()
-    assert failed.wait(60)
-    assert not (tmp_path / "failing").exists()
-    server.close()  # and does not wait for a socket that nobody closes
-
-
 def test_stop_ends_a_reference_that_is_being_captured_at_once(virtual_skin, running, tmp_path):
     with virtual_skin() as port, running(port, tmp_path) as runtime:
         control, answers = runtime.control.endpoint, []

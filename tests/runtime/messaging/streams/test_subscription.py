@@ -169,18 +169,6 @@ def test_who_comes_later_makes_all_be_told_again(publisher, sending):
             wait_for(publisher, lambda: sending.joined)
 
 
-def test_who_subscribes_to_frames_asks_for_no_stream(publisher, sending):
-    with eitskin.subscribe(publisher.endpoint, timeout_s=60, touches=True):
-        wait_for(publisher, lambda: publisher.wanted)
-        assert not sending.asked
-        assert not sending.joined
-
-
-def test_nobody_there_is_said_in_time(tmp_path):
-    with eitskin.subscribe_streams(f"ipc://{tmp_path}/nobody", timeout_s=0.05) as streams, pytest.raises(NoFrame):
-        next(streams)
-
-
 def test_senseless_wishes_are_refused():
     with pytest.raises(ValueError, match="no stream"):
         eitskin.subscribe_streams("ipc:///tmp/x", wire=False, clouds=False, state=False)
