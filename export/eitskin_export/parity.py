@@ -25,8 +25,7 @@ from eitskin.model.engine import engines
 from eitskin.model.geometry import GeometryGraph
 from eitskin.model.session import onnxruntime, session_options
 from eitskin_proto.errors import SkinError
-from eitskin_proto.sensor.log_prediction import log_prediction
-from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.sensor.normalise import log_prediction, relative_change
 from eitskin_proto.skin.cloud import network_input
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.evaluation import trials

@@ -40,9 +40,9 @@ from eitskin.reference.captured import Reference
 from eitskin.reference.judged import Yardstick, yardstick_of
 from eitskin.reference.recapture import Recapture
 from eitskin.touches.watch import TouchWatch
-from eitskin_proto.wire.answers import Event
 from eitskin_proto.wire.codes import EventCode, MessageType
 from eitskin_proto.wire.frames import FRAME_TYPE
+from eitskin_proto.wire.messages import Event
 
 GIVE_WAY_S: Final = 0.001
 """The least that ports wait, which count in milliseconds; several times what a subscriber takes to have its frame

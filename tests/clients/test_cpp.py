@@ -11,8 +11,8 @@ import eitskin
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
 from eitskin.messaging.streams.state import SkinState
 from eitskin_proto.skin.skin import PAPER
-from eitskin_proto.wire.answers import Hello
 from eitskin_proto.wire.frames import FrameView
+from eitskin_proto.wire.messages import Hello
 
 pytestmark = pytest.mark.process
 

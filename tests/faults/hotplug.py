@@ -25,8 +25,7 @@ from eitskin.acquisition.hotplug import HotPlug
 from eitskin.acquisition.ports import open_line
 from eitskin.errors import HandshakeError, PortLost, PortReturned
 from eitskin_proto.wire.codes import MessageType
-from eitskin_proto.wire.frames import FrameView
-from eitskin_proto.wire.unwrap import StreamCounter
+from eitskin_proto.wire.frames import FrameView, StreamCounter
 from eitskin_tools.virtual_skin.device import Identity, VirtualDevice
 from eitskin_tools.virtual_skin.process import configuration_for
 from eitskin_tools.virtual_skin.pty import PtyPort

@@ -21,8 +21,7 @@ from eitskin.acquisition.ports import open_line
 from eitskin.acquisition.transport import Transport
 from eitskin_proto.wire import framing, messages
 from eitskin_proto.wire.codes import MessageType
-from eitskin_proto.wire.frames import FrameView
-from eitskin_proto.wire.unwrap import StreamCounter
+from eitskin_proto.wire.frames import FrameView, StreamCounter
 
 
 def soak(seconds: float, port: str | None = None) -> dict[str, float]:

@@ -16,7 +16,7 @@ from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.recorded import RecordedHealth
 from eitskin.reference import captured
 from eitskin_proto.skin.skin import PAPER
-from eitskin_proto.wire.answers import Hello
+from eitskin_proto.wire.messages import Hello
 
 CLOUD = PAPER.grid.flat_cloud_mm() + np.array([3.0, -200.0, 40.0])[:, None, None]
 RATIO = np.linspace(0.97, 1.04, 104)

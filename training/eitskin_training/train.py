@@ -22,9 +22,8 @@ from typing import Any
 import torch
 
 from eitskin_proto.errors import MismatchError, SkinError
-from eitskin_proto.files.holding import held
 from eitskin_proto.files.plain import plain
-from eitskin_proto.files.writing import write_bytes
+from eitskin_proto.files.writing import held, write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_training.narrowed import fits, narrowed
 from eitskin_training.network.model import VD2T

@@ -11,7 +11,7 @@ import ast
 import io
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -34,10 +34,11 @@ MOST_ARRAYS: Final = 256
 DESCRIPTION: Final = re.compile(r"[<>|=]?(?:[?]|b1|[iu][1248]|f[248]|c(?:8|16)|[SU][0-9]{1,6})")
 """Types of elements: truth values, integers, real and complex numbers, texts."""
 
-Array = npt.NDArray[Any]
+Array = npt.NDArray[np.float64]
+Arrays = Mapping[str, npt.NDArray[Any]]
 
 
-def parse_npy(data: bytes, what: str = "it") -> Array:
+def parse_npy(data: bytes, what: str = "it") -> npt.NDArray[Any]:
     """Return the array of a ``.npy`` file's bytes.
 
     Args:
@@ -94,7 +95,7 @@ def pack_arrays(arrays: Mapping[str, npt.ArrayLike]) -> bytes:
     return buffer.getvalue()
 
 
-def read_npy(path: str | Path, largest: int) -> Array:
+def read_npy(path: str | Path, largest: int) -> npt.NDArray[Any]:
     """Return the array of a ``.npy`` file.
 
     Raises:
@@ -104,7 +105,7 @@ def read_npy(path: str | Path, largest: int) -> Array:
     return parse_npy(read_bytes(path, largest), str(path))
 
 
-def parse_npz(source: bytes | BinaryIO, largest: int, what: str = "it") -> dict[str, Array]:
+def parse_npz(source: bytes | BinaryIO, largest: int, what: str = "it") -> dict[str, npt.NDArray[Any]]:
     """Return the arrays of a ``.npz`` file by name.
 
     Args:
@@ -119,7 +120,7 @@ def parse_npz(source: bytes | BinaryIO, largest: int, what: str = "it") -> dict[
         found = members(source)
         if len(found) > MOST_ARRAYS:
             raise FileError(f"{what} holds {len(found)} arrays, expected at most {MOST_ARRAYS}")
-        arrays: dict[str, Array] = {}
+        arrays: dict[str, npt.NDArray[Any]] = {}
         for name, member in found.items():
             content = member.read(largest)
             largest -= len(content)
@@ -129,7 +130,7 @@ def parse_npz(source: bytes | BinaryIO, largest: int, what: str = "it") -> dict[
         raise FileError(f"{what} is no intact .npz file: {error}") from error
 
 
-def read_npz(path: str | Path, largest: int) -> dict[str, Array]:
+def read_npz(path: str | Path, largest: int) -> dict[str, npt.NDArray[Any]]:
     """Return the arrays of a ``.npz`` file by name.
 
     Args:
@@ -161,3 +162,50 @@ def _header(raw: bytes, what: str) -> tuple[np.dtype[Any], bool, tuple[int, ...]
     if not all(isinstance(size, int) and not isinstance(size, bool) and 0 <= size < 1 << 48 for size in shape):
         raise FileError(f"{what} has a shape that is not made of sizes, expected whole numbers that are not negative")
     return np.dtype(kind), fortran, shape
+
+
+def numbers(arrays: Arrays, name: str, shape: Sequence[int | None] | None = None) -> Array:
+    """Return an array of finite numbers as float64.
+
+    Args:
+        arrays: Of a file.
+        name: Of one that is there.
+        shape: None in it is any length; None in its place is any shape.
+
+    Raises:
+        ValueError: It holds something else, or has another shape.
+    """
+    found = arrays[name]
+    if found.dtype.kind not in "fiu":
+        raise ValueError(f"{name} holds {found.dtype}, expected real numbers")
+    if shape is not None and not _fits(found.shape, shape):
+        raise ValueError(f"{name} has shape {found.shape}, expected {_shape_text(shape)}")
+    finite = np.isfinite(found)
+    if not finite.all():
+        where = tuple(int(one) for one in np.argwhere(~finite)[0])
+        raise ValueError(
+            f"{name}{list(where)} is {found[where]}, expected finite numbers; {int((~finite).sum())} are not: leave "
+            "such samples out"
+        )
+    return np.asarray(found, dtype=np.float64)
+
+
+def text(arrays: Arrays, name: str) -> str:
+    """Return the text of an array that holds one, as str or as UTF-8.
+
+    Raises:
+        ValueError: It holds something else.
+    """
+    found = arrays[name]
+    if found.dtype.kind not in "US" or found.size != 1:
+        raise ValueError(f"{name} is {found.dtype} of shape {found.shape}, expected one text")
+    one = found.reshape(-1)[0]
+    return one.decode("utf-8") if isinstance(one, bytes) else str(one)
+
+
+def _fits(found: Sequence[int], shape: Sequence[int | None]) -> bool:
+    return len(found) == len(shape) and all(want in (None, have) for have, want in zip(found, shape, strict=True))
+
+
+def _shape_text(shape: Sequence[int | None]) -> str:
+    return "(" + ", ".join("n" if one is None else str(one) for one in shape) + ("," if len(shape) == 1 else "") + ")"

@@ -9,10 +9,11 @@ import json
 import os
 import stat
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib import resources
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final, TypeVar
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import quoted
@@ -190,3 +191,48 @@ def _check_depth(value: object) -> None:
 
 def _too_long(path: str | Path, largest: int) -> str:
     return f"{path} is longer than {largest} bytes, the most that such a file may have; name another"
+
+
+Content = TypeVar("Content")
+
+
+def text_named(name: str, names: Sequence[str], folder: str, what: str) -> str:
+    """Return the text of a file that comes with the package.
+
+    Args:
+        name: Of the file, without its ending.
+        names: All that there are.
+        folder: Of the package.
+        what: Such a file describes, for people.
+
+    Raises:
+        ValueError: There is none of this name.
+    """
+    if name not in names:
+        raise ValueError(f"{what} {quoted(name)} does not come with the package; {', '.join(names)} do")
+    return resources.files("eitskin_proto").joinpath(folder, f"{name}.toml").read_text(encoding="utf-8")
+
+
+def is_name(path: str | Path, names: Sequence[str]) -> bool:
+    """Return whether a path is the name of a file that comes with the package: no file of one's own lies there.
+
+    Args:
+        path: As it was given.
+        names: Of those that come.
+    """
+    own = Path(path)
+    return str(path) in names and (own.is_dir() or not own.exists())
+
+
+def parse_file(path: str | Path, parse: Callable[[str], Content]) -> Content:
+    """Return what a file says.
+
+    Raises:
+        ValueError: The file's content is wrong; the text names the file, and what ``parse`` says.
+        OSError: There is no such file.
+    """
+    text = read_text(path, LARGEST_TOML)
+    try:
+        return parse(text)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error

@@ -5,6 +5,7 @@ regular files are replaced, or new ones made. Where the name is a symbolic link,
 to stays as it is: nobody who can put a link into a folder decides what is overwritten elsewhere.
 """
 
+import fcntl
 import os
 import secrets
 import stat
@@ -13,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, Final
 
+from eitskin_proto.errors import SkinError
 from eitskin_proto.files.reading import FileError, kind_of
 
 SYSTEM: Final = ("/dev/", "/proc/", "/sys/")
@@ -95,3 +97,32 @@ def write_bytes(path: str | Path, content: bytes, mode: int = 0o666) -> None:
     """
     with replacing(path, mode) as stream:
         stream.write(content)
+
+
+class HeldError(SkinError):
+    """Another process works in the folder."""
+
+
+@contextmanager
+def held(folder: Path, who: str, hint: str) -> Iterator[None]:
+    """Hold a folder while a block runs; where a file system knows no locks, nothing is held.
+
+    Args:
+        folder: It is there.
+        who: What another process that holds it does, for the message.
+        hint: What to do then.
+
+    Raises:
+        HeldError: Another process holds it.
+        OSError: It cannot be opened.
+    """
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        with suppress(OSError):
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise HeldError(f"{folder} is in use: {who}; {hint}") from None
+        yield
+    finally:
+        os.close(handle)

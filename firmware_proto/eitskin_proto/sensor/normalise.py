@@ -61,3 +61,30 @@ def relative_change(voltages: npt.NDArray[np.floating], reference: npt.NDArray[n
     change = voltages * inverse
     change -= inverse != 0.0
     return np.asarray(change, dtype=np.float64)
+
+
+RATIO_FLOOR: Final = 1e-3
+"""|V_pred| / |V0| is not taken for less; its inverse is the largest ratio that the runtime accepts."""
+
+
+def prediction_ratio(predicted: npt.NDArray[np.float64], reference: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return |V_pred| / |V0|, and 1 in the rows whose reference is 0.
+
+    Args:
+        predicted: (..., rows) V of the untouched, deformed sheet.
+        reference: (rows,) V of the untouched, flat sheet.
+    """
+    usable = reference != 0.0
+    with np.errstate(over="ignore", under="ignore"):  # an infinite ratio shows by its size
+        ratio = np.abs(predicted) / np.abs(np.where(usable, reference, 1.0))
+    return np.where(usable, ratio, 1.0)
+
+
+def log_prediction(predicted: npt.NDArray[np.float64], reference: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+    """Return log |V_pred| / |V0|, cut off below at log ``RATIO_FLOOR``, and 0 in the rows whose reference is 0.
+
+    Args:
+        predicted: (..., rows) V of the untouched, deformed sheet.
+        reference: (rows,) V of the untouched, flat sheet.
+    """
+    return np.asarray(np.log(np.maximum(prediction_ratio(predicted, reference), RATIO_FLOOR)), dtype=np.float32)

@@ -9,7 +9,7 @@ electrodes were found elsewhere, and takes what was made for that.
 """
 
 from eitskin_proto.errors import MismatchError
-from eitskin_proto.files.named_arrays import Arrays, text
+from eitskin_proto.files.arrays import Arrays, text
 from eitskin_proto.files.plain import stated
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.skin import PAPER, Skin

@@ -19,8 +19,7 @@ from typing import Any, Final
 
 from eitskin_proto.fields import Fields
 from eitskin_proto.files.plain import quoted
-from eitskin_proto.files.reading import parse_toml
-from eitskin_proto.files.shipped import is_name, parse_file, text_named
+from eitskin_proto.files.reading import is_name, parse_file, parse_toml, text_named
 from eitskin_proto.wire import hardware
 from eitskin_proto.wire.config import FORMAT, Configuration
 from eitskin_proto.wire.scan_rows import drives_from_list, drives_to_list

@@ -34,10 +34,10 @@ from eitskin.acquisition.greeting import check_same, check_usable
 from eitskin.acquisition.transport import Transport
 from eitskin.errors import NotReady, PortLost, PortReturned
 from eitskin_proto.skin.skin import Skin
-from eitskin_proto.wire import requests
-from eitskin_proto.wire.answers import Ack, Hello, Time
+from eitskin_proto.wire import messages
 from eitskin_proto.wire.codes import Code, HelloFlag, MessageType, Mode
 from eitskin_proto.wire.framing import Deframer, encode
+from eitskin_proto.wire.messages import Ack, Hello, Time
 
 WINDOW_US: Final = 1_000_000
 """One minimum is kept a second."""
@@ -288,10 +288,10 @@ class Device:
             NotReady: The device refused or did not answer.
         """
         if self.hello.flags & HelloFlag.IDLE or self.idle:
-            self._request(requests.SetMode(self._next_tag(), Mode.ACTIVE))
+            self._request(messages.SetMode(self._next_tag(), Mode.ACTIVE))
             self.idle = False
         self.time_sample = self.ask_time()
-        self._request(requests.Start(self._next_tag()))
+        self._request(messages.Start(self._next_tag()))
 
     def ask_time(self) -> TimeSample | None:
         """Return the device's clock from the quickest of a few questions; None if one was not answered in time.
@@ -307,7 +307,7 @@ class Device:
                 return payload[0] == MessageType.TIME and len(payload) == Time.LAYOUT.size and payload[1] == tag
 
             asked_ns = time.perf_counter_ns()
-            payload = self._exchange(encode(requests.TimeRequest(tag).pack()), answers, TIME_ANSWER_S)
+            payload = self._exchange(encode(messages.TimeRequest(tag).pack()), answers, TIME_ANSWER_S)
             if payload is None:
                 return best
             sample = TimeSample(Time.unpack(payload).device_us, asked_ns, time.perf_counter_ns())
@@ -321,7 +321,7 @@ class Device:
         Raises:
             HandshakeError: The device refused or did not answer.
         """
-        self._request(requests.Stop(self._next_tag()))
+        self._request(messages.Stop(self._next_tag()))
 
     def leave(self) -> None:
         """Stop streaming, and let whoever comes next find the mode as it was.
@@ -332,7 +332,7 @@ class Device:
         self.stopping = False
         if getattr(self.transport, "gone", False):
             return  # there is nothing to stop, and nobody waits for it to come back
-        self._request(requests.Stop(self._next_tag()), LEAVE_S)
+        self._request(messages.Stop(self._next_tag()), LEAVE_S)
         if self.idle:
             self.ask_mode(Mode.ACTIVE)
 
@@ -346,7 +346,7 @@ class Device:
         """
         self.idle = mode == Mode.IDLE
         try:
-            self.transport.write(encode(requests.SetMode(self._next_tag(), mode).pack()))
+            self.transport.write(encode(messages.SetMode(self._next_tag(), mode).pack()))
         except PortReturned as returned:
             self._returned = returned
         except PortLost:
@@ -380,7 +380,7 @@ class Device:
 
     def _handshake(self) -> Hello:
         before = self.deframer.discarded_bytes
-        request = requests.HelloRequest(self._next_tag())
+        request = messages.HelloRequest(self._next_tag())
         packet = b"\0" + encode(request.pack())  # the delimiter ends whatever the line holds of an earlier host
         payload = self._exchange(packet, lambda payload: payload[0] == MessageType.HELLO, HANDSHAKE_S)
         if payload is None:
@@ -402,7 +402,7 @@ class Device:
         return hello
 
     def _request(
-        self, message: requests.Start | requests.Stop | requests.SetMode, timeout_s: float | None = None
+        self, message: messages.Start | messages.Stop | messages.SetMode, timeout_s: float | None = None
     ) -> None:
         kind = message.LAYOUT.type
 

@@ -8,9 +8,9 @@ from typing import Final
 
 from eitskin.errors import HandshakeError
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
-from eitskin_proto.wire.answers import Hello
 from eitskin_proto.wire.frames import SAMPLE_BYTES, frame_bytes
 from eitskin_proto.wire.framing import wire_bytes
+from eitskin_proto.wire.messages import Hello
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
 
 VOLTS_PER_COUNT: Final = (1e-15, 1e3)

@@ -33,8 +33,7 @@ from eitskin_proto.files.archive import BadArchiveError, Member, members
 from eitskin_proto.files.arrays import parse_npy, parse_npz
 from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.plain import plain, quoted, stated
-from eitskin_proto.files.reading import LARGEST_TOML, FileError, opened
-from eitskin_proto.files.shipped import is_name
+from eitskin_proto.files.reading import LARGEST_TOML, FileError, is_name, opened
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER, Skin

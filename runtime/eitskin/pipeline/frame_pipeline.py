@@ -46,8 +46,8 @@ from eitskin.reference.predicted import log_ratio
 from eitskin.reference.row_noise import with_rounding
 from eitskin_proto.sensor.table import N_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL
 from eitskin_proto.skin.skin import Skin as SkinDescription
-from eitskin_proto.wire.answers import Hello
 from eitskin_proto.wire.frames import full_scale
+from eitskin_proto.wire.messages import Hello
 
 AUDIT_FRAMES: Final = 50
 """Of so many untouched frames one is inferred: four a second at 200 frames/s, for 2 % of an inference a frame."""

@@ -23,8 +23,8 @@ from eitskin.errors import BundleError, HandshakeError
 from eitskin.model.gate import EXTRAS, FIELDS, RememberingGate
 from eitskin.reference.normaliser import FAR, LARGEST_CHANGE, Normaliser
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_proto.wire.answers import Hello
 from eitskin_proto.wire.codes import Mode
+from eitskin_proto.wire.messages import Hello
 from eitskin_proto.wire.scan_rows import drives_to_list, table_rows
 
 PREFIX: Final = "idle_"

@@ -27,11 +27,10 @@ from eitskin.acquisition.device import DeviceClock
 from eitskin.frame_record import READ, FrameRecord
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.sensor.table import N_FULL_ROWS
-from eitskin_proto.wire.answers import Hello
 from eitskin_proto.wire.codes import FrameFlag
-from eitskin_proto.wire.frames import HEADER_BYTES, FrameView
+from eitskin_proto.wire.frames import HEADER_BYTES, FrameView, Step, StreamCounter
+from eitskin_proto.wire.messages import Hello
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
-from eitskin_proto.wire.unwrap import Step, StreamCounter
 
 REASONS: Final = ("malformed", "duplicate", "configuration", "partial", "implausible", "no_signal", "stuck",
                   "frozen", "stale")  # fmt: skip

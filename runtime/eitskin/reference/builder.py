@@ -15,7 +15,7 @@ from eitskin.reference.movement import Movement
 from eitskin.reference.scanned import ReferenceScan
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_proto.wire.answers import Hello
+from eitskin_proto.wire.messages import Hello
 
 MOST_UNFIT: Final = 200
 """Frames that are not fit, with few wanted: one second at 200 frames/s."""

@@ -39,7 +39,7 @@ from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS, TABLE
 from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_proto.wire.answers import Hello
+from eitskin_proto.wire.messages import Hello
 
 FORMAT: Final = "eitskin-reference"
 VERSION: Final = 1

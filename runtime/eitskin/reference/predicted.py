@@ -8,7 +8,7 @@ is made where the cloud is made; the runtime has no forward model.
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.log_prediction import RATIO_FLOOR, log_prediction, prediction_ratio
+from eitskin_proto.sensor.normalise import RATIO_FLOOR, log_prediction, prediction_ratio
 from eitskin_proto.sensor.table import N_ROWS
 
 

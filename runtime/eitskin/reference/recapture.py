@@ -10,7 +10,7 @@ from eitskin.errors import BadReference, SkinError
 from eitskin.reference.builder import ReferenceBuilder
 from eitskin.reference.captured import Reference
 from eitskin.reference.judged import Yardstick
-from eitskin_proto.wire.answers import Hello
+from eitskin_proto.wire.messages import Hello
 
 
 class Recapture:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin_proto.files.named_arrays import numbers, text
+from eitskin_proto.files.arrays import numbers, text
 
 
 @pytest.mark.parametrize("given", [np.ones((2, 3), np.float32), np.ones((2, 3), int), np.ones((2, 3), np.uint8)])

@@ -4,7 +4,7 @@ import pytest
 
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.files.plain import plain, quoted, stated
-from eitskin_proto.wire.answers import Hello
+from eitskin_proto.wire.messages import Hello
 
 OBEYED = ["\x1b[2J", "\x9b31m", "\x07", "\r", "\n", "\x7f", "\u202e", "\u2066", "\u200f", "\u2028", "\u0085", "\ud800"]
 

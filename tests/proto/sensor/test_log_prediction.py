@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.log_prediction import RATIO_FLOOR, log_prediction
+from eitskin_proto.sensor.normalise import RATIO_FLOOR, log_prediction
 
 
 def test_what_both_voltages_have_in_common_drops_out() -> None:

@@ -1,7 +1,7 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eitskin_proto.wire.unwrap import MODULUS, StreamCounter
+from eitskin_proto.wire.frames import MODULUS, StreamCounter
 
 
 @given(

@@ -23,9 +23,8 @@ from eitskin.acquisition.usb_port import PRODUCT_ID, VENDOR_ID, UsbPort
 from eitskin.errors import PortBusy, PortLost, PortMissing, PortReturned
 from eitskin_proto.wire import messages
 from eitskin_proto.wire.codes import MessageType
-from eitskin_proto.wire.frames import FrameView
+from eitskin_proto.wire.frames import FrameView, StreamCounter
 from eitskin_proto.wire.framing import encode
-from eitskin_proto.wire.unwrap import StreamCounter
 
 pytestmark = pytest.mark.process
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from eitskin.frame_loop import GIVE_WAY_S, FrameSource
-from eitskin_proto.wire.answers import Event
 from eitskin_proto.wire.codes import EventCode
+from eitskin_proto.wire.messages import Event
 
 from .passing import payload
 

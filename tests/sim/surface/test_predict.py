@@ -5,7 +5,7 @@ import errno
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.log_prediction import RATIO_FLOOR
+from eitskin_proto.sensor.normalise import RATIO_FLOOR
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.dataset import prediction_cache

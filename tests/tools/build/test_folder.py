@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from eitskin_proto.files.holding import held
+from eitskin_proto.files.writing import held
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build.folder import OtherBuildError, begin, begun
 from eitskin_tools.cli import main

@@ -10,8 +10,8 @@ import serial
 
 from eitskin_proto.wire import messages as m
 from eitskin_proto.wire.codes import FrameFlag
+from eitskin_proto.wire.frames import StreamCounter
 from eitskin_proto.wire.framing import Deframer, encode
-from eitskin_proto.wire.unwrap import StreamCounter
 from eitskin_tools.virtual_skin.device import VirtualDevice
 from eitskin_tools.virtual_skin.faults import FaultPlayer, parse
 from eitskin_tools.virtual_skin.process import configuration_for

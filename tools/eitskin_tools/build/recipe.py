@@ -30,8 +30,7 @@ from eitskin.model.manifest import BESIDE, GENTLE, SMALL
 from eitskin_proto.fields import Fields
 from eitskin_proto.files.digest import id_of_values
 from eitskin_proto.files.plain import plain, quoted
-from eitskin_proto.files.reading import LARGEST_TOML, parse_toml, read_text
-from eitskin_proto.files.shipped import is_name
+from eitskin_proto.files.reading import LARGEST_TOML, is_name, parse_toml, read_text
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.toml import FORMAT as SKIN_FORMAT
 from eitskin_proto.skin.toml import to_toml

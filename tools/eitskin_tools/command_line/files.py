@@ -11,8 +11,7 @@ from typing import Any, Final
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.fields import did_you_mean
-from eitskin_proto.files.reading import FileError, kind_of
-from eitskin_proto.files.shipped import is_name
+from eitskin_proto.files.reading import FileError, is_name, kind_of
 from eitskin_proto.files.writing import check_target
 from eitskin_tools.command_line import kinds
 from eitskin_tools.errors import UsageError

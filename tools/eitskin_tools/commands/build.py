@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from eitskin_proto.files.holding import held
+from eitskin_proto.files.writing import held
 from eitskin_tools.console.terminal import note
 
 if TYPE_CHECKING:

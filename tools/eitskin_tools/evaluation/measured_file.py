@@ -25,8 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.errors import MismatchError, SkinError
-from eitskin_proto.files.arrays import read_npz
-from eitskin_proto.files.named_arrays import Array, Arrays, numbers, text
+from eitskin_proto.files.arrays import Array, Arrays, numbers, read_npz, text
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.sensor.normalise import weak_rows
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS

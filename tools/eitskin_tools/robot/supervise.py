@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from eitskin.robot.described import FILE, write_states
-from eitskin_proto.files.holding import held
+from eitskin_proto.files.writing import held
 from eitskin_tools.console.run_log import RunLog
 from eitskin_tools.console.run_status import Status
 from eitskin_tools.processes.signals import endings

@@ -21,8 +21,7 @@ from typing import Final
 import numpy as np
 
 from eitskin_proto.errors import MismatchError, SkinError
-from eitskin_proto.files.arrays import read_npz
-from eitskin_proto.files.named_arrays import Array, Arrays, numbers
+from eitskin_proto.files.arrays import Array, Arrays, numbers, read_npz
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS, ROW_IN_FULL
 from eitskin_proto.skin.cloud import align_cloud, check_cloud

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from scipy import linalg
 from scipy.interpolate import BSpline
 
-from eitskin_proto.sensor.log_prediction import log_prediction
+from eitskin_proto.sensor.normalise import log_prediction
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import check_cloud
 from eitskin_proto.skin.grid import Grid

@@ -29,7 +29,7 @@ from eitskin_training.network.sharpen import Sharpen
 
 MEASURED_FLOOR: Final = 1e-2
 """V / V0 is clamped here before its logarithm: a strongly touched row falls to 5e-4, and noise can cross zero. It is
-part of every exported graph; :mod:`eitskin_proto.sensor.log_prediction` has the floors side by side."""
+part of every exported graph; :mod:`eitskin_proto.sensor.normalise` has the floors side by side."""
 
 CHANGE_RANGE: Final = (-1.2, 5.0)
 """V / V0 - 1 is clamped here. Touches and deformations stay inside; noise on a weak row, alone, may not, and one such

@@ -13,7 +13,7 @@ from eitskin.errors import FrameError
 from eitskin.messaging.regions import Region
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
 from eitskin.messaging.streams.state import SkinState
-from eitskin_proto.wire.answers import Hello
+from eitskin_proto.wire.messages import Hello
 
 RNG = np.random.default_rng(3)
 
