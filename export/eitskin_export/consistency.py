@@ -1,6 +1,6 @@
 """What a bundle says of healthy frames: how rows go together, and how far from that no touch takes them.
 
-How rows spread is a statistic of the training data (:mod:`eitskin_training.row_statistics`). Thresholds and
+How rows spread is a statistic of the training data (:mod:`eitskin_export.consistency`). Thresholds and
 limits are found here, since they are of the runtime's own arithmetic. The thresholds are those that one frame in
 ``RATE`` of touches and deformations never trained on exceeds; half of them choose, the other half measure. The runtime
 asks for ten such frames of fourteen, so that noise alone names no electrode; a scene that is held, and is itself one of
@@ -19,11 +19,43 @@ from eitskin.health.electrodes import NEEDED, WINDOW, ElectrodeWatch
 from eitskin.health.imputation import Consistency as Deployed
 from eitskin.health.untouched import estimates
 from eitskin_proto.files.arrays import pack_arrays
+from eitskin_proto.sensor.row_gaussian import RATIO_RANGE, log_of_ratio
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_sim.measurement.consistency import FLOOR
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.recipes import Recipe
-from eitskin_training.row_statistics import row_statistics, unpredicted
-from eitskin_training.samples.batches import TrainingData, noisy_change
+from eitskin_training.samples.batches import TrainingData, consistency_of, noisy_change
+
+Array = npt.NDArray[np.float64]
+
+
+def row_statistics(data: TrainingData, recipe: Recipe, bends: Bends) -> dict[str, Array]:
+    """Return the arrays of a bundle's consistency.npz that are statistics of training data, by name.
+
+    Args:
+        data: The data set.
+        recipe: Its noise.
+        bends: Untouched sheets.
+    """
+    found = consistency_of(data, recipe)
+    logs = np.concatenate([bends.train, np.zeros((1, N_ROWS))])
+    left = unpredicted(data, np.unique(data.deformation[data.train]))
+    return {
+        "mean": found.mean,
+        "covariance": found.covariance,
+        "ratio_range": np.array(RATIO_RANGE),
+        "reference": np.asarray(data.reference, dtype=np.float64),
+        "untouched_mean": logs.mean(axis=0),
+        "untouched_covariance": np.cov(logs, rowvar=False) + FLOOR * np.eye(N_ROWS),
+        "predicted_mean": left.mean(axis=0),
+        "predicted_covariance": np.cov(left, rowvar=False) + FLOOR * np.eye(N_ROWS),
+    }
+
+
+def unpredicted(data: TrainingData, deformations: npt.NDArray[np.integer]) -> Array:
+    """Return (n, 104) what of l of untouched deformations their predicted reference does not explain."""
+    return np.asarray(log_of_ratio(data.untouched[deformations], data.reference) - data.log_predicted[deformations])
+
 
 RATE: Final = 1e-4
 """Share of healthy frames, touches that cover electrodes among them, that may exceed a threshold."""
@@ -39,8 +71,6 @@ SNR_DB: Final = 50.0
 
 HALF_LARGEST: Final = 65504.0
 """Of half precision."""
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

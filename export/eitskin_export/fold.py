@@ -16,8 +16,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.grid import Grid
 from eitskin_training.network.architecture import Architecture
-from eitskin_training.network.images import ImageLinear, fixed, places, signs
-from eitskin_training.network.linear import Narrow
+from eitskin_training.network.images import ImageLinear, Narrow, fixed, places, signs
 from eitskin_training.network.mirror import of_outputs
 from eitskin_training.network.model import VD2T, Residual, Standardise, activation, features
 from eitskin_training.network.sharpen import CELL, LOGITS, Sharpen, cells, pixel_of_cell

@@ -4,27 +4,161 @@ Nothing is fitted here. The gate is the run's own (:mod:`eitskin_training.gate.s
 run that has none.
 """
 
+import tempfile
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+import onnx
 
-from eitskin_export import consistency, graphs, parity, projection, quantise
+from eitskin.pipeline.frame_pipeline import STRONG_VALUE
+from eitskin_export import consistency, graphs, parity
 from eitskin_export.bundle import projection_bytes, write
 from eitskin_export.bundle import read as read_bundle
 from eitskin_export.fold import split
-from eitskin_export.gate_audit import audit_pixels
 from eitskin_proto.errors import MismatchError
+from eitskin_proto.skin.cloud import network_input
+from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.fem.jacobian import flat_jacobian
-from eitskin_training.card import card
+from eitskin_training.gate import material
 from eitskin_training.gate.fit import Gate
 from eitskin_training.gate.stored import GiveBends, gate_of_run
 from eitskin_training.run_files import Trained
 from eitskin_training.samples.batches import TrainingData, noisy_change
+
+import eitskin.model.session  # noqa: F401 -- before the next line: it sends no telemetry  # isort: skip
+from onnxruntime.quantization import QuantType, quantize_dynamic  # isort: skip
+
+from eitskin_export.graphs import check, quiet
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_sim.measurement.noise import KINDS, Kind
+from eitskin_training.network.model import VD2T
+from eitskin_training.score import score
+
+NOISES: Final[tuple[Kind, ...]] = tuple(kind for kind in KINDS if kind != "none")  # type: ignore[misc]
+"""Every definition of 50 dB."""
+
+
+def card(model: VD2T, data: TrainingData, *, most: int = 2000) -> dict[str, Any]:
+    """Return scores on the held-out bends: {family: {noise: {loss, cc, worst_bend_cc, untouched_peak, samples}}}.
+
+    Args:
+        model: A trained network.
+        data: Its data set.
+        most: At most so many samples for each entry.
+    """
+    return {
+        family: {kind: _entry(model, data, rows, kind, most) for kind in NOISES}
+        for family, rows in data.held_out.items()
+    }
+
+
+def _entry(model: VD2T, data: TrainingData, rows: Any, kind: Kind, most: int) -> dict[str, float | int]:
+    found = score(model, data, rows, (kind,), most=most)
+    return {
+        "loss": round(found.loss, 6),
+        "cc": round(found.cc, 5),
+        "worst_bend_cc": round(found.worst_bend_cc, 5),
+        "untouched_peak": round(found.untouched_peak, 4),
+        "samples": min(most, len(rows)),
+    }
+
+
+FACTOR: Final = 1e-3
+"""Tikhonov's factor (paper section V.B), relative to the largest eigenvalue of J J^T."""
+
+
+def tikhonov(jacobian: npt.NDArray[np.float64], factor: float = FACTOR) -> npt.NDArray[np.float32]:
+    """Return the (pixels, 104) projection of a Jacobian.
+
+    Args:
+        jacobian: (104, pixels) relative change of each row per relative change of each pixel.
+        factor: Regularisation, relative.
+
+    Raises:
+        ValueError: The factor is not positive.
+    """
+    if not factor > 0.0:
+        raise ValueError(f"factor is {factor}; expected more than 0")
+    return np.asarray(np.linalg.solve(_damped(jacobian, factor), jacobian).T, dtype=np.float32)
+
+
+def damped_inverse(jacobian: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return (104, 104) K = (J J^T + tau I)^-1, all that taking rows out of the projection again needs."""
+    return np.asarray(np.linalg.inv(_damped(jacobian, FACTOR)))
+
+
+def _damped(J: npt.NDArray[np.float64], factor: float) -> npt.NDArray[np.float64]:
+    """Return (104, 104) J J^T + tau I."""
+    gram = J @ J.T
+    return np.asarray(gram + factor * float(np.linalg.eigvalsh(gram)[-1]) * np.eye(N_ROWS))
+
+
+def first_product(graph: bytes) -> str:
+    """Return the name of the first matrix product in a graph."""
+    model = onnx.load_from_string(graph)
+    return next(str(node.name) for node in model.graph.node if node.op_type in {"Gemm", "MatMul"})
+
+
+def int8_head(graph: bytes) -> bytes:
+    """Return a head with dynamically quantised layers, all but the first."""
+    first = first_product(graph)
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder) / "head.onnx", Path(folder) / "int8.onnx"
+        model = onnx.load_from_string(graph)
+        del model.graph.value_info[:]  # the shapes of transposed weights, which quantising turns round
+        onnx.save_model(model, source)
+        with quiet():
+            quantize_dynamic(
+                source,
+                target,
+                weight_type=QuantType.QInt8,
+                per_channel=True,
+                op_types_to_quantize=["MatMul", "Gemm"],
+                nodes_to_exclude=[first, f"{first}_MatMul"],  # the quantiser renames a Gemm before it looks
+            )
+        model = onnx.load(target)
+        check(model)
+    original = onnx.load_from_string(graph)
+    onnx.helper.set_model_props(model, {item.key: item.value for item in original.metadata_props})
+    return bytes(model.SerializeToString())
+
+
+FEWEST_MM2: Final = 100.0
+"""10 mm square: the least that counts as a strong touch, however quiet the network is."""
+
+MARGIN: Final = 2
+"""Times the largest ghost."""
+
+
+def audit_pixels(
+    geometry: bytes,
+    head: bytes,
+    bends: npt.NDArray[np.float64],
+    reference: npt.NDArray[np.float64],
+    grid: Grid,
+    frames: int = 400,
+) -> int:
+    """Return how many pixels above one half make a strong touch.
+
+    Args:
+        geometry: The geometry graph.
+        head: The head.
+        bends: (n, 104) log(V / V0) of untouched sheets that nothing learned from.
+        reference: (104,) V0.
+        grid: Of the map.
+        frames: How many are looked at, with the cloud of the flat sheet and no prediction.
+    """
+    rng = np.random.default_rng(0xA0D17)
+    dv = material.noisy_change(bends[rng.integers(len(bends), size=frames)], reference, rng).astype(np.float32)
+    flat = np.repeat(network_input(grid.flat_cloud_mm(), grid)[np.newaxis], frames, axis=0)
+    maps = parity.run_graphs(geometry, head, dv, flat, np.zeros_like(dv))["map"]
+    largest = int(np.count_nonzero(maps > STRONG_VALUE, axis=1).max())
+    return min(max(round(FEWEST_MM2 / grid.pixel_mm2), 1, MARGIN * largest), grid.n_pixels)
 
 
 def export(
@@ -57,7 +191,7 @@ def export(
     geometry_bytes, head_bytes = graphs.geometry_graph(geometry), graphs.head_graph(head)
     differences = parity.parity(found.model, geometry_bytes, head_bytes)
     tell("quantising")
-    int8_bytes = quantise.int8_head(head_bytes)
+    int8_bytes = int8_head(head_bytes)
     int8 = parity.int8_error(geometry_bytes, head_bytes, int8_bytes, *held_out_inputs(data))
     own = gate_of_run(found.folder, data, found.seed, tell=tell, bends=bends, steps=gate_steps)
     tell("auditing the gate")
@@ -65,7 +199,7 @@ def export(
         audit_pixels(geometry_bytes, head_bytes, own.bends.measure, data.reference, skin.grid)
     )
     tell("measuring what healthy frames look like")
-    inverse = projection.damped_inverse(jacobian(skin))
+    inverse = damped_inverse(jacobian(skin))
     filling = {name: value.numpy() for name, value in found.content.get("filling", {}).items()}
     healthy = consistency.healthy(data, found.recipe, own.bends, inverse, filling)
     tell("scoring on held-out bends")
@@ -81,7 +215,7 @@ def export(
         "geometry.onnx": geometry_bytes,
         "head.onnx": head_bytes,
         "head_int8.onnx": int8_bytes,
-        "tikhonov.npy": projection_bytes(projection.tikhonov(jacobian(skin)), skin.grid),
+        "tikhonov.npy": projection_bytes(tikhonov(jacobian(skin)), skin.grid),
         "gate.npz": touch_gate.to_npz(),
         "consistency.npz": healthy.to_npz(),
     }

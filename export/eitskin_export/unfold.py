@@ -20,8 +20,7 @@ from torch import Tensor, nn
 from eitskin_export.bundle import read
 from eitskin_proto.errors import SkinError
 from eitskin_proto.skin.skin import Skin
-from eitskin_training.network.images import ImageLinear, signs
-from eitskin_training.network.linear import Narrow, last_part
+from eitskin_training.network.images import ImageLinear, Narrow, last_part, signs
 from eitskin_training.network.model import VD2T, Residual
 from eitskin_training.network.sharpen import LOGITS
 from eitskin_training.recipes import Recipe

@@ -10,7 +10,7 @@ import torch
 from eitskin.health.electrodes import ElectrodeWatch
 from eitskin.health.imputation import Consistency, without_rows
 from eitskin_export.consistency import Healthy, evidence, healthy
-from eitskin_export.projection import damped_inverse, tikhonov
+from eitskin_export.package import damped_inverse, tikhonov
 from eitskin_proto.sensor.row_gaussian import log_of_change, rows_of
 from eitskin_sim.measurement.consistency import Filler
 from eitskin_training.gate.untouched import bends_of

@@ -9,8 +9,9 @@ from tests.training.network.skins import SKINS
 from torch import nn
 
 from eitskin.model.onnx.allowed import check_graph
-from eitskin_export import graphs, parity, quantise
+from eitskin_export import graphs, parity
 from eitskin_export.fold import split
+from eitskin_export.package import int8_head
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.skin import PAPER, Skin
@@ -121,7 +122,7 @@ def test_the_exported_graphs_say_what_the_network_says(name: str) -> None:
     differences = parity.parity(model, graph["geometry"], graph["head"])
     assert set(differences) == {"bias", "map"}
     assert max(differences.values()) < parity.TOLERANCE
-    for content in (*graph.values(), quantise.int8_head(graph["head"])):
+    for content in (*graph.values(), int8_head(graph["head"])):
         check_graph(content)  # what the runtime allows
     for content in graph.values():
         assert b".py" not in content, "a stack trace of the exporting machine"
@@ -168,7 +169,7 @@ def second() -> tuple[bytes, bytes, float]:
 def test_the_graphs_of_another_skin_carry_its_id_and_have_its_shapes(second: tuple[bytes, bytes, float]) -> None:
     geometry_bytes, head_bytes, difference = second
     assert difference < parity.TOLERANCE
-    for content in (geometry_bytes, quantise.int8_head(head_bytes)):
+    for content in (geometry_bytes, int8_head(head_bytes)):
         check_graph(content)
         props = {item.key: item.value for item in onnx.load_from_string(content).metadata_props}
         assert props["grid_id"] == SECOND.grid_id
@@ -217,7 +218,7 @@ def test_the_int8_head_is_close_smaller_and_keeps_its_first_layer_exact() -> Non
     model = trained_looking(recipe("free").architecture)
     geometry, head = split(model)
     geometry_bytes, head_bytes = graphs.geometry_graph(geometry), graphs.head_graph(head)
-    int8 = quantise.int8_head(head_bytes)
+    int8 = int8_head(head_bytes)
     assert len(int8) < 0.4 * len(head_bytes)
     error = parity.int8_error(geometry_bytes, head_bytes, int8, *parity.stored_inputs(PAPER, 16))
     assert 0.0 < error["rms"] < 5e-3

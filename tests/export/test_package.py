@@ -10,7 +10,7 @@ import torch
 from tests.second_skin import SECOND
 
 from eitskin.model.bundle import load_bundle
-from eitskin_export import bundle, package, parity, projection
+from eitskin_export import bundle, package, parity
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.skin.skin import PAPER
 from eitskin_training import run_files, train
@@ -122,13 +122,13 @@ def test_a_run_of_another_grid_is_refused(run: Path, tmp_path: Path) -> None:
 def test_tikhonov_solves_its_normal_equations() -> None:
     rng = np.random.default_rng(0)
     jacobian, dv = rng.standard_normal((104, 1350)), rng.standard_normal(104)
-    found = projection.tikhonov(jacobian, 1e-3).astype(np.float64) @ dv
+    found = package.tikhonov(jacobian, 1e-3).astype(np.float64) @ dv
     tau = 1e-3 * np.linalg.norm(jacobian, 2) ** 2
     # The other form of the same solution; float32 rounds the matrix once, to 1e-7 of its largest entries.
     expected = np.linalg.solve(jacobian.T @ jacobian + tau * np.eye(1350), jacobian.T @ dv)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
     with pytest.raises(ValueError, match="expected more than 0"):
-        projection.tikhonov(jacobian, 0.0)
+        package.tikhonov(jacobian, 0.0)
 
 
 def test_a_projection_of_another_shape_or_with_holes_is_refused() -> None:

@@ -11,13 +11,12 @@ import torch
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_training import train
-from eitskin_training.narrowed import _factors, fits, narrowed
 from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe, fitted, recipe
 from eitskin_training.samples.batches import inputs
 from eitskin_training.score import score
-from eitskin_training.start import Start
+from eitskin_training.start import Start, _factors, fits, narrowed
 
 pytestmark = pytest.mark.heavy
 

@@ -6,11 +6,10 @@ import pytest
 import torch
 
 from eitskin_proto.skin.skin import PAPER
-from eitskin_training import schedule
 from eitskin_training import score as score_module
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import recipe
-from eitskin_training.run import optimiser_of, restore
+from eitskin_training.run import optimiser_of, restore, set_rate
 from eitskin_training.score import loss_of
 
 pytestmark = pytest.mark.heavy
@@ -48,6 +47,6 @@ def test_an_optimiser_goes_on_from_a_run_on_a_gpu() -> None:
         group |= {"capturable": True, "lr": torch.tensor(0.5)}
     restore(gpu_like, state)
     for optimiser in (plain, gpu_like):
-        schedule.set_rate(optimiser, chosen, 1, 10)
+        set_rate(optimiser, chosen, 1, 10)
         optimiser.step()
     assert torch.equal(model.out.weight, other.out.weight)

@@ -8,12 +8,12 @@ import pytest
 import torch
 from tests.second_skin import SECOND
 
+from eitskin_export.package import card
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.skin.skin import PAPER
-from eitskin_training import curves, run_files, schedule, train
-from eitskin_training.card import card
+from eitskin_training import curves, run_files, train
 from eitskin_training.recipes import Recipe, recipe
-from eitskin_training.run import Epoch
+from eitskin_training.run import Epoch, one_cycle
 from eitskin_training.samples.batches import inputs
 from eitskin_training.score import correlation, loss_of, score, training_loss
 from eitskin_training.start import Start
@@ -188,7 +188,7 @@ def test_the_loss_over_units_equals_the_loss_over_their_pixels(toy_data: Any) ->
 
 
 def test_the_cycle_rises_then_falls_to_nearly_nothing() -> None:
-    factors = [schedule.one_cycle(step, steps=200) for step in range(200)]
+    factors = [one_cycle(step, steps=200) for step in range(200)]
     assert max(factors) == pytest.approx(1.0, abs=0.01)
     assert factors.index(max(factors)) == 10
     assert factors[0] < 0.1

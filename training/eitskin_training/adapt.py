@@ -1,6 +1,6 @@
 """A short second training for missing electrodes: the network and what fills their rows in learn together.
 
-Training shows a network rows that the Gaussian filled in, now and then (:mod:`eitskin_training.samples.missing_rows`).
+Training shows a network rows that the Gaussian filled in, now and then (:mod:`eitskin_training.samples.batches`).
 This stage starts from a run's best epoch ::
 
     1. fitting     the filling alone, towards the rows that are missing
@@ -24,15 +24,61 @@ from torch import Tensor
 
 from eitskin_proto.sensor.row_gaussian import log_of_change
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_training.missing_electrodes_score import held_out, score_line
-from eitskin_training.network.decay import decayed
 from eitskin_training.network.filling import WIDTH, Filling, Missing
 from eitskin_training.network.mirror import mirrors
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
+from eitskin_training.run import decayed
 from eitskin_training.run_files import write_file
-from eitskin_training.samples.batches import TrainingData, consistency_of, lose_rows, noisy_change
-from eitskin_training.score import training_loss
+from eitskin_training.samples.batches import TrainingData, assemble, consistency_of, lose_rows, noisy_change
+from eitskin_training.score import correlation, training_loss, truth_of
+
+
+def held_out(
+    model: VD2T, filling: Filling, data: TrainingData, *, most: int = 600, sets: int = 6, seed: int = 0
+) -> dict[str, float]:
+    """Return the mean CC of maps on bends never trained on: whole, and without one, two and three electrodes.
+
+    Args:
+        model: The network.
+        filling: Fills missing rows in.
+        data: The data set.
+        most: Samples, with N2 noise.
+        sets: Of two and of three electrodes; of one, all 16.
+        seed: Of the draws.
+    """
+    rng = np.random.default_rng([seed, 0x0FF])
+    rows = data.apart
+    rows = np.sort(rng.choice(rows, size=min(most, len(rows)), replace=False))
+    change = noisy_change(data, rows, ("N2",), 50.0, rng)
+    batch = assemble(data, rows, change, data.log_predicted[data.deformation[rows]])
+    truth = truth_of(batch.labels.numpy(), data)
+    touched = truth.max(axis=1) > 0
+    logs = torch.from_numpy(log_of_change(change).astype(np.float32))
+
+    def cc(electrodes: Missing) -> float:
+        shown = batch.dv
+        if electrodes:
+            filled, missing = filling(logs, [(slice(0, len(rows)), electrodes)], batch.log_predicted)
+            shown = torch.where(missing, torch.expm1(filled), batch.dv)
+        maps = model.maps(model.logits(shown, bias, batch.log_predicted)).numpy()
+        return float(correlation(maps[touched], truth[touched]).mean())
+
+    with torch.inference_mode():
+        bias = model.bias(batch.clouds)[batch.which]
+        found = {"whole": cc(())}
+        single = [cc((electrode,)) for electrode in range(N_ELECTRODES)]
+        found |= {"one_lost": float(np.mean(single)), "worst_lost": min(single)}
+        for name, count in (("two_lost", 2), ("three_lost", 3)):
+            drawn = [tuple(sorted(rng.choice(N_ELECTRODES, count, replace=False).tolist())) for _ in range(sets)]
+            found[name] = float(np.mean([cc(electrodes) for electrodes in drawn]))
+    return {name: round(value, 5) for name, value in found.items()}
+
+
+def score_line(scores: dict[str, float]) -> str:
+    """Return scores as a line."""
+    return "held-out CC " + ", ".join(f"{name} {value:.4f}" for name, value in scores.items())
+
 
 HOW_MANY: Final = (0.55, 0.25, 0.13, 0.07)
 """Chances that one to four electrodes are gone; the runtime leaves out four at most."""

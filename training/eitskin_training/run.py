@@ -1,16 +1,49 @@
 """A training run in memory: its network, the running mean of its weights, its optimiser, and what epochs gave."""
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import torch
 from torch import Tensor
+from torch.nn import Parameter
+from torch.optim import Optimizer
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.skin.skin import Skin
-from eitskin_training.network.decay import decayed
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
+
+RISING_SHARE: Final = 0.05
+"""Share of the steps in which a cycle rises to its peak."""
+
+
+def one_cycle(step: int, *, steps: int) -> float:
+    """Return the share of the peak learning rate at a step: a linear rise, then half a cosine to nearly nothing."""
+    rise = max(1.0, RISING_SHARE * steps)
+    if step < rise:
+        return (step + 1) / (rise + 1)
+    return 1e-3 + 0.5 * (1.0 + math.cos(math.pi * min(1.0, (step - rise) / max(1.0, steps - rise))))
+
+
+def set_rate(optimiser: Optimizer, recipe: Recipe, step: int, steps: int) -> None:
+    """Give an optimiser the learning rate of a step, counted from 0, of a run of ``steps``."""
+    share = one_cycle(step, steps=steps) if recipe.schedule == "onecycle" else 1.0
+    for group in optimiser.param_groups:
+        rate = recipe.learning_rate * share
+        if isinstance(group["lr"], float):
+            group["lr"] = rate
+        else:
+            group["lr"].fill_(rate)  # a captured step reads it from there
+
+
+def decayed(learning: Iterable[Parameter], decay: float) -> list[dict[str, Any]]:
+    """Return the groups of an optimiser's parameters: those that decay, and the others."""
+    every = list(learning)
+    matrices = [parameter for parameter in every if parameter.ndim > 1]
+    others = [parameter for parameter in every if parameter.ndim <= 1]
+    return [{"params": matrices, "weight_decay": decay}, {"params": others, "weight_decay": 0.0}]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,18 +1,23 @@
 """Where a training run begins: not with random weights, but with those of another run, or of a bundle."""
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+import numpy as np
+import torch
 from torch import Tensor, nn
 
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.symmetry import near_images
 from eitskin_training.network.architecture import Architecture
-from eitskin_training.network.model import VD2T
+from eitskin_training.network.images import ImageLinear, Narrow
+from eitskin_training.network.model import VD2T, Residual
 from eitskin_training.recipes import Recipe
 from eitskin_training.run_files import read, skin_of
+from eitskin_training.samples.batches import TrainingData, assemble, noisy_change
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,3 +86,106 @@ def keep_statistics(model: VD2T) -> None:
     for module in model.modules():
         if isinstance(module, nn.BatchNorm1d | nn.BatchNorm2d):
             module.eval()
+
+
+SAMPLES: Final = 20_000
+"""Whose features are looked at."""
+
+TOGETHER: Final = 1000
+"""Samples of a pass."""
+
+LEAST: Final = 1e-7
+"""Of the largest moment: directions in which features vary less are taken for as little as that."""
+
+
+def fits(start: Start, recipe: Recipe) -> bool:
+    """Whether a recipe's network is that of a start but for its ranks."""
+    narrower = recipe.architecture.ranks and not start.architecture.ranks
+    return bool(narrower) and replace(recipe.architecture, ranks=()) == start.architecture
+
+
+def narrowed(start: Start, recipe: Recipe, data: TrainingData, seed: int = 0) -> Start:
+    """Return a start for a recipe's network, whose layers are narrower than those of ``start``.
+
+    Args:
+        start: Weights of the larger network.
+        recipe: Of the smaller one; :func:`fits` tells whether it is one.
+        data: Whose features decide what of a layer is kept.
+        seed: Of the choice of samples, and of their noise.
+    """
+    whole, found = VD2T(start.architecture, start.skin), VD2T(recipe.architecture, start.skin)
+    whole.load_state_dict(start.weights)
+    moments = _moments(whole.eval(), recipe, data, seed)
+    weights = {name: value for name, value in start.weights.items() if name in found.state_dict()}
+    found.load_state_dict(weights, strict=False)
+    for (name, layer), (_, narrow) in zip(_layers(whole), _layers(found), strict=True):
+        assert isinstance(narrow, Narrow)
+        _fill(narrow, layer, moments[name])
+    ranks = list(recipe.architecture.ranks)
+    return Start(found.state_dict(), recipe.architecture, start.skin, {**start.facts, "narrowed_to": ranks})
+
+
+def _layers(model: VD2T) -> list[tuple[str, nn.Module]]:
+    """Return the linear layers that a frame passes, in order."""
+    first, *others = model.voltage
+    assert isinstance(first, nn.Sequential)
+    found = [("first", first[0])]
+    for number, block in enumerate(others):
+        assert isinstance(block, Residual)
+        found.append((f"residual-{number}", block.path[0]))
+    return [*found, ("fusion", model.fusion_voltage), ("out", model.out)]
+
+
+def _moments(model: VD2T, recipe: Recipe, data: TrainingData, seed: int) -> dict[str, Tensor]:
+    """Return (n, inputs, inputs) second moments of each layer's features, summed over samples."""
+    rng = np.random.default_rng([seed, 0x7A])
+    rows = np.sort(rng.choice(data.train, size=min(SAMPLES, len(data.train)), replace=False))
+    found: dict[str, Tensor] = {}
+
+    def seen(name: str) -> Callable[..., None]:
+        def hook(layer: nn.Module, inputs: tuple[Tensor], _: Any) -> None:
+            x = layer.sums(inputs[0]) if isinstance(layer, ImageLinear) else inputs[0].flatten(0, -2)[None]
+            found[name] = found.get(name, torch.zeros(())) + torch.einsum("kbi,kbj->kij", x, x).double()
+
+        return hook
+
+    hooks = [layer.register_forward_hook(seen(name)) for name, layer in _layers(model)]
+    with torch.inference_mode():
+        for start in range(0, len(rows), TOGETHER):
+            some = rows[start : start + TOGETHER]
+            dv = noisy_change(data, some, recipe.noises, recipe.snr_db, rng)
+            batch = assemble(data, some, dv, data.log_predicted[data.deformation[some]])
+            model(batch.dv, batch.clouds, batch.which, batch.log_predicted)
+    for hook in hooks:
+        hook.remove()
+    return found
+
+
+def _fill(narrow: Narrow, layer: nn.Module, moments: Tensor) -> None:
+    """Give a narrow layer the factors that come nearest to a whole one."""
+    weight, *parts = (one.weight for one in (layer, *narrow))
+    assert isinstance(weight, Tensor)
+    assert isinstance(parts[0], Tensor)
+    images = isinstance(layer, ImageLinear)
+    matrices = weight.detach().double() if images else weight.detach().double().T[None]
+    rank = parts[0].shape[2 if images else 0]
+    factors = [_factors(matrix, moment, rank) for matrix, moment in zip(matrices, moments, strict=True)]
+    with torch.no_grad():
+        for own, each in zip(parts, zip(*factors, strict=True), strict=True):
+            assert isinstance(own, Tensor)
+            own.copy_(torch.stack(each) if images else each[0].T)
+        if isinstance(bias := narrow[1].bias, Tensor):
+            assert isinstance(layer.bias, Tensor)
+            bias.copy_(layer.bias)
+
+
+def _factors(matrix: Tensor, moments: Tensor, rank: int) -> tuple[Tensor, Tensor]:
+    """Return (inputs, rank) and (rank, outputs) whose product is nearest to a matrix, for features of these moments."""
+    values, vectors = torch.linalg.eigh(moments)
+    root = values.clamp(min=LEAST * float(values.max())).sqrt()
+    left, size, right = torch.linalg.svd(root[:, None] * (vectors.T @ matrix), full_matrices=False)
+    half = size[:rank].sqrt()
+    missing = rank - len(half)  # a layer may be wider in between than it is
+    a = (vectors / root) @ left[:, :rank] * half
+    b = half[:, None] * right[:rank]
+    return nn.functional.pad(a, (0, missing)), nn.functional.pad(b, (0, 0, 0, missing))

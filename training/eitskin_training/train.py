@@ -25,17 +25,15 @@ from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.plain import plain
 from eitskin_proto.files.writing import held, write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
-from eitskin_training.narrowed import fits, narrowed
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
-from eitskin_training.resident.steps import ResidentSteps
-from eitskin_training.resident.stored import fits as held_by
-from eitskin_training.run import Epoch, Run, check_loss, optimiser_of, restore
+from eitskin_training.resident import ResidentSteps
+from eitskin_training.resident import fits as held_by
+from eitskin_training.run import Epoch, Run, check_loss, optimiser_of, restore, set_rate
 from eitskin_training.run_files import FORMAT, network, read, skin_entries, skin_of, write_file
 from eitskin_training.samples.batches import TrainingData, batches, inputs
-from eitskin_training.schedule import set_rate
 from eitskin_training.score import score, training_loss
-from eitskin_training.start import Start, keep_statistics
+from eitskin_training.start import Start, fits, keep_statistics, narrowed
 
 
 @dataclass(frozen=True, slots=True)

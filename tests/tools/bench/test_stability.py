@@ -10,8 +10,8 @@ import pytest
 
 from eitskin.health.imputation import Consistency, Imputation
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin_export.projection import FACTOR as PROJECTION_FACTOR
-from eitskin_export.projection import tikhonov
+from eitskin_export.package import FACTOR as PROJECTION_FACTOR
+from eitskin_export.package import tikhonov
 from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_sim.solvers.operators import build_operators
 from eitskin_sim.solvers.tikhonov import FACTOR, tikhonov_matrix

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eitskin_export.consistency import unpredicted
 from eitskin_proto.sensor.row_gaussian import RATIO_RANGE, log_of_change, log_of_ratio
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
@@ -22,7 +23,6 @@ from eitskin_training.gate import filters, fit, material, moments, observer, pre
 from eitskin_training.gate.touches import Probe
 from eitskin_training.gate.untouched import Bends, bends_of
 from eitskin_training.gate.wide_bends import wide_bends
-from eitskin_training.row_statistics import unpredicted
 from eitskin_training.samples.batches import TrainingData
 
 pytestmark = [pytest.mark.slow, pytest.mark.heavy]

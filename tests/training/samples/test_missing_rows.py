@@ -9,8 +9,7 @@ import pytest
 from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_sim.measurement.consistency import Filler, fit
 from eitskin_training.recipes import recipe
-from eitskin_training.samples.batches import batches, consistency_of
-from eitskin_training.samples.missing_rows import lose_electrodes
+from eitskin_training.samples.batches import batches, consistency_of, lose_electrodes
 
 
 def test_the_stated_share_of_samples_loses_whole_electrodes() -> None:

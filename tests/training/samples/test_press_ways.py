@@ -14,8 +14,7 @@ from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import gather
-from eitskin_training.samples.press_ways import check_ways, ways
-from eitskin_training.samples.presses import piece
+from eitskin_training.samples.presses import check_ways, piece, ways
 
 PLACES = [(40.0, 30.0), (75.0, 50.0), (140.0, 8.0), (110.0, 75.0)]
 BOTH = replace(PAPER, name="ours", touches=Touches(kind="both"))

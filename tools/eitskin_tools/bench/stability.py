@@ -42,7 +42,7 @@ from eitskin.model.denormals import flushed
 from eitskin.model.engine import engines
 from eitskin.model.geometry import GeometryGraph
 from eitskin.model.session import checked_graph, onnxruntime, open_session, session_options
-from eitskin_export.projection import FACTOR as PROJECTION_FACTOR
+from eitskin_export.package import FACTOR as PROJECTION_FACTOR
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ROWS

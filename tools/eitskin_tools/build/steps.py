@@ -180,8 +180,7 @@ def start_of(recipe: BuildRecipe, leg: Leg, larger: Path | None = None) -> Any:
         SkinError: There is no such bundle, or it cannot be taken apart.
     """
     from eitskin_export.unfold import start_of_bundle
-    from eitskin_training.narrowed import fits
-    from eitskin_training.start import Start
+    from eitskin_training.start import Start, fits
 
     if larger is not None:
         start = Start.of_run(larger)
@@ -368,9 +367,8 @@ def _check_leg(recipe: BuildRecipe, number: int, leg: Leg, start: Any) -> Any:
     Returns:
         What the next leg starts from, but for its weights.
     """
-    from eitskin_training.narrowed import fits
     from eitskin_training.network.sharpen import cells
-    from eitskin_training.start import Start
+    from eitskin_training.start import Start, fits
 
     names = leg.data or tuple(recipe.data)
     plans = [plan_of(recipe, recipe.data[name]) for name in names]

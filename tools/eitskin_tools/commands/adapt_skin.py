@@ -74,8 +74,7 @@ def _recorded(name: str, twin: Any, bundle: Any) -> tuple[Any, str]:
     from eitskin_proto.files.digest import id_of
     from eitskin_proto.files.reading import read_bytes
     from eitskin_sim.calibration.recording import LARGEST_FILE, RecordingError, load_recording
-    from eitskin_training.samples.press_ways import check_ways
-    from eitskin_training.samples.presses import check
+    from eitskin_training.samples.presses import check, check_ways
 
     if bundle.labels != "area":
         raise UsageError("--presses: a bundle of units cannot learn from presses, which have places anywhere")

@@ -19,6 +19,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.mirror import Mirror
 
 Index = npt.NDArray[np.intp]
@@ -171,3 +172,37 @@ class Parts(nn.Module):
         for place in self.places[1:]:
             found = found + flat.index_select(1, place)
         return found / len(self.places)
+
+
+class Narrow(nn.Sequential):
+    """A linear layer as two, the second with the bias."""
+
+
+def linear(
+    inputs: int, outputs: int, architecture: Architecture, images: int, *, number: int, bias: bool = False
+) -> nn.Module:
+    """Return a linear layer.
+
+    Args:
+        inputs: Features in.
+        outputs: Features out.
+        architecture: Whether there are images, and its rank.
+        images: n; the first layer is the same for every image, whose rows are its inputs.
+        number: Which of the layers that a frame passes, from 0.
+        bias: Whether a number is added.
+    """
+
+    def whole(inputs: int, outputs: int, bias: bool) -> nn.Module:
+        if architecture.symmetric and number:
+            return ImageLinear(images, inputs, outputs, bias=bias)
+        return nn.Linear(inputs, outputs, bias=bias)
+
+    if not architecture.ranks:
+        return whole(inputs, outputs, bias)
+    rank = architecture.ranks[number]
+    return Narrow(whole(inputs, rank, False), whole(rank, outputs, bias))
+
+
+def last_part(layer: nn.Module) -> nn.Module:
+    """Return what gives a layer's outputs: itself, or the second half of a narrow one."""
+    return layer[-1] if isinstance(layer, Narrow) else layer

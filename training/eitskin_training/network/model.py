@@ -22,8 +22,7 @@ from torch import Tensor, nn
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
 from eitskin_training.network.architecture import Architecture
-from eitskin_training.network.images import CloudImages, ImageNorm, Parts, RowImages, part
-from eitskin_training.network.linear import last_part, linear
+from eitskin_training.network.images import CloudImages, ImageNorm, Parts, RowImages, last_part, linear, part
 from eitskin_training.network.mirror import mirrors, of_outputs
 from eitskin_training.network.sharpen import Sharpen
 

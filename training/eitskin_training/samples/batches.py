@@ -20,7 +20,7 @@ from eitskin_proto.errors import MismatchError
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.row_gaussian import RowGaussian
-from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
@@ -30,7 +30,32 @@ from eitskin_sim.scene.parts import Bend
 from eitskin_training.network.mirror import Mirror, mirrors
 from eitskin_training.network.model import features
 from eitskin_training.recipes import Recipe
-from eitskin_training.samples.missing_rows import lose_electrodes
+
+HOW_MANY: Final = (0.7, 0.2, 0.1)
+"""Chances that one, two or three electrodes are gone, when any is."""
+
+SETS: Final = 6
+"""Different sets of electrodes in a batch: samples that lose the same ones are filled in together."""
+
+
+def lose_electrodes(dv: npt.NDArray[np.float32], share: float, filler: Filler, rng: np.random.Generator) -> None:
+    """Fill in, in place, the rows of one to three electrodes in some samples.
+
+    Args:
+        dv: (B, 104) relative change.
+        share: Of the samples that lose electrodes.
+        filler: Knows how rows go together.
+        rng: Draws samples and electrodes.
+    """
+    samples = np.flatnonzero(rng.random(len(dv)) < share)
+    for group in np.array_split(samples, SETS):
+        count = int(rng.choice(len(HOW_MANY), p=HOW_MANY)) + 1
+        chosen = tuple(sorted(rng.choice(N_ELECTRODES, count, replace=False).tolist()))
+        if len(group):
+            part = dv[group]
+            filler.fill(part, chosen)
+            dv[group] = part
+
 
 MOST_LOST_ROWS: Final = 4
 """A sample that loses rows loses one to this many."""

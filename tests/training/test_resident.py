@@ -11,13 +11,20 @@ import torch
 
 from eitskin_proto.sensor.normalise import inverse_reference, relative_change
 from eitskin_sim.measurement.consistency import Filler
+from eitskin_training import resident as resident_steps
 from eitskin_training import train
 from eitskin_training.network.mirror import mirrors
 from eitskin_training.recipes import recipe
-from eitskin_training.resident import steps as resident_steps
-from eitskin_training.resident.drawn import LostElectrodes, lose_rows, noisy_change, predicted_or_none
-from eitskin_training.resident.steps import ResidentSteps
-from eitskin_training.resident.stored import Stored, fits, needed_bytes
+from eitskin_training.resident import (
+    LostElectrodes,
+    ResidentSteps,
+    Stored,
+    fits,
+    lose_rows,
+    needed_bytes,
+    noisy_change,
+    predicted_or_none,
+)
 from eitskin_training.samples.batches import consistency_of
 
 pytestmark = pytest.mark.heavy
