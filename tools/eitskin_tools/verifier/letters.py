@@ -99,7 +99,9 @@ class FrameLetter:
     def of(cls, numbers: list[int], missing: bytes, change: bytes, values: bytes) -> Self:
         """Return the frame of a packet's items."""
         rows = np.frombuffer(missing, dtype=np.bool_)
-        return cls(*numbers, rows, np.frombuffer(change, dtype="<f4"), np.frombuffer(values, dtype="<f4"))
+        setup, seq, device_us, read_ns, publish_ns, cloud = numbers
+        shown = np.frombuffer(values, dtype="<f4")
+        return cls(setup, seq, device_us, read_ns, publish_ns, cloud, rows, np.frombuffer(change, dtype="<f4"), shown)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

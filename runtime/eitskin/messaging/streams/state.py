@@ -13,7 +13,7 @@ from eitskin.messaging.streams.measured import MAX_TEXT
 from eitskin.messaging.unpacking import fields_of, require
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.fields import Fields
-from eitskin_proto.wire.answers import Hello
+from eitskin_proto.wire.messages import Hello
 
 LARGEST_REFERENCE: Final = 1 << 20
 """Bytes; as of a reference's file."""
