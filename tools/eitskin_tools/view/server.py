@@ -136,8 +136,8 @@ class _Request(BaseHTTPRequestHandler):
     wbufsize = 0
 
     def setup(self) -> None:
-        self.timeout = STALL_S
         super().setup()
+        self.connection.settimeout(STALL_S)
         self.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
 
