@@ -15,8 +15,8 @@ from eitskin.messaging.streams.state import SkinState
 from eitskin.model.bundle import Bundle, load_bundle
 from eitskin.reference.captured import Reference
 from eitskin_proto.skin.skin import PAPER
-from eitskin_proto.wire.answers import Hello
 from eitskin_proto.wire.frames import Frame as WireScan
+from eitskin_proto.wire.messages import Hello
 from eitskin_tools.recording.recorder import Recorder, RecorderOptions
 from eitskin_tools.recording.replay import Player, RecordedLine, ReplayOptions
 from eitskin_tools.recording.script import Script, Step

@@ -34,9 +34,9 @@ from eitskin.pipeline.recorded import Distance, RecordedHealth
 from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
 from eitskin_proto.errors import SkinError
-from eitskin_proto.wire.answers import Ack, Hello, Time
 from eitskin_proto.wire.codes import Code, MessageType
 from eitskin_proto.wire.framing import Deframer, encode
+from eitskin_proto.wire.messages import Ack, Hello, Time
 from eitskin_tools.recording.codec import unpack_json
 from eitskin_tools.recording.layout import FRAME, RecordingError
 from eitskin_tools.recording.script import Script, Step, bundle_of, reference_of

@@ -21,7 +21,7 @@ from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_proto.wire.answers import Hello
+from eitskin_proto.wire.messages import Hello
 from eitskin_tools.recording.codec import unpack_json
 from eitskin_tools.recording.layout import CLOUD, CONDITIONS, FRAME, STATE, WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording
