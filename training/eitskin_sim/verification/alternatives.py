@@ -107,7 +107,7 @@ def two_in_place_of_one(frame: Frame, fit: Fit, shares: Array, budget: Budget) -
     turn = np.deg2rad(piece[5]) + along * np.pi / 2
     two[:, 1:3] += np.outer([-0.5, 0.5], [np.cos(turn), np.sin(turn)]) * (side + c.GAP_OF_TWO_MM)
     two[:, 3:5], two[:, 7] = side, np.minimum(two[:, 7], side - 0.01)
-    over = gap_mm(np.tile(piece, (len(fit.pieces), 1)), fit.pieces) < -c.MIN_OVERLAP_OF_PART_MM
+    over = gap_mm(np.tile(piece, (len(fit.pieces), 1)), fit.pieces) < -c.OVERLAP_MM
     over[largest] = True  # a thin one overlaps itself by less
     other = fitted(frame, np.vstack([fit.pieces[~over], two]), fit.turning, budget)
     return _cheaper(fit, other, 0.0 if weak else c.MIN_GAIN_OF_TWO)

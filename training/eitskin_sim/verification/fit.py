@@ -173,7 +173,7 @@ class Fit:
         """What is minimised."""
         n = len(self.pieces)
         number = self.frame.prior.per_touch * n + c.COST_OF_TOUCH_NOT_SHOWN * max(n - self.frame.n_shown, 0)
-        return self.chi_squared + float(self.unlikely @ self.unlikely) + number + c.COST_OF_TURNING * self.turning
+        return self.chi_squared + float(self.unlikely @ self.unlikely) + number
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -249,7 +249,7 @@ def refine(
         by = None if kept else _broyden(by, fit, better, fitted, scale)
         kept, fit = by is not None, better
         if not shortened:
-            damping = max(damping / c.DAMPING_DOWN, c.MIN_DAMPING)
+            damping /= c.DAMPING_DOWN
     return fit
 
 

@@ -23,11 +23,10 @@ from eitskin_sim.verification.shape_verdict import Likely
 
 def likely_touches(frame: Frame, fit: Fit, budget: Budget) -> Likely:
     """Return a fit's touches, and those of other contrasts that explain the frame as well, with shares of belief."""
-    own = ((1.0, fit.pieces),)
-    mean = float(np.log(fit.pieces[:, 6]).mean()) if len(fit.pieces) else 0.0
-    others = [one for one in _contrasts(frame, fit.pieces) if abs(np.log(one[0]) - mean) > c.MIN_LOG_RATIO_OF_CONTRASTS]
+    own, others = ((1.0, fit.pieces),), _contrasts(frame, fit.pieces)
     if not others:
         return own
+    mean = float(np.log(fit.pieces[:, 6]).mean())
     tried = [(1.0 - sum(share for _, share in others), fit)]
     for towards in (1.0, -1.0):
         before: Fit | None = fit
