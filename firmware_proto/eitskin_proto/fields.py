@@ -15,12 +15,12 @@ their own.
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from difflib import get_close_matches
-from typing import Any, Final, TypeVar
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from eitskin_proto.files.plain import plain, quoted
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 REQUIRED: Final[Any] = object()
 """The default of a key that must be there."""
@@ -241,7 +241,7 @@ class Fields:
             raise self.wrong(key, f"{least} to {most} bytes")
         return value
 
-    def array(self, key: Key, kind: str, shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    def array(self, key: Key, kind: str, shape: tuple[int, ...]) -> "npt.NDArray[Any]":
         """Return the finite numbers of a MessagePack field, read-only.
 
         Args:
@@ -249,6 +249,8 @@ class Fields:
             kind: NumPy's name of the numbers' type, with the order of bytes.
             shape: Of the array.
         """
+        import numpy as np  # noqa: PLC0415 -- a command's help needs none
+
         size = math.prod(shape) * np.dtype(kind).itemsize
         self._read[key] = None
         value = self._content.get(key)

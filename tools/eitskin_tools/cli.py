@@ -68,10 +68,10 @@ BUNDLES: Final[dict[str, tuple[str, str]]] = {
 """Subcommands that make bundles and try them, as in ``LIVE``."""
 
 RECORDED: Final[dict[str, tuple[str, str]]] = {
-    "record": ("recorded.record", "write what a runtime measures into a file that survives power cuts"),
-    "replay": ("recorded.replay", "publish a recording as if its skin were there"),
-    "reinfer": ("recorded.reinfer", "compute a recording's maps once more, by the same or by another bundle or solver"),
-    "convert": ("recorded.convert", "a recording as NPZ, Parquet or rosbag2"),
+    "record": ("record", "write what a runtime measures into a file that survives power cuts"),
+    "replay": ("replay", "publish a recording as if its skin were there"),
+    "reinfer": ("reinfer", "compute a recording's maps once more, by the same or by another bundle or solver"),
+    "convert": ("convert", "a recording as NPZ, Parquet or rosbag2"),
 }
 """Subcommands that write or read recordings, as in ``LIVE``."""
 

@@ -44,7 +44,7 @@ def test_what_a_benchmark_imports_is_in_the_table(name):
 MODULES = {"scikit-fem": "skfem", "pyeit": "pyeit"}
 """Name of a package -> the module that it brings, where they differ or only some of an extra's are imported."""
 
-TOOLS_OF_DEV = {"pytest", "pytest-xdist", "hypothesis", "mypy", "ruff", "scipy-stubs", "build"}
+TOOLS_OF_DEV = {"pytest", "pytest-xdist", "hypothesis", "mypy", "ruff", "scipy-stubs", "build", "coverage"}
 
 
 def test_every_extra_brings_the_modules_that_the_table_says():

@@ -94,7 +94,7 @@ def test_the_command_says_at_its_start_what_is_there(
     quiet: bool,
 ) -> None:
     """The stream comes from this process, and is over when all of it was taken."""
-    from eitskin_tools.commands.recorded import record
+    from eitskin_tools.commands import record
     from eitskin_tools.recording import recorder as intake
 
     class Here:

@@ -1,1 +1,0 @@
-"""Subcommands that write or read recordings."""
