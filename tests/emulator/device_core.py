@@ -270,7 +270,7 @@ class HostDevice:
         return int(self._core.eit_host_images(self._memory))
 
     def limit_line(self, capacity: int) -> None:
-        """Let the line hold so many bytes until they are taken."""
+        """Limit the bytes that the line holds until they are taken."""
         self._core.eit_host_set_line(self._memory, capacity)
 
     def set_clock(self, now_us: int) -> None:

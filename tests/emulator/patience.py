@@ -28,7 +28,7 @@ def patient(line: Transport) -> Exchange:
 
 
 class UntilStopped(WrappedTransport):
-    """A line that fails as soon as its board has stopped, so that nobody waits for an answer that cannot come.
+    """A line that fails as soon as its board has stopped, so that no reader waits for an answer that cannot come.
 
     Args:
         line: To the board.

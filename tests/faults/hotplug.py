@@ -64,7 +64,7 @@ class Figures:
 
 
 def pull(cycles: int, rate_hz: float = 200.0) -> Figures:
-    """Pull the plug of a pseudo-terminal so many times and return the figures."""
+    """Pull the plug of a pseudo-terminal ``cycles`` times and return the figures."""
     puller = Puller()
     before, started_s = _held(), time.perf_counter()
     with PtyPort() as port:
@@ -81,7 +81,7 @@ def pull(cycles: int, rate_hz: float = 200.0) -> Figures:
 
 
 def pull_usb(cycles: int) -> dict[str, Any]:
-    """Pull a device off a mocked USB bus so many times and return the figures, or why it could not be done."""
+    """Pull a device off a mocked USB bus ``cycles`` times and return the figures, or why that is impossible here."""
     lacking = missing()
     if lacking:
         return {"not_run": lacking}

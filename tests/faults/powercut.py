@@ -131,7 +131,7 @@ def _board_name(storage: Path) -> Configuration:
 
 
 def _board_write(storage: Path, name: str, cut_at: int = 0, seed: int = 0) -> int:
-    """Flash the emulated board, until it stops if it is told to; return the changes of storage made."""
+    """Flash the emulated board, until its power is cut if ``cut_at`` says so; return the changes of storage made."""
     with Board(storage, cut_at, seed) as board:
         port = SerialPort(board.port)
         try:

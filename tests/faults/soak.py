@@ -1,4 +1,4 @@
-"""A long stream from the emulated board: every sequence number must arrive, or be counted by whoever lost it.
+"""A long stream from the emulated board: every sequence number must arrive, or be counted where it was lost.
 
 ``python -m tests.faults.soak --seconds S [--port PORT]``. The board says in each frame how many scans
 it could not send; a gap that it did not count was lost on the line, and must show as corrupt packets, of which each

@@ -269,7 +269,7 @@ class BusPort:
         plugged = Plugged(self.serial_number)
         handler = self._handler(plugged, self._ring)
         self._handlers.append(handler)  # the bed does not own it
-        # Before the node: umockdev ends a program that opens a node which nobody serves yet.
+        # Before the node: umockdev ends a program that opens a node that is not served yet.
         self._bed.attach_ioctl(f"/dev/{node}", handler)
         self._bed.add_from_string(
             f"P: /devices/1-1\nN: {node}\nE: SUBSYSTEM=usb\nE: DEVTYPE=usb_device\nE: DEVNAME=/dev/{node}\n"

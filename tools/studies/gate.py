@@ -47,7 +47,7 @@ FOUND: Final = {
     "first_frames": "nothing seen before: found",
     "held": "while it stays: touched",
 }
-"""What is measured of presses, and how people are told."""
+"""Measured shares of presses, and their names in the output."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,7 +233,7 @@ def share(values: Any, each: int) -> dict[str, float]:
 
 
 def lines(found: dict[str, Any]) -> list[str]:
-    """Return what people read."""
+    """Return the lines of the report."""
     where = "the stated device, flat" if found["flat"] else f"{found['sheets']} devices and bends"
     shown = [f"{where}; {found['frames']} frames, N2 of {found['snr_db']:g} dB, drift of {found['drift']:.0%}"]
     for strength in found["found"]:

@@ -6,10 +6,9 @@ A stream of frames goes on all the while ::
          |                 +---ipc---> record: a file        | in every other
          +-- wire times    +---ipc---> view --http--> pages  | part of the time
 
-A part is so many seconds of it; what begins and ends between parts is counted in none of them. In each round it goes on
-by itself for some seconds, and as long with ``eitskin record`` and ``eitskin view`` beside it; rounds begin with one
-and the other in turn. The pages are readers in this process: no browser draws. When the stream has ended, the
-files are computed once more by ``eitskin reinfer``.
+Each part lasts ``--seconds``; processes start and end between parts, in time that is not counted. A round has one part
+without and one with ``eitskin record`` and ``eitskin view``, and rounds begin with each in turn. The pages are readers
+in this process, and no browser draws. When the stream has ended, ``eitskin reinfer`` computes the files again.
 """
 
 import argparse
@@ -52,7 +51,7 @@ WARM_S: Final = 2.0
 """Between the last of them being ready, and the beginning of a part."""
 
 LONGEST_S: Final = 1e6
-"""Virtual skin and subscriber end when they are told to, which is before."""
+"""Virtual skin and subscriber run for this long unless they are stopped, which happens earlier."""
 
 REINFER_S: Final = 3600.0
 """How long a file may take to be computed again."""
@@ -364,7 +363,7 @@ def joined(records: list[Record], slices: list[slice]) -> Record:
 
 @contextmanager
 def readers(address: str, pages: int) -> Iterator[list[int]]:
-    """Read the viewer's stream as so many pages would; give how many frames each has taken.
+    """Read the viewer's stream as ``pages`` pages would; yield the number of frames that each has taken.
 
     Args:
         address: Of the page, as ``eitskin view`` says it.

@@ -1,6 +1,6 @@
 """Plays a sequence on a device, and judges it twice: by the promise alone, and by SPEC.md as a state machine.
 
-The promise: once a configuration was confirmed, whatever is cut, the device ends with one that somebody confirmed. It
+The promise: once a configuration was confirmed, whatever is cut, the device ends with one that was confirmed. It
 is judged from what the device said and did, so that a wrong state machine cannot hide its breach.
 """
 
@@ -163,7 +163,7 @@ class Player:
 
     def _keep(self, settled: tuple[int, ...], what: str) -> None:
         if settled not in self._confirmed and not self.verdict.lost:
-            self.verdict.lost = f"after {self.verdict.requests} requests {what}, which nobody confirmed"
+            self.verdict.lost = f"after {self.verdict.requests} requests {what}, which was never confirmed"
 
     def _only(self, left: list[State], request: Request, reply: Reply) -> list[State]:
         """Return the states that agree with an answer; once there are none the state machine says no more."""

@@ -96,12 +96,12 @@ def search(fresh: Fresh, count: int, seed: int = 0, keep: int = 3, waits: bool =
         figures.differing += bool(verdict.differs)
         for kind in ("lost", "differs"):
             if getattr(verdict, kind) and len(figures.lost) < keep:
-                figures.lost.append(_told(fresh, kind, steps, seed, number))
+                figures.lost.append(_described(fresh, kind, steps, seed, number))
     figures.seconds = time.perf_counter() - began_s
     return figures
 
 
-def _told(fresh: Fresh, kind: str, steps: list[Step], seed: int, number: int) -> str:
+def _described(fresh: Fresh, kind: str, steps: list[Step], seed: int, number: int) -> str:
     def what(part: list[Step]) -> str:
         verdict, line = play(fresh, part, number)
         return str(getattr(verdict, kind)) if line.timely else ""

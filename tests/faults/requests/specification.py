@@ -6,7 +6,7 @@
     boot(state), wait(state, seconds) -> state afterwards
 
 Storage that a power cut left half done is either as it was before the request or as after it (that is what SPEC.md
-promises), so whoever cuts the power goes on with both states and drops the one that the device's answers refute.
+promises), so a player that cuts the power goes on with both states and drops the one that the device's answers refute.
 """
 
 from typing import Any, Final, NamedTuple

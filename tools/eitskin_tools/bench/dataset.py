@@ -1,14 +1,13 @@
-"""``eitskin bench dataset``: samples a second of the data generators, beside one solve a sample and pyEIT, in one run.
+"""``eitskin bench dataset``: samples a second of the data generators, beside one solve a sample and pyEIT.
 
-One core: BLAS is held to one thread. On a machine that does other work too, ``cpu_s`` is the time that counts; the
-ratios use it. Each row says what its seconds hold: set-up of a deformation and its share of
-shared work count. "naive" factorises the same mesh for every sample, so its voltages are also what ours are checked
-against. pyEIT has point electrodes and no contact model; it solves a mesh of about as many nodes, for its time alone.
+All rows come from one run on one core. The ratios use ``cpu_s``, which counts on a machine that does other work too. A
+row's ``note`` names the set-up that its seconds include. "naive" factorises the same mesh for every sample, and its
+voltages check ours. pyEIT has point electrodes and no contact model; it solves a mesh of about as many nodes and is
+compared by its time alone.
 
-How far the free set's mesh is from finer ones is measured on fewer sets, drawn as the data set draws them at
-deformations that it never has: |dV - dV_scene| / |dV_scene| over the 104 rows, dV the change of voltage over the
-untouched one's, the scene solved on a mesh of 1.5 mm that follows the touches' borders. The scenes' own error, a third
-of them against meshes of 1 mm, is given beside it.
+Fewer free sets, at deformations of no data set, measure the error of the generators' mesh: |dV - dV_scene| / |dV_scene|
+over the 104 rows, with dV the change of voltage from the untouched sheet and the scene solved on a mesh of 1.5 mm that
+follows the touches' borders. A third of the scenes, solved on meshes of 1 mm, give the scenes' own error.
 """
 
 import argparse
@@ -47,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--bends", type=int, default=10, metavar="N", help="bends of the paper's set (default 10)")
     parser.add_argument(
-        "--touch-sets", type=int, default=10_259, metavar="N", help="the first so many of the paper's sets"
+        "--touch-sets", type=int, default=10_259, metavar="N", help="of the paper's, from the first (default 10259)"
     )
     parser.add_argument(
         "--free", type=int, default=5_000, metavar="N", help="free touch sets at a deformation (default 5000)"

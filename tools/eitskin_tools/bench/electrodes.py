@@ -1,13 +1,13 @@
-"""``eitskin bench electrodes``: failing electrodes, named from the frames, and what is left without them.
+"""``eitskin bench electrodes``: how soon failing electrodes are named, and the accuracy that is left without them.
 
-Rows of ``false alarms`` and of each kind of failure run through moving deformations and touches: the circuit around a
-sheet (:mod:`eitskin_sim.measurement.faults`) reads any failure at any moment of a stream, frame by frame. A stream runs
-from one deformation to the next, of family A or B, while touches come, move over the sheet and in every second stream
-lie on an electrode; its 16 x 16 response is solved at a few moments and interpolated between them.
+The detection rows run through moving deformations and touches. The circuit around a sheet
+(:mod:`eitskin_sim.measurement.faults`) reads any failure at any moment of a stream, frame by frame. A stream runs from
+one deformation to the next, of family A or B, while touches come and move over the sheet; in every second stream a
+touch lies on an electrode. Its 16 x 16 response is solved at a few moments and interpolated between them.
 
-Rows of ``accuracy`` need ``--phantoms``. The network sees the same noisy voltages each time, and the rows of one, two
-or three lost electrodes as zeros, as a runtime without any care would give them, or filled in from the others
-(:mod:`eitskin.health.imputation`), those weighed by the noise of the reference as the runtime does it.
+The accuracy rows need ``--phantoms``. The network sees the same noisy voltages each time, with the rows of one, two or
+three lost electrodes at zero or filled in from the others (:mod:`eitskin.health.imputation`). The noise of the
+reference weighs the other rows, as in the runtime.
 """
 
 import argparse
@@ -277,7 +277,7 @@ def _on_electrode(electrode: int) -> Rect:
     return Rect(max(x0 - 5.0, 0.0), max(y0 - 5.0, 0.0), min(x1 + 5.0, length), min(y1 + 5.0, width))
 
 
-class Looking:
+class WatchedSkin:
     """The runtime's health, its reference captured from noisy frames of the flat sheet.
 
     Frames are looked at as late as the runtime ever does, ``MOST_TOGETHER`` at a time.
@@ -348,9 +348,9 @@ def false_alarms(
         frames = alarms = 0
         for number, one in enumerate(chosen):
             rng = np.random.default_rng([number, covering])
-            looking = Looking(consistency, flat, noise, snr_db, rng, full=full)
+            watched = WatchedSkin(consistency, flat, noise, snr_db, rng, full=full)
             for frame in range(one.frames):
-                alarms += looking.show(one.at(frame)) and bool(looking.findings)
+                alarms += watched.show(one.at(frame)) and bool(watched.findings)
             frames += one.frames
         rows.append(
             {"what": "false alarms", "family": family, "touch_on_electrode": covering, "rows": 208 if full else 104,
@@ -399,20 +399,20 @@ def detection(
             for electrode in electrodes:
                 fault = make(electrode)
                 rng = np.random.default_rng([number, electrode])
-                looking = Looking(consistency, flat, noise, snr_db, rng, full=ALL_ROWS in name)
+                watched = WatchedSkin(consistency, flat, noise, snr_db, rng, full=ALL_ROWS in name)
                 begin = (7 * electrode + 11 * number) % max(one.frames - AFTER_FRAMES, 1)
                 after = next(
-                    (n + 1 for n in range(AFTER_FRAMES) if looking.show(one.at(begin + n), (fault,))), AFTER_FRAMES + 1
+                    (n + 1 for n in range(AFTER_FRAMES) if watched.show(one.at(begin + n), (fault,))), AFTER_FRAMES + 1
                 )
                 for n in range(after, AFTER_FRAMES):
-                    looking.show(one.at(begin + n), (fault,))
+                    watched.show(one.at(begin + n), (fault,))
                 tried += 1
-                named = {(f.electrode, f.state) for f in looking.findings}
+                named = {(f.electrode, f.state) for f in watched.findings}
                 if named == expected(fault, reciprocal=name in BY_RECIPROCITY):
                     right, late = right + (after <= IN_TIME), late + (after > IN_TIME)
                     took.append(after)
                 else:
-                    text = " ".join(f.text() for f in looking.findings) or "nothing"
+                    text = " ".join(f.text() for f in watched.findings) or "nothing"
                     wrong[text] = wrong.get(text, 0) + 1
         rows.append(
             {"what": name, "noise": noise, "tried": tried, "named_in_time": round(right / tried, 4), "late": late,
@@ -443,7 +443,7 @@ def expected(fault: Fault, *, reciprocal: bool = False) -> set[tuple[int, str]]:
 
 
 def lost_sets(count: int, most: int = SETS) -> list[Lost]:
-    """Return sets of so many electrodes: none, all 16 single ones, else ``most`` drawn ones."""
+    """Return sets of ``count`` electrodes: the empty one, all 16 single ones, or ``most`` drawn ones."""
     every = list(combinations(range(N_ELECTRODES), count))
     if count <= 1:
         return every

@@ -1,10 +1,10 @@
-"""``eitskin bench footprint``: what the runtime costs before the first frame: time, memory and disk, beside torch's.
+"""``eitskin bench footprint``: time, memory and disk that the runtime takes before the first frame, beside torch's.
 
-Each row is a fresh interpreter that imports something, loads the model where it can, and reports its own clock and
-memory. The runtime's row imports and loads exactly what ``eitskin run`` does, which is one head; "runtime, float32" is
-``eitskin run --solver vd2t``. Modules are read as bytecode, which every installer makes; the interpreter that makes it
-here is not counted. CPU time is the least of all repeats: on a busy machine it says more than the clock, whose median
-is given beside it. Installed size counts the files of a distribution and, for the runtime, of the dependencies that its
+Each row starts fresh interpreters that import something, load the model where they can, and report their own clock and
+memory. The runtime's row imports and loads what ``eitskin run`` does, which is one head; "runtime, float32" is
+``eitskin run --solver vd2t``. Modules are read as bytecode, as installers make it; a first interpreter, which is not
+counted, makes the bytecode here. ``load_ms`` is a median, ``cpu_ms`` the least of all repeats, which says more on a
+busy machine. The installed size counts the files of a distribution and, for the runtime, of the dependencies that its
 metadata names, each once.
 """
 

@@ -1,10 +1,9 @@
-"""``eitskin bench frame``: from the wire to the subscriber, paced, and other ways to infer the same map.
+"""``eitskin bench frame``: a frame's time from the wire to the subscriber, and other ways to infer the same map.
 
-Two measurements in one run. The stream: virtual skin, runtime and subscriber as processes, at 200 and at 1000
-frames/s; before and behind each, the same line and socket with nothing done in between
-(:mod:`eitskin_tools.bench.line_floor`), which is what this machine takes for itself. The inference: every variant
-of :func:`variants`, interleaved, one call a 5 ms period (what a robot sees: caches and clocks have cooled) and back to
-back (warm). Percentiles, never means; nothing is repeated until it looks good.
+One run measures both. The stream runs a virtual skin, the runtime and a subscriber as processes, at 200 and at 1000
+frames/s; before and behind each, :mod:`eitskin_tools.bench.line_floor` measures the same line and socket with no work
+in between. The inference calls every way of :func:`variants` in turn, first one call every 5 ms, when caches and clocks
+have cooled as on a robot, then back to back. All figures are percentiles.
 """
 
 import argparse
@@ -97,7 +96,7 @@ def stream(
     solver: str | None = None,
     streams: int = 0,
 ) -> dict[str, Any]:
-    """Return the timing of a stream of so many frames at one rate, and of the bare line around it.
+    """Return the timing of a stream at one rate, and of the bare line before and behind it.
 
     Args:
         rate_hz: Frames a second.

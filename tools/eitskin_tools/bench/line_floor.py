@@ -1,4 +1,4 @@
-"""What a frame costs where nobody does anything with it: pseudo-terminal, ZeroMQ and the scheduler, in the same run.
+"""The least that a frame costs on this machine: pseudo-terminal, ZeroMQ and the scheduler, in the same run.
 
 ::
 

@@ -1,16 +1,16 @@
-"""``eitskin bench physics``: what the forward model is measured against, a row each.
+"""``eitskin bench physics``: the errors of the forward model, a row each.
 
-Convergence of the untouched voltages with the element size, by both contacts and both contact laws, beside independent
-triangles; a touch's size by two rules for the elements that its border cuts; reciprocity, the bend that must change
-nothing, and the coarse Jacobian. ``tools/studies/solid_slab.py`` compares with an independent solid, which takes
+The rows are the convergence of untouched voltages with the element size, for both contacts and both contact laws,
+beside independent triangles; the size of a touch whose border cuts elements; reciprocity; a bend that must change no
+voltage; and the coarse Jacobian. ``tools/studies/solid_slab.py`` compares with an independent solid, which takes
 minutes.
 
-A border that cuts elements, by two rules: the error that a 10 mm square shows ::
+Two rules for the elements that a border cuts are compared by the error that a 10 mm square shows ::
 
     area fraction   a cut element has the mean of the two conductivities, by area
-    enriched        what eitskin does: :mod:`eitskin_sim.fem.borders.cut_elements`
+    enriched        the rule of :mod:`eitskin_sim.fem.borders.cut_elements`, which eitskin uses
 
-The size is fitted: the exact change of the voltages with the size, on a mesh that follows the square, is the yardstick.
+The size is fitted to the exact change of the voltages with the size, on a mesh that follows the square.
 """
 
 import argparse

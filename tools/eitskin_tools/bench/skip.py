@@ -1,16 +1,16 @@
-"""``eitskin bench skip``: for each skip of the frame loop, the CPU that it saves and the error that it makes.
+"""``eitskin bench skip``: for each skip of the frame loop, the CPU time that it saves and the error that it makes.
 
 ::
 
-    untouched        nothing touches: no inference         false alarms and misses at fresh deformations
-    cloud_unchanged  no geometry graph                     the same map
-    no_subscriber    the gate alone                        the same map for whoever comes
-    unchanged        the map of an earlier frame           likeness to the map that was not computed
-    idle             the device scans a few drives         false alarms and misses, and the soonest full frame
+    skip             what is skipped                       error
+    untouched        inference, while nothing touches      false alarms and misses at fresh deformations
+    cloud_unchanged  the geometry graph                    none: the same map
+    no_subscriber    everything but the gate               none: the same map for the next subscriber
+    unchanged        inference, while only noise changes   likeness to the map that was not computed
+    idle             most drives of the device             false alarms and misses, and the soonest full frame
 
-Costs are CPU times of the runtime's own pipeline, with and without, in turns in one run: thread CPU time, so that what
-a busy machine takes away is not counted, without making a frame's payload. A skip that this bundle does not have is
-left out, with the reason.
+Costs are thread CPU times of the runtime's own pipeline with and without the skip, in turns in one run. Making a
+frame's payload is not counted. ``missing`` names the skips that the bundle does not have, with the reason.
 """
 
 import argparse
@@ -182,7 +182,7 @@ class Frames:
 
 
 def noisy(voltages: Array, times: int, reference_V: Array, rng: np.random.Generator) -> Array:
-    """Return (n times, 104) V: each of (n, 104) or (104,) V so many times, with noise."""
+    """Return (n times, 104) V: each of (n, 104) or (104,) V repeated, with noise."""
     return add_noise(np.repeat(np.atleast_2d(voltages), times, axis=0), reference_V, NOISE, SNR_DB, rng)
 
 
@@ -225,14 +225,14 @@ class Material:
         )
 
 
-class Way:
+class FrameRunner:
     """One pipeline and its own count of frames, so that ways in turns never see a number twice.
 
     Args:
         frames: Makes payloads.
         pipeline: Takes them.
         voltages: (n, 104) V; shown over and over.
-        wanted: Whether somebody subscribed.
+        wanted: Whether there is a subscriber.
     """
 
     def __init__(self, frames: Frames, pipeline: Pipeline, voltages: Array, *, wanted: bool = True) -> None:
@@ -256,7 +256,7 @@ class Way:
         return fit
 
 
-def interleaved(ways: Mapping[str, Way], frames: int) -> dict[str, dict[str, float]]:
+def interleaved(ways: Mapping[str, FrameRunner], frames: int) -> dict[str, dict[str, float]]:
     """Return mean, median and 99th percentile of every way's CPU time a frame, and the median wall time, in us.
 
     Args:
@@ -315,16 +315,16 @@ def untouched(bundle: Bundle, frames: Frames, bent_V: Array, touched_V: Array, c
     files = {name: data for name, data in bundle.files.items() if name != "gate.npz"}
     without = replace(bundle, files=files)
     ways = {
-        "with": Way(frames, frames.pipeline(bundle), bent_V),
-        "without": Way(frames, frames.pipeline(without), bent_V),
-        "touched": Way(frames, frames.pipeline(bundle), touched_V),
+        "with": FrameRunner(frames, frames.pipeline(bundle), bent_V),
+        "without": FrameRunner(frames, frames.pipeline(without), bent_V),
+        "touched": FrameRunner(frames, frames.pipeline(bundle), touched_V),
     }
     row = saving(interleaved(ways, count))
     row["untouched_to_touched"] = round(row["us"]["with"]["cpu_mean"] / row["us"]["touched"]["cpu_mean"], 4)
     return row
 
 
-class Redone(Way):
+class GeometryEachFrame(FrameRunner):
     """A way that runs the geometry graph for every frame."""
 
     def __init__(self, frames: Frames, bundle: Bundle, voltages: Array) -> None:
@@ -339,19 +339,19 @@ class Redone(Way):
 
 def cloud_unchanged(bundle: Bundle, frames: Frames, touched_V: Array, count: int) -> dict[str, Any]:
     """Return the row of "cloud unchanged": the map is the same to the last bit."""
-    kept = Way(frames, frames.pipeline(bundle), touched_V)
+    kept = FrameRunner(frames, frames.pipeline(bundle), touched_V)
     kept.pipeline.start_with(GeometryGraph(bundle).geometry(bundle.skin.grid.flat_cloud_mm(), None, 1))
-    redone = Redone(frames, bundle, touched_V)
+    redone = GeometryEachFrame(frames, bundle, touched_V)
     row = saving(interleaved({"with": kept, "without": redone}, count))
     return {**row, "largest_map_error": _largest(kept, redone)}
 
 
 def no_subscriber(bundle: Bundle, frames: Frames, touched_V: Array, count: int) -> dict[str, Any]:
-    """Return the row of "nobody subscribed"; whoever subscribes gets the next frame's map, as if always there."""
-    alone = Way(frames, frames.pipeline(bundle), touched_V, wanted=False)
-    watched = Way(frames, frames.pipeline(bundle), touched_V)
+    """Return the row of "no subscriber"; a new subscriber gets the next frame's map, as if it had always been there."""
+    alone = FrameRunner(frames, frames.pipeline(bundle), touched_V, wanted=False)
+    watched = FrameRunner(frames, frames.pipeline(bundle), touched_V)
     row = saving(interleaved({"with": alone, "without": watched}, count))
-    return {**row, "largest_map_error": _largest(Way(frames, alone.pipeline, touched_V), watched)}
+    return {**row, "largest_map_error": _largest(FrameRunner(frames, alone.pipeline, touched_V), watched)}
 
 
 def unchanged(bundle: Bundle, frames: Frames, resting_V: Array, changed_V: Array) -> dict[str, Any]:
@@ -364,11 +364,11 @@ def unchanged(bundle: Bundle, frames: Frames, resting_V: Array, changed_V: Array
         changed_V: (m, 104) noisy frames of two.
     """
     stream = np.concatenate([resting_V, changed_V])
-    kept = Way(frames, frames.pipeline(bundle, skip_unchanged=True), stream)
-    computed = Way(frames, frames.pipeline(bundle), stream)
+    kept = FrameRunner(frames, frames.pipeline(bundle, skip_unchanged=True), stream)
+    computed = FrameRunner(frames, frames.pipeline(bundle), stream)
     row = saving(interleaved({"with": kept, "without": computed}, len(stream)))
-    kept = Way(frames, frames.pipeline(bundle, skip_unchanged=True), stream)
-    computed = Way(frames, frames.pipeline(bundle), stream)
+    kept = FrameRunner(frames, frames.pipeline(bundle, skip_unchanged=True), stream)
+    computed = FrameRunner(frames, frames.pipeline(bundle), stream)
     likeness, fresh = [], []
     for index in range(len(stream)):
         for way in (kept, computed):
@@ -384,7 +384,7 @@ def unchanged(bundle: Bundle, frames: Frames, resting_V: Array, changed_V: Array
     return row
 
 
-def _largest(one: Way, other: Way, count: int = 20) -> float:
+def _largest(one: FrameRunner, other: FrameRunner, count: int = 20) -> float:
     """Return the largest difference of two ways' maps over the same frames."""
     largest = 0.0
     for index in range(count):

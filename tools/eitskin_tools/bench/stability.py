@@ -1,25 +1,24 @@
-"""``eitskin bench stability``: absurd inputs, noise, precision, slow numbers, and the same input twice.
+"""``eitskin bench stability``: noise, precision, absurd inputs, slow numbers, and the same input twice.
 
 ::
 
-    noise       N1 to N3 from 80 to 20 dB through every engine of the runtime: where a tenth of the accuracy is lost,
-                and where half of it, interpolated between the levels
-    precision   float32 against float64 in every precomputed operator, by regularisation: which must be built in which
-    inputs      what no working sheet gives (:mod:`eitskin_tools.bench.stability_inputs`)
-    denormals   what numbers that a processor computes slowly would cost, and what the smallest that the runtime hands
-                over cost (:mod:`eitskin.model.denormals`)
-    repeat      the same input in one session, in another process, with two threads: bit-equal, or how far apart
+    noise       N1 to N3 from 80 to 20 dB through every engine of the runtime: the levels at which a tenth and half of
+                the accuracy are lost, interpolated
+    precision   float32 against float64 in every precomputed operator, by regularisation
+    inputs      inputs that no working sheet gives (:mod:`eitskin_tools.bench.stability_inputs`)
+    denormals   CPU time of numbers that a processor computes slowly (:mod:`eitskin.model.denormals`)
+    repeat      the same input in two sessions, in another process, with two threads
 
-Maps go through the runtime's pipeline, and each one that is published is looked at: the summary counts those that are
-not finite, or not from 0 to 1. It exits 1 if there is one, or if an input escaped.
+Every published map passes a check: the summary counts those that are not finite, or not from 0 to 1. The command exits
+with 1 if there is one, or if an input ended in an exception that is no refusal.
 
-An operator is *built* in float32 when every step of its making is, *rounded* when it is made in float64 and stored as
+An operator is *built* in float32 if every step of its making is, and *rounded* if it is made in float64 and stored as
 float32. Building loses the digits that the regularisation lets through: the damped Gram matrix has the condition
 1 / factor, so the error is about 6e-8 / factor, and Cholesky finds it indefinite when the factor is below rounding.
 Rounding costs 6e-8 whatever the factor.
 
-Slow numbers are ratios of CPU time in one run, each input in turn with a usual one. ``unguarded`` writes denormals into
-the solvers' memory by hand, where nothing of the runtime can put them. ``worst`` is the dearest of what it can.
+CPU times of slow numbers are ratios in one run, each input in turn with a usual one. ``unguarded`` writes denormals
+into the solvers' memory, which the runtime never does. ``worst`` is the slowest input that the runtime can hand over.
 """
 
 import argparse

@@ -1,8 +1,8 @@
-"""Inputs that no working sheet gives: whatever comes, the loop goes on, publishes nothing absurd, and says why.
+"""Inputs that no working sheet gives: the loop must go on, publish no absurd map, and name the reason.
 
 Each attack opens a real :class:`eitskin.Skin` on a scripted line. It may end in three ways: frames are published, all
 finite and from 0 to 1; frames are withheld, each counted by its reason; or the input is refused with one line (a
-``SkinError`` or a ``ValueError``). Anything else has escaped, and is a defect. Every frame sent must be accounted for.
+``SkinError`` or a ``ValueError``). Any other end has escaped, and is a defect. Every frame sent must be accounted for.
 """
 
 import warnings
@@ -184,7 +184,7 @@ def strike(attack: Attack, bundle: Bundle, sample: Sample, tally: Tally) -> Outc
     withheld: dict[str, int] = {}
     corrupt = 0
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # a warning of numpy in the loop is a value that nobody looked at
+        warnings.simplefilter("error")  # a warning of numpy in the loop is a value that no check caught
         try:
             reference = _reference(sample.flat if attack.reference is None else attack.reference, hello)
             skin = Skin(ScriptedLine(hello, attack.payloads, attack.raw), bundle=bundle, reference=reference)
@@ -234,7 +234,7 @@ def _row(group: str, outcomes: Sequence[Outcome]) -> Row:
     refusals = sorted({outcome.refused.partition(":")[0] for outcome in outcomes if outcome.refused})
     first = next((outcome.refused for outcome in outcomes if outcome.refused), "")
     said = [f"{reason} {count}" for reason, count in reasons.items()]
-    text = f"withheld: {', '.join(said) or 'none'}; refused by {', '.join(refusals) or 'nobody'}"
+    text = f"withheld: {', '.join(said) or 'none'}; refused by {', '.join(refusals) or 'none'}"
     return {
         "sweep": f"inputs: {group}",
         "solver": "runtime",
@@ -300,7 +300,7 @@ class ScriptedLine:
                 self._answers.append(encode(Ack(kind, Code.OK, 0, tag).pack()))
 
     def cancel(self) -> None:
-        """Do nothing: nobody waits here."""
+        """Do nothing: no call waits here."""
 
     def report(self) -> list[str]:
         """Return nothing to report."""

@@ -102,7 +102,7 @@ def voltages_of(scene: Scene) -> Array:
 
 
 def samples(labels: Labels, count: int, element_size_mm: float) -> tuple[Sample, ...]:
-    """Return so many touched sheets, each with its own bend; more of them begin with the same ones.
+    """Return touched sheets, each with its own bend; a larger count begins with the same sheets.
 
     Args:
         labels: "units" for touched units, "area" for touches anywhere.

@@ -1,19 +1,19 @@
-"""``eitskin bench tradeoff``: run time against error for every solver and variant, as a table and a picture.
+"""``eitskin bench tradeoff``: run time against error for every solver and variant, as rows and a picture.
 
-Error is 1 - CC: the mean over the phantoms of each file and the noise draws, on the data of ``eitskin evaluate``, or
-over the touches of each trial on devices unlike the nominal one (``--devices``), of which no solver is told. Run time
-is one call a 5 ms period, the variants taking turns on one thread, as a robot sees it; classical solvers have their
-operators of the sheet ready, as the network has its geometry, and V_pred as reference, which a robot can have. What no
-variant that gives a map beats in both is on the Pareto front (``pareto``); the gate gives none (``whole`` is false).
+The error is 1 - CC: the mean over the phantoms of each file and the noise draws, or over the touches of each trial on
+devices unlike the nominal one (``--devices``), which no solver knows of. The run time is that of one call every 5 ms,
+the variants taking turns on one thread, as on a robot. Classical solvers have their operators of the sheet ready, as
+the network has its geometry, and V_pred as reference, which a robot can have. A variant is on the Pareto front
+(``pareto``) if no other one that gives a map beats it in both; the gate gives none (``whole`` is false).
 
 ::
 
-    tikhonov, l1 of N steps, sbl    with V_pred as reference; on the grid of the labels
+    tikhonov, l1 of N steps, sbl    with V_pred as reference, on the grid of the labels
     tikhonov, one matrix            the runtime's fall-back: flat sheet, reference before the deformation
     vd2t, vd2t-int8                 of the shipped bundles, and of every --bundle (other widths)
     vd2t, geometry a frame          without the skip "cloud unchanged"
-    verified                        the network's map checked by physics, the search included, its set-up not
-    gate alone                      an untouched frame, or nobody subscribed; its error is the touches it misses
+    verified                        the network's map checked by physics, with the search, without its set-up
+    gate alone                      an untouched frame, or one without a subscriber; its error counts missed touches
 """
 
 import argparse
@@ -243,7 +243,7 @@ def variants(labels: str, touches: TouchKind, more: Sequence[Path], conditions: 
         labels: ``"units"`` or ``"area"``.
         touches: Which way they change conductance.
         more: Networks beside the shipped one; those of other labels are left out.
-        conditions: Whose noise the verifier is told.
+        conditions: With the noise that the verifier assumes.
     """
     found = [Variant("tikhonov", solve_tikhonov, whole_error), Variant("sbl", solve_sbl, whole_error)]
     found += [Variant(f"l1, {steps} steps", partial(solve_l1, iterations=steps), whole_error) for steps in L1_STEPS]

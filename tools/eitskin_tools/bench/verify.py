@@ -1,9 +1,9 @@
-"""``eitskin bench verify``: what the verifier of touches survives, and whether its p-values keep their word.
+"""``eitskin bench verify``: how often the verifier of touches is right, and whether its p-values are calibrated.
 
 Touches at deformations that no network has seen, on devices that differ from the nominal one, are solved on a mesh of
-their own; the network answers, and the verifier starts from there. A row says how many answers came out right, how many
-wrong ones were not flagged, and how many right ones were. Rows are shown on stderr as they are found; p's calibration
-and JSON come at the end. Times are of the processor, one core.
+their own. The network answers, and the verifier starts from its map. A row counts the right answers, the wrong ones
+that were not flagged, and the right ones that were. Rows appear on stderr as they are found; the calibration of p and
+the JSON object come last. Times are CPU times of one core.
 """
 
 import argparse
@@ -129,7 +129,7 @@ def _rows(arguments: argparse.Namespace, chosen: set[str]) -> tuple[list[Row], l
 
 
 def _calibration(arguments: argparse.Namespace, units: list[Row]) -> list[Row]:
-    """Return how p keeps its word; nothing if it was not asked for."""
+    """Return the calibration of p; no rows unless it was asked for."""
     if CALIBRATION not in _chosen(arguments.only) or not arguments.sets:
         return []
     start = time.process_time()
@@ -264,12 +264,12 @@ def anywhere_row(condition: Anywhere, deformations: int, each: int) -> Row:
             case = Case(noisy, flat, flat, sheet, "area", kind == "lower")
             truth = truth_map(replace(phantom, scene=replace(phantom.scene, touches=scene.touches)))
             alone, checked = (score(solve(case), truth, labels="area") for solve in (network.solver, verified.solve))
-            found.append((told(alone), told(checked), verified.checked[-1]))
+            found.append((is_right(alone), is_right(checked), verified.checked[-1]))
             scores.append((alone, checked))
     return {"what": condition.name, **_figures(scores), **counted(found)}
 
 
-def told(one: Score) -> bool:
+def is_right(one: Score) -> bool:
     """Return whether a map has as many touches as there are, each where it is."""
     return one.touches == one.true_touches and one.localisation_mm <= NEAR_MM
 
@@ -280,7 +280,7 @@ def _figures(scores: Sequence[tuple[Score, Score]]) -> Row:
         own = [one[index] for one in scores]
         distance = np.array([one.localisation_mm for one in own if one.localisation_mm < lost_mm(PAPER.grid)])
         found |= {
-            f"{name}right": float(np.mean([told(one) for one in own])),
+            f"{name}right": float(np.mean([is_right(one) for one in own])),
             f"{name}cc": float(np.mean([one.cc for one in own])),
             f"{name}cc_worst": float(np.min([one.cc for one in own])),
             f"{name}localisation_median_mm": float(np.median(distance)) if len(distance) else None,

@@ -1,7 +1,7 @@
 """What the verifier is put through in ``eitskin bench verify``: touches, noise, and how the true device differs.
 
 Touches are those of the trials, and two kinds of their own: the paper's phantoms, moved by up to half a pixel, at
-deformations that nobody chose, and fingers laid across the sheet's sides, turned by any angle. True
+drawn deformations, and fingers laid across the sheet's sides, turned by any angle. True
 sheets are solved on a mesh of their own.
 """
 

@@ -17,7 +17,7 @@ BENCHMARKS: Final[dict[str, str]] = {
     "frame": "from the wire to the subscriber, stage by stage, and other ways to infer the same map",
     "footprint": "memory, import time and size of the runtime",
     "skip": "what each skipped stage saves",
-    "verify": "what the verifier of touches survives, and whether its p-values keep their word",
+    "verify": "how often the verifier of touches is right, and whether its p-values are calibrated",
     "tradeoff": "accuracy against latency: networks, int8, classical solvers",
     "physics": "the sheet model against convergence, independent triangles and what must not change",
     "dataset": "samples a second of the data generators, beside one solve a sample and pyEIT",
