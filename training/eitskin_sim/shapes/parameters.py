@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.scene.touch_table import DISC, ELLIPSE, RECTANGLE, Array
+from eitskin_sim.scene.touch_table import DISC, RECTANGLE, Array
 
 X, Y, HALF_LENGTH, HALF_WIDTH, ANGLE, LOG_CONTRAST, BORDER = range(7)
 """Places of the parameters of one touch."""
@@ -66,9 +66,3 @@ def strengths_mm2(pieces: Array) -> Array:
     A graded border has its outline at half height, so that it adds outside what it takes inside, but for its curvature.
     """
     return np.asarray(np.log(pieces[:, 6]) * areas_mm2(pieces))
-
-
-__all__ = [
-    "ANGLE", "BORDER", "COUNT", "DISC", "ELLIPSE", "HALF_LENGTH", "HALF_WIDTH", "LOG_CONTRAST", "NAMES", "RECTANGLE",
-    "X", "Y", "areas_mm2", "free", "parameters_of", "pieces_of", "strengths_mm2",
-]  # fmt: skip

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from eitskin_sim.freeform.mesh import shared_mesh
+from eitskin_sim.shapes.elements import moves_of
 from eitskin_sim.shapes.parameters import ANGLE, HALF_LENGTH, LOG_CONTRAST, X, Y, free, parameters_of
-from eitskin_sim.shapes.ways import ways_of
 
 SQUARE = np.array([[0.0, 52.0, 44.0, 11.0, 9.0, 0.0, 50.0, 0.0]])
 
@@ -13,11 +13,11 @@ SQUARE = np.array([[0.0, 52.0, 44.0, 11.0, 9.0, 0.0, 50.0, 0.0]])
 def test_moves_of_sides_add_up_to_each_parameter_of_an_upright_rectangle() -> None:
     own = free(SQUARE)
     own[:, ANGLE] = False
-    ways = ways_of(SQUARE, own, shared_mesh(4.5).mesh)
-    assert len(ways.touch) == 5, "four sides and the contrast"
-    moved = (parameters_of(ways.moved) - parameters_of(SQUARE)) / ways.step[:, None]
+    moves = moves_of(SQUARE, own, shared_mesh(4.5).mesh)
+    assert len(moves.touch) == 5, "four sides and the contrast"
+    moved = (parameters_of(moves.moved) - parameters_of(SQUARE)) / moves.step[:, None]
     for column, parameter in enumerate(np.nonzero(own)[1]):
-        found = ways.mix[:, column] @ moved
+        found = moves.mix[:, column] @ moved
         assert found == pytest.approx(np.eye(7)[parameter], abs=1e-6)
 
 
@@ -25,13 +25,13 @@ def test_a_side_reaches_the_elements_that_it_crosses_alone() -> None:
     mesh = shared_mesh(4.5).mesh
     own = free(SQUARE)
     own[:, ANGLE] = False
-    ways = ways_of(SQUARE, own, mesh)
+    moves = moves_of(SQUARE, own, mesh)
     for number, side in enumerate((52.0 - 5.5, 52.0 + 5.5)):
-        found = mesh.centres_mm[ways.reach[number], 0]
+        found = mesh.centres_mm[moves.reach[number], 0]
         assert np.abs(found - side).max() < 4.5 / 2 + 0.1
-    whole = ways.reach[-1]
-    assert ways.reach[:4].sum() < 2 * whole.sum()
-    assert np.all(whole | ~ways.reach.any(axis=0))
+    whole = moves.reach[-1]
+    assert moves.reach[:4].sum() < 2 * whole.sum()
+    assert np.all(whole | ~moves.reach.any(axis=0))
 
 
 def test_touches_that_turn_are_round_or_graded_move_by_their_parameters() -> None:
@@ -40,9 +40,9 @@ def test_touches_that_turn_are_round_or_graded_move_by_their_parameters() -> Non
     for one in (turned, round_, graded):
         own = free(one)
         own[:, LOG_CONTRAST] = False
-        ways = ways_of(one, own, shared_mesh(4.5).mesh)
-        assert np.array_equal(ways.mix, np.eye(int(own.sum())))
+        moves = moves_of(one, own, shared_mesh(4.5).mesh)
+        assert np.array_equal(moves.mix, np.eye(int(own.sum())))
         assert set(np.nonzero(own)[1]) >= {X, Y, HALF_LENGTH}
     both = np.vstack([SQUARE, SQUARE + np.array([0, 12.0, 0, 0, 0, 0, 0, 0]), SQUARE + np.array([0, 60.0] + [0] * 6)])
-    near = ways_of(both, free(both), shared_mesh(4.5).mesh).near
+    near = moves_of(both, free(both), shared_mesh(4.5).mesh).near
     assert near.tolist() == [[True, True, False], [True, True, False], [False, False, True]]
