@@ -12,7 +12,7 @@ from eitskin_sim.verification.snapped_units import UnitVerdict
 from eitskin_tools import cli
 from eitskin_tools.evaluation import measured as measuring
 from eitskin_tools.evaluation.solvers import Named
-from eitskin_tools.evaluation.verified.solver import Checked
+from eitskin_tools.evaluation.verified.solver import MapVerdict
 
 SAID = [(0.4, 2.0), (0.001, 3.0), (0.9, 4.0)]
 """p and ms of each sample."""
@@ -26,7 +26,7 @@ def command(tmp_path, monkeypatch):
     def solve(case):
         p, extra_ms = next(said)
         verdict = UnitVerdict((), 100.0, 104, p, 0.01, 5, 1e-3 * extra_ms)
-        checked.append(Checked(verdict, extra_ms, extra_ms, 0.0))
+        checked.append(MapVerdict(verdict, extra_ms, extra_ms, 0.0))
         return np.zeros((30, 45))
 
     verified = Named(Run(solve, "pre"), verified=SimpleNamespace(checked=checked))

@@ -19,12 +19,12 @@ from eitskin_sim.verification.shape_verdict import ShapeTouch, ShapeVerdict
 from eitskin_sim.verification.snapped_units import UnitTouch, UnitVerdict, unit_shares
 from eitskin_tools.cli import main
 from eitskin_tools.evaluation.verified.share import LEAST_SHARE, map_error, network_share
-from eitskin_tools.evaluation.verified.solver import Checked, Verified, add_verdicts, shape_of
+from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork, add_verdicts, shape_of
 
 
-def checked(p: float, extra_ms: float, setup_ms: float = 0.0) -> Checked:
+def checked(p: float, extra_ms: float, setup_ms: float = 0.0) -> MapVerdict:
     verdict = UnitVerdict((UnitTouch(3, 50.0),), 100.0, 104, p, 0.01, 5, 1e-3 * extra_ms)
-    return Checked(verdict, extra_ms, extra_ms, setup_ms)
+    return MapVerdict(verdict, extra_ms, extra_ms, setup_ms)
 
 
 def phantom(name: str) -> Phantom:
@@ -98,7 +98,7 @@ def test_sheets_that_one_scan_shows_alike_are_shapes_of_their_own() -> None:
 def test_a_shape_is_seen_at_rest_once_before_its_first_touch() -> None:
     phantoms = single(10.0, 1, 2)
     truths = iter([truth_map(one) for one in phantoms])
-    verified = Verified(Run(lambda _: next(truths), "pre"), Noise("N2"), "area", "raise", PAPER, at_rest=50)
+    verified = VerifiedNetwork(Run(lambda _: next(truths), "pre"), Noise("N2"), "area", "raise", PAPER, at_rest=50)
     (results,) = evaluate_all(phantoms, [verified.run], Conditions("N2"))
     assert verified._shape is not None
     rest = verified._shape[1].shapes.deformation.model.rest
@@ -118,7 +118,7 @@ def test_units_of_an_independent_mesh_are_explained_and_wrong_ones_flagged() -> 
     first, second = (unit_shares(truth_map(one).reshape(PAPER.grid.shape), PAPER.grid) for one in phantoms)
     second[np.flatnonzero(second)[0]] = 0.0
     images = iter([PAPER.grid.map_from_units(one) for one in (first, second)])
-    verified = Verified(Run(lambda _: next(images), "pre"), Noise("N2"), "units", "raise", PAPER)
+    verified = VerifiedNetwork(Run(lambda _: next(images), "pre"), Noise("N2"), "units", "raise", PAPER)
     (results,) = evaluate_all(phantoms, [verified.run], Conditions("N2"))
     (_, (right,)), (_, (wrong,)) = results
     said, of_wrong = (one.verdict for one in verified.checked)
@@ -130,7 +130,7 @@ def test_more_than_six_shown_units_are_not_verified_and_the_network_s_map_stays(
     dense = np.asarray(PAPER.grid.map_from_units((np.arange(126) < 7).astype(float)))
     flat = solve_scene(Scene(element_size_mm=6.0)).voltages
     sheet = Sheet(measured_cloud(Bend()).astype(np.float64), np.full(104, np.nan))
-    verified = Verified(Run(lambda _: dense, "pre"), Noise("N2"), "units", "raise", PAPER)
+    verified = VerifiedNetwork(Run(lambda _: dense, "pre"), Noise("N2"), "units", "raise", PAPER)
     assert np.array_equal(verified.solve(Case(flat, flat, flat, sheet, "units")), dense)
     (said,) = verified.checked
     assert said.not_verified == "7 units are shown, and at most 6 are verified"

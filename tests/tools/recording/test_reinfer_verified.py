@@ -14,7 +14,7 @@ from eitskin_tools import cli
 from eitskin_tools.evaluation.verified import recorded as module
 from eitskin_tools.evaluation.verified.recorded import VerifiedSolver
 from eitskin_tools.evaluation.verified.resting import FRAMES
-from eitskin_tools.evaluation.verified.solver import Checked, Verified
+from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork
 from eitskin_tools.recording.reinfer import Computed, Rerun, reinfer, write
 from eitskin_tools.recording.script import Script, Step
 
@@ -38,7 +38,7 @@ class Physics:
         self.cases.append(case)
         p = 0.5 if len(self.cases) % 2 else 1e-9
         verdict = UnitVerdict((), 1.0, 104, p, 0.01, 1, 0.004)
-        self.checked.append(Checked(verdict, 4.0, 4.0, 100.0 * (len(self.cases) == 1)))
+        self.checked.append(MapVerdict(verdict, 4.0, 4.0, 100.0 * (len(self.cases) == 1)))
         return self._network.solver(case)
 
 
@@ -112,11 +112,11 @@ def test_rows_that_are_missing_are_left_out(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr("eitskin_tools.recording.reinfer.Rerun.missing", some)
     seen = []
 
-    def solve(self: Verified, case: Any) -> Any:
+    def solve(self: VerifiedNetwork, case: Any) -> Any:
         seen.append(case.flat_reference != 0.0)
         raise ValueError("enough")
 
-    monkeypatch.setattr(Verified, "solve", solve)
+    monkeypatch.setattr(VerifiedNetwork, "solve", solve)
     reinfer(script, bundle, VerifiedSolver(script, bundle))
     assert seen
     assert (seen[0] == ~some).all()
@@ -128,12 +128,12 @@ def test_what_the_sheet_read_untouched_is_told_before_its_first_touch(
     recorded(tmp_path / "a.mcap", measured(3 * FRAMES, skip_unchanged=True))
     told: list[Any] = []
 
-    def solve(self: Verified, case: Any) -> Any:
+    def solve(self: VerifiedNetwork, case: Any) -> Any:
         told.append("frame")
         raise ValueError("enough")
 
-    monkeypatch.setattr(Verified, "rest", lambda self, *words: told.append(words))
-    monkeypatch.setattr(Verified, "solve", solve)
+    monkeypatch.setattr(VerifiedNetwork, "rest", lambda self, *words: told.append(words))
+    monkeypatch.setattr(VerifiedNetwork, "solve", solve)
     script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
     reinfer(script, bundle, VerifiedSolver(script, bundle))
     (volts, frames), *others, behind = told

@@ -50,7 +50,7 @@ from eitskin_tools.bench.verify_conditions import (
 )
 from eitskin_tools.errors import UsageError
 from eitskin_tools.evaluation.solvers import Request, bundle_for, named
-from eitskin_tools.evaluation.verified.solver import Verified
+from eitskin_tools.evaluation.verified.solver import VerifiedNetwork
 
 CALIBRATION = "calibration of p"
 """What ``--only`` calls the table of p."""
@@ -167,7 +167,7 @@ class Units:
         """
         found, grid = [], PAPER.grid
         network = Run(lambda case: self._image, "pre")
-        verified = Verified(
+        verified = VerifiedNetwork(
             network, Noise(condition.noise), "units", "raise", PAPER, self._budget_s, at_rest=condition.at_rest
         )
         for number, bend in enumerate(self._bends):
@@ -245,7 +245,7 @@ def anywhere_row(condition: Anywhere, deformations: int, each: int) -> Row:
     phantoms = condition.phantoms(deformations, each)
     kind = phantoms[0].scene.touch_kind
     network = named(Request("vd2t"), "area", touches=kind).run
-    verified = Verified(network, Noise(condition.noise), "area", kind, PAPER, at_rest=condition.at_rest)
+    verified = VerifiedNetwork(network, Noise(condition.noise), "area", kind, PAPER, at_rest=condition.at_rest)
     found, scores = [], []
     for number in range(deformations):
         own = phantoms[number * each : (number + 1) * each]

@@ -28,7 +28,7 @@ from eitskin_tools.evaluation.printed import cell
 from eitskin_tools.evaluation.solvers import Progress, Request, bundle_on, judge_of, named
 
 if TYPE_CHECKING:
-    from eitskin_tools.evaluation.verified.solver import Checked
+    from eitskin_tools.evaluation.verified.solver import MapVerdict
 
 Array = npt.NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class SampleScore:
     """Between true and found touches, both ways."""
     distances_mm: tuple[float, ...] = ()
     """From every true touch to the nearest found one; infinite where there is none."""
-    checked: "Checked | None" = None
+    checked: "MapVerdict | None" = None
     """What physics says of it; None where the solver does not ask."""
 
 
@@ -175,7 +175,7 @@ def summary(scores: Sequence[SampleScore]) -> dict[str, Any]:
     return found | _verdicts([one.checked for one in scores if one.checked is not None])
 
 
-def _verdicts(checked: "Sequence[Checked]") -> dict[str, float]:
+def _verdicts(checked: "Sequence[MapVerdict]") -> dict[str, float]:
     """Return what physics says of the samples of one kind: as of a phantom's draws, or nothing."""
     if not checked:
         return {}

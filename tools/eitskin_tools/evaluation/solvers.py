@@ -40,7 +40,7 @@ from eitskin_sim.surface.predict import flat_voltages
 
 if TYPE_CHECKING:
     from eitskin.model.bundle import Bundle
-    from eitskin_tools.evaluation.verified.solver import Checked, Verified
+    from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork
 
 Prediction = Literal["scan", "none", "true"]
 """What a head's second input is: V_pred of the cloud, nothing, or the true untouched voltages, which no robot has."""
@@ -85,7 +85,7 @@ class Named:
     """Of the network's bundle."""
     prediction: Prediction | None = None
     """What the head's second input is fed; None where there is no such input."""
-    verified: "Verified | None" = None
+    verified: "VerifiedNetwork | None" = None
     """Keeps the verdicts, if there are any."""
 
 
@@ -191,21 +191,21 @@ def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> N
 
 def _verified(request: Request, labels: str, skin: Skin, touches: TouchKind, conditions: Conditions) -> Named:
     from eitskin_sim.verification.residual import Noise
-    from eitskin_tools.evaluation.verified.solver import Verified
+    from eitskin_tools.evaluation.verified.solver import VerifiedNetwork
 
     network = _network(replace(request, name="vd2t"), labels, skin, touches)
     noise = Noise(conditions.noise, conditions.snr_db)
-    verified = Verified(network.run, noise, labels, touches, skin, at_rest=request.at_rest)
+    verified = VerifiedNetwork(network.run, noise, labels, touches, skin, at_rest=request.at_rest)
     return replace(network, run=verified.run, verified=verified)
 
 
 def verdicts_of(
     phantoms: Sequence[Phantom], by_group: dict[Group, Named], seeds: int
-) -> "dict[int, list[Checked]] | None":
+) -> "dict[int, list[MapVerdict]] | None":
     """Return the verdicts on every phantom, one a seed, by its ``id``; None where the solver gives none."""
     if any(one.verified is None for one in by_group.values()):
         return None
-    found: dict[int, list[Checked]] = {}
+    found: dict[int, list[MapVerdict]] = {}
     for key, one in by_group.items():
         assert one.verified is not None
         group = [phantom for phantom in phantoms if (phantom.truth, phantom.scene.touch_kind) == key]

@@ -16,7 +16,7 @@ from eitskin.reference.captured import Reference
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.evaluation.harness import Case, Run, Sheet
 from eitskin_tools.evaluation.verified.resting import FRAMES, Resting
-from eitskin_tools.evaluation.verified.solver import Verified, noise_shown
+from eitskin_tools.evaluation.verified.solver import VerifiedNetwork, noise_shown
 from eitskin_tools.recording.reinfer import NOTHING, Computed, FrameVerdict, Rerun, Verdicts
 from eitskin_tools.recording.script import Script, Step, reference_of
 
@@ -43,7 +43,7 @@ class VerifiedSolver:
         """On the frames so far."""
         self._reference: Reference | None = None
         self._sheet: Sheet | None = None
-        self._verified: Verified | None = None
+        self._verified: VerifiedNetwork | None = None
         self._image: npt.NDArray[np.float64] = np.zeros(bundle.skin.grid.shape)
         self._fits = False
         self._unfit = ""
@@ -129,10 +129,10 @@ class VerifiedSolver:
     def _left_out(self, why: str) -> None:
         self.verdicts.not_verified[why] += 1
 
-    def _of(self, reference: Reference) -> Verified:
+    def _of(self, reference: Reference) -> VerifiedNetwork:
         """Return the solver of a reference's frames."""
         bundle, step_V = self._bundle, self._script.hello.volts_per_count
         spread_V = np.hypot(reference.spread_V, step_V / math.sqrt(12.0))
         noise = noise_shown(reference.voltages_V, spread_V)
         network = Run(lambda case: self._image, "pre")
-        return Verified(network, noise, bundle.labels, bundle.touch_kind, bundle.skin)
+        return VerifiedNetwork(network, noise, bundle.labels, bundle.touch_kind, bundle.skin)

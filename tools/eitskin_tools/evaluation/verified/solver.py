@@ -106,7 +106,7 @@ class MapVerifier:
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class MapVerdict:
     """One map's verdict, and what it took."""
 
     verdict: ShapeVerdict | UnitVerdict
@@ -120,7 +120,7 @@ class Checked:
     """Why there is no verdict; nothing where there is one."""
 
 
-class Verified:
+class VerifiedNetwork:
     """A network and the verifier behind it.
 
     Args:
@@ -145,7 +145,7 @@ class Verified:
     ) -> None:
         self._network, self._noise, self._labels, self._touches, self._skin = network, noise, labels, touches, skin
         self._budget_s, self._at_rest = budget_s, at_rest
-        self.checked: list[Checked] = []
+        self.checked: list[MapVerdict] = []
         """Verdicts in the order of the cases."""
         self._shape: tuple[bytes, MapVerifier] | None = None
         self._untouched: tuple[Array, int] | None = None
@@ -169,14 +169,14 @@ class Verified:
         image = self._network.solver(case)
         verifier, setup_s = self._verifier(case)
         if why := verifier.refused(image):
-            self.checked.append(Checked(unverified(), 0.0, 0.0, 1e3 * setup_s, why))
+            self.checked.append(MapVerdict(unverified(), 0.0, 0.0, 1e3 * setup_s, why))
             return image
         made_s, start = verifier.shapes.deformation.spent_cpu_s, time.process_time()
         rows = case.flat_reference != 0.0
         verdict = verifier.verify(case.voltages, image, self._budget_s, rows)
         made_s = verifier.shapes.deformation.spent_cpu_s - made_s
         cpu_s = time.process_time() - start - made_s
-        self.checked.append(Checked(verdict, 1e3 * verdict.seconds, 1e3 * cpu_s, 1e3 * (setup_s + made_s)))
+        self.checked.append(MapVerdict(verdict, 1e3 * verdict.seconds, 1e3 * cpu_s, 1e3 * (setup_s + made_s)))
         if verdict.flagged:
             return image
         grid = self._skin.grid
@@ -238,7 +238,7 @@ def noise_shown(reference_V: Array, spread_V: Array) -> Noise:
     return Noise("measured", measured=np.where(inverse != 0.0, sd, SPREADS[1]))
 
 
-def add_verdicts(found: dict[str, Any], results: Results, checked: dict[int, list[Checked]]) -> None:
+def add_verdicts(found: dict[str, Any], results: Results, checked: dict[int, list[MapVerdict]]) -> None:
     """Add to a report what the verifier said of each phantom, and of all of them.
 
     Args:
@@ -257,7 +257,7 @@ def add_verdicts(found: dict[str, Any], results: Results, checked: dict[int, lis
     found["verified"] = summary_of([(phantom, scores, checked[id(phantom)]) for phantom, scores in results])
 
 
-def summary_of(every: list[tuple[Phantom, list[Score], list[Checked]]]) -> dict[str, Any]:
+def summary_of(every: list[tuple[Phantom, list[Score], list[MapVerdict]]]) -> dict[str, Any]:
     """Return what verdicts come to, over all maps; times and chi-squared of those that were verified."""
     exact = np.array([one.exact for _, scores, _ in every for one in scores]) == 1.0
     all_ = [one for _, _, checked in every for one in checked]
