@@ -137,7 +137,7 @@ class Running:
 def _running(port, folder, **options):
     with Skin(port, **{"bundle": TINY, **options}) as skin:
         skin.capture_reference(10)
-        publisher = Publisher(f"ipc://{folder}/frames", shape=skin.bundle.skin.grid.shape)
+        publisher = Publisher(f"ipc://{folder}/frames")
         control = ControlServer(f"ipc://{folder}/control", skin)
         runtime = Running(skin, publisher, control)
         try:

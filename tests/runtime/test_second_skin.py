@@ -176,7 +176,7 @@ def test_a_whole_stream_of_another_skin(virtual_skin, tmp_path):
         assert skin.status()["skin"] == f"ours/{KNOWN_BETTER.digest}"
         frame = next(skin.frames(timeout_s=60))
         assert frame.map.shape == SHAPE
-        publisher = Publisher(f"ipc://{tmp_path}/frames", shape=SHAPE)
+        publisher = Publisher(f"ipc://{tmp_path}/frames")
         control = ControlServer(f"ipc://{tmp_path}/control", skin)
         try:
             save_surface(tmp_path / "cloud.npz", Surface(rolled(SECOND, 40.0)), skin=SECOND)

@@ -40,7 +40,6 @@ from eitskin.messaging.listener import Listener, sender_of
 from eitskin.messaging.regions import ALWAYS, TOUCHES, UNCHANGED
 from eitskin.messaging.streams.publisher import StreamPublisher
 from eitskin.messaging.streams.verified import asked_for
-from eitskin_proto.skin.skin import PAPER
 
 QUEUE_FRAMES: Final = 400
 """Frames that may wait for one subscriber, and none is lost: 2 s at 200 frames/s."""
@@ -80,15 +79,12 @@ class Publisher:
     Args:
         endpoint: ``ipc:///path`` or ``tcp://address:port``.
         keys: CURVE keys, needed for TCP.
-        shape: Rows and columns of the maps that are published.
 
     Raises:
         EndpointError: The endpoint is not allowed like this, or in use.
     """
 
-    def __init__(
-        self, endpoint: str, keys: ServerKeys | None = None, shape: tuple[int, int] = PAPER.grid.shape
-    ) -> None:
+    def __init__(self, endpoint: str, keys: ServerKeys | None = None) -> None:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self.dropped = 0
         """Frames that the socket did not take."""

@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
             Player(script, manner, bundle=arguments.bundle, solver=arguments.solver, tell=log.warn)
         )
         skin = player.skin
-        publisher = Publisher(arguments.publish or endpoints.default_publish(), keys, skin.bundle.skin.grid.shape)
+        publisher = Publisher(arguments.publish or endpoints.default_publish(), keys)
         stack.callback(publisher.close)
         control = ControlServer(arguments.control or endpoints.default_control(), skin, keys)
         stack.callback(control.close)

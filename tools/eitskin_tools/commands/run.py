@@ -214,7 +214,7 @@ def _serve(
     from eitskin_tools.console.run_status import RunStatus
     from eitskin_tools.service.watchdog import WatchedLine
 
-    publisher = Publisher(arguments.publish or endpoints.default_publish(), keys, skin.bundle.skin.grid.shape)
+    publisher = Publisher(arguments.publish or endpoints.default_publish(), keys)
     stack.callback(publisher.close)
     control = ControlServer(arguments.control or endpoints.default_control(), skin, keys)
     stack.callback(control.close)
