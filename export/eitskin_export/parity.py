@@ -148,7 +148,7 @@ def through_runtime(model: VD2T, bundle: Path) -> float:
     clouds = [flat + 5.0 * rng.standard_normal((3, 1, 1)) * np.sin(flat[:1] / 40.0) for _ in dv]
     off = []
     for revision, cloud in enumerate(clouds):
-        buffers.take(geometry_graph.geometry(cloud, predicted[revision], revision))
+        buffers.use_geometry(geometry_graph.geometry(cloud, predicted[revision], revision))
         buffers.change[0] = dv[revision]
         head.infer()
         one = slice(revision, revision + 1)

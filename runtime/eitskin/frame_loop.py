@@ -183,7 +183,7 @@ class FrameSource:
         self._bad_s = FIRST_BAD_S
         self.payload = b""
         """Of the frame in hand."""
-        self.tell_withheld: Callable[[bytes, int], None] | None = None
+        self.on_withheld: Callable[[bytes, int], None] | None = None
         """Takes the payload of each frame that is not accepted, and when it was read."""
 
     @property
@@ -302,7 +302,7 @@ class FrameSource:
         if self._pipeline.has_leisure_work:
             if payloads := self._device.payloads(LEISURE_S):
                 return payloads
-            self._pipeline.look_at_health()
+            self._pipeline.check_health()
         return [] if self._stopping else self._device.payloads(wait_s)  # what woke the moment's wait wakes no other
 
     def _start(self) -> None:
@@ -347,8 +347,8 @@ class FrameSource:
         return True
 
     def _tell_of(self, withheld: bytes, read_ns: int) -> None:
-        if self.tell_withheld is not None:
-            self.tell_withheld(withheld, read_ns)
+        if self.on_withheld is not None:
+            self.on_withheld(withheld, read_ns)
 
     def _recover(self) -> None:
         """Greet the device anew, and let it start anew.
@@ -375,7 +375,7 @@ class FrameSource:
         self.recoveries += 1
         self._pipeline.greet(self._device.hello)
         self._pipeline.clock.anchor(self._device.time_sample)
-        self._pipeline.intake.tell_next("recovered")
+        self._pipeline.intake.add_event("recovered")
         self._greeted_ns = time.perf_counter_ns()
 
     def _bear(self, error: NotReady) -> None:
@@ -413,7 +413,7 @@ class FrameSource:
             return
         event = Event.unpack(payload)
         self._failed |= event.code == EventCode.FRONT_END_FAILED
-        self._pipeline.intake.tell_next(f"device:{event.text.lower()}", MOST_EVENTS)
+        self._pipeline.intake.add_event(f"device:{event.text.lower()}", MOST_EVENTS)
 
 
 CAPTURE_S: Final = 30.0
@@ -495,7 +495,7 @@ class FrameLoop:
             )
         pipeline, record = self._pipeline, self._pipeline.record
         streams, feed = begin(self.feed, taker, self._messages.run)
-        self.source.tell_withheld = feed.withheld
+        self.source.on_withheld = feed.withheld
         try:
             for _ in self._accepted(until_ns):
                 recapture = self._recapture
@@ -586,9 +586,9 @@ class FrameLoop:
         record = self._pipeline.record
         self.statistics.add(record.stamps, record.solver, record.touched, record.skipped, record.events)
         if feed is None:
-            self._pipeline.note_health()
+            self._pipeline.keep_for_health()
         else:
-            self.source.deferred.put(self._pipeline.note_health, feed.frame, self.source.payload, number)
+            self.source.deferred.put(self._pipeline.keep_for_health, feed.frame, self.source.payload, number)
 
     def use(self, found: Reference, *, fresh: bool = False) -> None:
         """Normalise against a reference from the next frame on; before the loop runs, or in its thread.
@@ -667,7 +667,7 @@ class FrameLoop:
         """Return why the frame in hand is not one of a reference, or ""."""
         if "saturated" in self._pipeline.record.events:
             return "rows are cut off"
-        return self._pipeline.front_end.look(self._pipeline.normaliser)
+        return self._pipeline.front_end.check(self._pipeline.normaliser)
 
     def _feed(self, recapture: Recapture) -> None:
         try:

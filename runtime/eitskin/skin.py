@@ -57,7 +57,7 @@ class CloudChange:
         self._lock = threading.Lock()
         self._revision = 0
         pipeline.start_with(self._graph.geometry(None, None, 0))
-        self._graph.rest()
+        self._graph.close_sessions()
 
     def use(
         self,
@@ -363,4 +363,4 @@ def serve(
                 next_join_ns = now_ns + JOIN_NS
                 publisher.look()
                 if publisher.streams.joined:
-                    skin.pipeline.maps.renew()
+                    skin.pipeline.maps.compute_next()

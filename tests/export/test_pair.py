@@ -47,7 +47,7 @@ def shown(path: Path) -> dict[str, Any]:
     bundle = load_bundle(path)
     buffers, cloud = Buffers(bundle), flat_cloud()
     cloud[2] = 4.0 * np.sin(cloud[0] / 30)
-    buffers.take(GeometryGraph(bundle).geometry(cloud, np.full(104, 0.02, np.float32), 1))
+    buffers.use_geometry(GeometryGraph(bundle).geometry(cloud, np.full(104, 0.02, np.float32), 1))
     buffers.change[0] = np.random.default_rng(1).normal(0, 0.1, 104)
     found = {}
     for engine in engines(bundle, buffers):

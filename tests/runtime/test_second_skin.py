@@ -89,7 +89,7 @@ def test_a_description_must_be_of_the_bundle_s_sheet_or_that_sheet_calibrated(se
 
 def test_every_solver_fills_its_map(second):
     buffers = Buffers(second)
-    buffers.take(GeometryGraph(second).geometry(rolled(SECOND, 60.0), None, 1))
+    buffers.use_geometry(GeometryGraph(second).geometry(rolled(SECOND, 60.0), None, 1))
     buffers.change[:] = np.random.default_rng(2).normal(0, 0.1, (1, 104))
     for engine in engines(second, buffers):
         buffers.map[:] = 0.0

@@ -50,7 +50,7 @@ class Buffers:
         self.surface = Surface(bundle.skin.grid.flat_cloud_mm(), bundle.skin.grid)
         """The cloud in use, as it was given."""
 
-    def take(self, geometry: Geometry) -> None:
+    def use_geometry(self, geometry: Geometry) -> None:
         """Use another geometry from the next frame on."""
         self.geometry = geometry
         self.bias[:] = geometry.bias

@@ -3,8 +3,8 @@
 :class:`eitskin.model.buffers.Buffers` is made once. Every engine is bound to it, so that a frame costs one call and no
 array. What a cloud means was computed before (:mod:`eitskin.model.geometry`). ::
 
-    cloud --GeometryGraph--> Geometry(bias, log_predicted) --Buffers.take--> bias, log_predicted
-    dV ----------------------------------------------------------> change --Engine.infer--> map
+    cloud --GeometryGraph--> Geometry(bias, log_predicted) --Buffers.use_geometry--> bias, log_predicted
+    dV ------------------------------------------------------------------> change --Engine.infer--> map
 """
 
 import math

@@ -52,7 +52,7 @@ A sheet that is bent anew under a faint press may lose it: then the single frame
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final, Protocol, TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -199,7 +199,7 @@ MEAN: Final = (2 * FAST - 1) ** -0.5
 _largest, _smallest, _sum = np.maximum.reduce, np.minimum.reduce, np.add.reduce
 
 
-class Changes:
+class ChangeDetector:
     """Judges frames one after the other by what has changed; allocates nothing a frame.
 
     Args:
@@ -225,9 +225,9 @@ class Changes:
             filters: The gate's from now on.
         """
         self._filters = filters
-        self.forget()
+        self.reset()
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Begin anew: what the untouched sheet reads is not known."""
         self.seen = 0
         """Untouched frames that are remembered."""
@@ -278,7 +278,7 @@ class Changes:
         if self._missed == GONE:
             self.held = False
             if there:
-                self.forget()  # what is left of it is the sheet's from now on
+                self.reset()  # what is left of it is the sheet's from now on
         return False
 
     def _learn(self, response: Array) -> None:
@@ -299,7 +299,7 @@ class Changes:
         if ratio > self._filters.limit:
             return True
         if -ratio > self._filters.limit:
-            self.forget()  # a touch that had been taken for the untouched sheet is gone
+            self.reset()  # a touch that had been taken for the untouched sheet is gone
         else:
             self._mix(self._base, self._recent, max(EVERY / SLOW, EVERY / self.seen))
         return False
@@ -446,7 +446,7 @@ class Gate:
         self.logit = float(hidden.dot(self._output)) + self._shift
         return self.logit > self.threshold
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Judge the next frame by itself; this gate never does otherwise."""
 
     def leave_out(self, rows: npt.NDArray[np.bool_]) -> bool:
@@ -501,31 +501,17 @@ class RememberingGate(Gate):
 
     def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]], rows: int = N_ROWS) -> None:
         super().__init__(arrays, rows)
-        self.changes = None if self.filters is None else Changes(self.filters, self.response.size)
+        self.changes = None if self.filters is None else ChangeDetector(self.filters, self.response.size)
 
     def touched(self) -> bool:
         """Return whether the sheet is touched, by ``change`` and the frames before it."""
         at_once = super().touched()
         return at_once if self.changes is None else self.changes.step(self.response, at_once) or at_once
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Begin anew: the reference, or what the rows mean, is another one."""
         if self.changes is not None and self.filters is not None:
             self.changes.begin(self.filters)
-
-
-class Forgets(Protocol):
-    """Something that judges by what it remembers."""
-
-    def forget(self) -> None:
-        """Judge the next frame by itself."""
-
-
-def begin_anew(*judges: Forgets | None) -> None:
-    """Let all that there are forget the frames before: the reference, or the device, is another one."""
-    for judge in judges:
-        if judge is not None:
-            judge.forget()
 
 
 def _finite(arrays: Mapping[str, npt.NDArray[np.generic]], name: str) -> npt.NDArray[np.float64]:

@@ -59,7 +59,8 @@ class Geometry:
 class GeometryGraph:
     """From clouds to geometries; not part of the frame loop.
 
-    Sessions are made with the first call and forgotten by :meth:`rest`: a skin that never gets a cloud needs them once.
+    Sessions are open until :meth:`close_sessions` and opened again by the next cloud: a skin that never gets one needs
+    them once.
 
     Args:
         bundle: Where the graph is.
@@ -91,7 +92,7 @@ class GeometryGraph:
             self._sessions[file] = session
         return self._sessions[file]
 
-    def rest(self) -> None:
+    def close_sessions(self) -> None:
         """Give the sessions' 5 MB back until the next cloud, which then takes 15 ms more."""
         self._sessions.clear()
 

@@ -6,16 +6,12 @@ What it finds it puts into a record (:mod:`eitskin.frame_record`). What it leave
 ``acquisition:idle``, ``geometry:cloud_unchanged``. Frames that are not fit to publish are withheld
 (:mod:`eitskin.pipeline.intake`).
 
-A look at the map itself, now and then: a gate that is wrong must not hide a touch and say nothing.
-
-Of the frames that the gate calls untouched, one in ``AUDIT_FRAMES`` is inferred all the same. If the network's map then
-shows a strong touch, the gate is overruled: the frame is published with its map, the event ``gate_overruled`` says so,
-and every frame is looked at until a map shows no strong touch any more. What a wrong gate can hide is thus a touch for
-``AUDIT_FRAMES`` frames, or one that the network does not see either. Where rows are missing, which a gate needs more
-than a network that learned without them, one in ``WITHOUT_ROWS`` is looked at.
-
-How many pixels make a strong touch is known when the bundle is made: more than the network ever shows of an untouched
-sheet. A bundle that does not say (``audit_pixels`` in gate.npz) is not looked after.
+:class:`GateAudit` keeps a wrong gate from hiding a touch in silence. Of the frames that the gate calls untouched, one
+in ``AUDIT_FRAMES`` is inferred all the same. If the network's map shows a strong touch, it overrules the gate: the
+frame is published with its map and the event ``gate_overruled``, and every frame is inferred until a map shows no
+strong touch. Where rows are missing, which a gate needs more than a network that learned without them, one frame in
+``WITHOUT_ROWS`` is inferred. The bundle says how many pixels make a strong touch (``audit_pixels`` in gate.npz): more
+than the network ever shows of an untouched sheet. Without that number no frame is inferred.
 """
 
 import time
@@ -33,7 +29,7 @@ from eitskin.health.monitor import Health
 from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import Bundle
 from eitskin.model.denormals import flushed
-from eitskin.model.gate import RememberingGate, begin_anew
+from eitskin.model.gate import RememberingGate
 from eitskin.model.geometry import Geometry
 from eitskin.pipeline.idle import IdleGate
 from eitskin.pipeline.intake import Intake
@@ -80,7 +76,7 @@ def audit_pixels(arrays: Mapping[str, npt.NDArray[np.generic]] | None, n_pixels:
     return int(found.reshape(-1)[0])
 
 
-class Rows(Protocol):
+class MissingRows(Protocol):
     """Who knows whether rows are missing."""
 
     @property
@@ -106,7 +102,7 @@ class GateAudit:
         self.overruled = 0
         """Frames in which a map overruled the gate so far."""
 
-    def looks(self, rows: Rows | None) -> bool:
+    def is_due(self, rows: MissingRows | None) -> bool:
         """Return whether an untouched frame is to be inferred all the same; asked once for each of them.
 
         Args:
@@ -149,7 +145,7 @@ class FrontEndWatch:
         self._intake, self._idle_gate = intake, idle_gate
         self._reference: npt.NDArray[np.float64] | None = None
 
-    def use(self, reference: Reference, step_V: float) -> None:
+    def use_reference(self, reference: Reference, step_V: float) -> None:
         """Judge by another reference from the next frame on.
 
         Args:
@@ -162,7 +158,7 @@ class FrontEndWatch:
         idle = None if self._idle_gate is None else patience(spread[self._idle_gate.rows])
         self._intake.most_repeats = (patience(spread), idle)
 
-    def look(self, normaliser: Normaliser) -> str:
+    def check(self, normaliser: Normaliser) -> str:
         """Return what no sheet reads in the rows of a whole frame, or "".
 
         Args:
@@ -175,7 +171,7 @@ class FrontEndWatch:
             cut_off = int.from_bytes(np.packbits(both, bitorder="little").tobytes(), "little")
         return stuck(normaliser.counts, self._reference, cut_off, self._limit)
 
-    def look_idle(self) -> str:
+    def check_idle(self) -> str:
         """Return the same of a frame of a few drives."""
         assert self._idle_gate is not None
         reference = None if self._reference is None else self._reference[self._idle_gate.rows]
@@ -208,7 +204,7 @@ def prediction_against(
     return ratio
 
 
-class HeldPrediction:
+class GeometryInUse:
     """Gives a pipeline's buffers geometries whose predictions are held against the reference in use.
 
     Args:
@@ -220,15 +216,15 @@ class HeldPrediction:
         self._buffers, self._fills = buffers, fills
         self._reference: Reference | None = None
 
-    def use(self, reference: Reference) -> None:
+    def use_reference(self, reference: Reference) -> None:
         """Hold what is in use against another reference, and all that comes."""
         self._reference = reference
         if self._buffers.geometry is not None:
-            self.take(self._buffers.geometry)
+            self.use_geometry(self._buffers.geometry)
 
-    def take(self, geometry: Geometry) -> None:
+    def use_geometry(self, geometry: Geometry) -> None:
         """Use another geometry."""
-        self._buffers.take(self._held(geometry))
+        self._buffers.use_geometry(self._held(geometry))
 
     def _held(self, geometry: Geometry) -> Geometry:
         """Return the same object where that changes nothing, or where no sheet is like that: then it stays as it is."""
@@ -296,7 +292,7 @@ class Pipeline:
         self.decisions = FrameDecisions() if decisions is None else decisions
         """Of the frame to come, as far as they are given."""
         self.buffers = Buffers(bundle, None if self.gate is None else self.gate.change)
-        self._prediction = HeldPrediction(self.buffers, fills=health is not None)
+        self._prediction = GeometryInUse(self.buffers, fills=health is not None)
         self._change = self.buffers.change[0]
         self.record = FrameRecord(memoryview(self.buffers.map[0]).cast("B"))
         """The frame in hand; the next one overwrites it."""
@@ -319,27 +315,33 @@ class Pipeline:
     def greet(self, hello: Hello) -> None:
         """Take over what a device said after it was greeted anew."""
         self.intake.greet(hello)
-        begin_anew(self.gate, self.idle_gate)
+        self._reset_gates()
         self.normaliser.use_scale(hello.volts_per_count)
 
     def use_reference(self, reference: Reference, *, fresh: bool = False) -> None:
         """Normalise against a reference, or the flat one that its scan makes of it; a fresh one is of the sheet now."""
         step_V, flat = self.normaliser.volts_per_count, reference.flat()
         self.normaliser.use(flat.voltages_V, flat.weak)
-        begin_anew(self.gate, self.idle_gate)
-        self.front_end.use(reference, step_V)
+        self._reset_gates()
+        self.front_end.use_reference(reference, step_V)
         if self.health is not None:
             spread_V = with_rounding(flat.spread_V, step_V)
             self.health.use(flat.voltages_V, spread_V, self.gate, frames=flat.frames, fresh=fresh)
             self.maps.change_projection(self.health.projection)
         self.maps.compare_by(flat.voltages_V, flat.spread_V, flat.frames, step_V)
-        self._prediction.use(reference)
+        self._prediction.use_reference(reference)
+
+    def _reset_gates(self) -> None:
+        """Let the gates judge the next frame by itself: the reference, or the device, is another one."""
+        for gate in (self.gate, self.idle_gate):
+            if gate is not None:
+                gate.reset()
 
     def start_with(self, geometry: Geometry) -> None:
         """Use a geometry at once, without an event; only between two frames of the same thread."""
-        self._prediction.take(geometry)
+        self._prediction.use_geometry(geometry)
         self.record.cloud = geometry.revision
-        self.maps.forget()
+        self.maps.drop_map()
 
     def use_geometry(self, geometry: Geometry) -> None:
         """Use a geometry from the next frame on; may be called from another thread."""
@@ -368,7 +370,7 @@ class Pipeline:
             return False
         if record.resets != self.counter.resets:  # frames are numbered anew, and a map is known by its frame
             record.resets = self.counter.resets
-            self.maps.forget()
+            self.maps.drop_map()
         if record.idle and self.idle_gate is not None:
             self.idle_gate.load(intake.counts)
         else:
@@ -400,13 +402,13 @@ class Pipeline:
         """
         record = self.record
         stamps = record.stamps
-        fresh_cloud = self._take_over()
+        fresh_cloud = self._use_new_geometry()
         record.inferred = False
         if record.idle:
             return self._compute_idle()
         if not self.normaliser.change_into(self._change):
             return self.intake.give_up("no_signal" if self.normaliser.silent else "implausible")
-        if self.normaliser.far and self.front_end.look(self.normaliser):
+        if self.normaliser.far and self.front_end.check(self.normaliser):
             return self.intake.give_up("stuck")
         health = self.health
         if health is not None:
@@ -422,11 +424,11 @@ class Pipeline:
         if health is not None:
             health.complete(self._change, self.buffers.log_predicted[0])
         stamps[GATE] = time.perf_counter_ns()
-        if not record.touched and wanted and self._infers_untouched() and self._look():
+        if not record.touched and wanted and self._infers_untouched() and self._infer_untouched():
             record.touched = True
             record.skipped = () if fresh_cloud else CLOUD_UNCHANGED
         elif not record.touched or not wanted:
-            self.maps.leave()
+            self.maps.show_nothing()
             record.skipped = NO_SUBSCRIBER if record.touched else LOOKED if record.inferred else UNTOUCHED
         elif self.maps.keep(decided.keeps_map):
             record.skipped = UNCHANGED
@@ -445,11 +447,11 @@ class Pipeline:
         touched = gate.touched(self.normaliser)
         if touched is None:
             return self.intake.give_up("implausible")
-        if gate.far and self.front_end.look_idle():
+        if gate.far and self.front_end.check_idle():
             return self.intake.give_up("stuck")
         record.touched, record.gate_logit = touched, gate.gate.logit
         record.stamps[NORMALISE] = record.stamps[GATE] = time.perf_counter_ns()
-        self.maps.leave()
+        self.maps.show_nothing()
         record.skipped = IDLE
         self._describe()
         record.stamps[INFER] = time.perf_counter_ns()
@@ -463,7 +465,7 @@ class Pipeline:
         if health is not None:
             record.drift, record.electrodes = health.drift.distance, health.electrodes.texts
 
-    def _take_over(self) -> bool:
+    def _use_new_geometry(self) -> bool:
         """Use what other threads brought since the last frame, and return whether it was a cloud."""
         geometry = self._next_geometry
         if geometry is None:
@@ -476,10 +478,10 @@ class Pipeline:
 
     def _infers_untouched(self) -> bool:
         """Return whether the map of this untouched frame is to be computed all the same; asked once for each."""
-        found, decided = self.audit.looks(self.health), self.decisions.inferred_untouched
+        found, decided = self.audit.is_due(self.health), self.decisions.inferred_untouched
         return found if decided is None else decided
 
-    def _look(self) -> bool:
+    def _infer_untouched(self) -> bool:
         """Infer a frame that the gate calls untouched, and return whether its map shows a strong touch all the same."""
         if not self.maps.can_overrule:
             return False
@@ -489,16 +491,16 @@ class Pipeline:
             record.events += ("gate_overruled",)
             return True
         record.solver, record.map_sequence = before
-        self.maps.forget()  # this frame goes out without a touch: none behind it may have its map under its number
+        self.maps.drop_map()  # this frame goes out without a touch: none behind it may have its map under its number
         return False
 
-    def note_health(self) -> None:
+    def keep_for_health(self) -> None:
         """Keep what electrodes and drift are judged by of the frame that was just published."""
         health, record = self.health, self.record
         if health is not None and not record.idle and health.put_aside(self.intake.counts, touched=record.touched):
-            self.look_at_health()
+            self.check_health()
 
-    def look_at_health(self) -> None:
+    def check_health(self) -> None:
         """Look at electrodes and drift in the last few frames; what changes acts on the next one."""
         if self.health is not None and self.health.look(self.buffers.log_predicted[0]):
             self.maps.change_projection(self.health.projection)

@@ -72,9 +72,9 @@ class IdleGate:
         self._exact = np.zeros(count)
         self._counts: npt.NDArray[np.number] = self._exact
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Judge the next frame by itself."""
-        self.gate.forget()
+        self.gate.reset()
 
     def load(self, counts: npt.NDArray[np.int32]) -> None:
         """Take a frame.

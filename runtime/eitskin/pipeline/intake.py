@@ -140,7 +140,7 @@ class Intake:
             self._payloads.append(payload)
         if idle != record.idle:
             record.idle = idle
-            self.tell_next("idle" if idle else "awake")
+            self.add_event("idle" if idle else "awake")
         record.events = ("saturated",) if view.saturation else ()
         record.sequence, record.device_us = step.sequence, step.device_us
         record.scanned_ns = self.clock.scanned_ns(step.device_us, read_ns)
@@ -161,9 +161,9 @@ class Intake:
         step = self.counter.step(self._view.sequence, self._view.device_us)
         if step.reset:
             self.clock.restart()
-            self.tell_next("device_reset")
+            self.add_event("device_reset")
         elif step.lost:
-            self.tell_next("lost")
+            self.add_event("lost")
         return step
 
     def _repeats(self, payload: bytes) -> bool:
@@ -185,10 +185,10 @@ class Intake:
         self.withheld[reason] += 1
         self.withheld_total += 1
         self.last_reason = reason
-        self.tell_next(WITHHELD[reason])
+        self.add_event(WITHHELD[reason])
         return False
 
-    def tell_next(self, event: str, most: int | None = None) -> None:
+    def add_event(self, event: str, most: int | None = None) -> None:
         """Let the next published frame say that something happened; in the frame loop's thread.
 
         Args:
@@ -205,7 +205,7 @@ class Intake:
         """
         for event in self._record.events:
             if event != "saturated":
-                self.tell_next(event)
+                self.add_event(event)
         return self.withhold(reason)
 
     def name_events(self) -> None:

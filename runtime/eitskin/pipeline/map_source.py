@@ -121,14 +121,14 @@ class MapSource:
             if isinstance(engine, ProjectionEngine):
                 engine.change_matrix(change)
 
-    def forget(self) -> None:
+    def drop_map(self) -> None:
         """Hold no map: what it depends on has changed."""
         self._held = ""
 
-    def renew(self) -> None:
+    def compute_next(self) -> None:
         """Compute the next map whatever its frame is: somebody came who does not have the frame of the map so far."""
         if self.stillness is not None:
-            self.stillness.forget()
+            self.stillness.reset()
 
     def compare_by(
         self, voltages_V: npt.NDArray[np.float64], spread_V: npt.NDArray[np.float64], frames: int, step_V: float
@@ -172,7 +172,7 @@ class MapSource:
         self._record.solver, self._record.map_sequence = self._held, self._held_sequence
         return True
 
-    def leave(self) -> None:
+    def show_nothing(self) -> None:
         """Leave the map at zero; it is a new one, if the last was not, and again now and then."""
         record = self._record
         if record.solver != "none" or not 0 <= record.sequence - record.map_sequence < REFRESH_FRAMES:

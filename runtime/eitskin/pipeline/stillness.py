@@ -100,6 +100,6 @@ class Stillness:
         self.age = 0
         self.holds = True
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Keep none: the next frame is computed whatever it is."""
         self.holds = False

@@ -116,5 +116,5 @@ class Judge:
             sample_bytes=self.sheet.sample_bytes, saturation=saturation,
         ).pack()  # fmt: skip
         done = self.pipeline.accept(packed, self.sequence * PERIOD_NS) and self.pipeline.compute(False)
-        self.pipeline.note_health()
+        self.pipeline.keep_for_health()
         return done

@@ -34,9 +34,9 @@ def go(pipeline, counts, sequence):
     counts[0] += sequence % 16  # a living front end repeats no frame
     packed = Frame(sequence=sequence, device_us=sequence * 5000, counts=counts).pack()
     done = pipeline.accept(packed, time.perf_counter_ns()) and pipeline.compute(True)
-    pipeline.note_health()
+    pipeline.keep_for_health()
     if pipeline.has_leisure_work:
-        pipeline.look_at_health()
+        pipeline.check_health()
     return done
 
 

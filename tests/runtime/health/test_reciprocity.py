@@ -87,9 +87,9 @@ def go(pipeline, counts, sequence):
     packed = Frame(sequence=sequence, device_us=sequence * 5000, counts=counts, flags=FrameFlag.FULL).pack()
     assert pipeline.accept(packed, time.perf_counter_ns())
     assert pipeline.compute(True)
-    pipeline.note_health()
+    pipeline.keep_for_health()
     if pipeline.has_leisure_work:
-        pipeline.look_at_health()
+        pipeline.check_health()
 
 
 def test_the_stream_names_it_in_time_fills_it_in_and_takes_it_back(watching):

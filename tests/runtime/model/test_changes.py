@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.gate import FEWEST, GONE, SLOW, Changes, Filters, Gate, RememberingGate
+from eitskin.model.gate import FEWEST, GONE, SLOW, ChangeDetector, Filters, Gate, RememberingGate
 
 WHITENED, COUNT, LIMIT, STILL = 60, 24, 7.0, 0.25
 NOISE = 0.2
@@ -32,7 +32,7 @@ def judged(changes, w, rng, *, noise=NOISE, touched=False):
 
 def watching(rest, rng, frames=200, **more):
     """Return what has seen a sheet at rest for some frames."""
-    changes = Changes(Filters(WHITENED, LIMIT, STILL, True), WHITENED + COUNT)
+    changes = ChangeDetector(Filters(WHITENED, LIMIT, STILL, True), WHITENED + COUNT)
     assert not judged(changes, np.tile(rest, (frames, 1)), rng, **more).any()
     return changes
 
@@ -127,7 +127,7 @@ def test_what_a_strong_press_leaves_behind_is_no_touch():
 def test_noise_however_strong_is_no_touch():
     for noise in (0.02, 0.2, 3.0):
         rng = np.random.default_rng(6)
-        changes = Changes(Filters(WHITENED, LIMIT, STILL, True), WHITENED + COUNT)
+        changes = ChangeDetector(Filters(WHITENED, LIMIT, STILL, True), WHITENED + COUNT)
         assert judged(changes, np.tile(sheet(rng), (5000, 1)), rng, noise=noise).mean() < 1e-3
         assert not changes.held
 
@@ -149,7 +149,7 @@ def test_filters_of_both_signs_find_presses_of_both():
     both = np.concatenate([PATTERNS, -PATTERNS], axis=1)
     for sign in (1.0, -1.0):
         rest = sheet(rng)
-        changes = Changes(Filters(WHITENED, LIMIT, STILL, False), WHITENED + 2 * COUNT)
+        changes = ChangeDetector(Filters(WHITENED, LIMIT, STILL, False), WHITENED + 2 * COUNT)
         w = np.concatenate([np.tile(rest, (200, 1)), np.tile(rest + sign * PRESS, (5, 1))])
         w = w + NOISE * rng.standard_normal(w.shape)
         seen = [changes.step(np.concatenate([one, one @ both]).astype(np.float32), False) for one in w]
@@ -170,7 +170,7 @@ def test_a_gate_that_remembers_says_of_one_frame_what_any_gate_says(shipped):
     plain, remembering = Gate(shipped), RememberingGate(shipped)
     for change in 0.05 * rng.standard_normal((20, 1)) * rng.standard_normal((20, 104)):
         plain.change[:] = remembering.change[:] = change
-        remembering.forget()
+        remembering.reset()
         assert remembering.touched() == plain.touched()
         assert remembering.logit == plain.logit
 
@@ -183,5 +183,5 @@ def test_a_common_factor_is_no_change(shipped):
         assert not gate.touched()
     assert gate.changes is not None
     assert gate.changes.seen == 300
-    gate.forget()
+    gate.reset()
     assert gate.changes.seen == 0

@@ -30,7 +30,7 @@ def bent():
 
 def test_the_bound_engine_gives_what_a_plain_session_gives(tiny, change):
     buffers = Buffers(tiny)
-    buffers.take(GeometryGraph(tiny).geometry(bent(), np.full(104, 0.05, np.float32), 1))
+    buffers.use_geometry(GeometryGraph(tiny).geometry(bent(), np.full(104, 0.05, np.float32), 1))
     buffers.change[0] = change
     HeadEngine(tiny, "head.onnx", "vd2t", buffers).infer()
     session = onnxruntime.InferenceSession(tiny.files["head.onnx"], providers=["CPUExecutionProvider"])
@@ -59,7 +59,7 @@ def test_the_cloud_and_the_prediction_reach_the_map(tiny, change):
         graph.geometry(bent(), None, 1),
         graph.geometry(bent(), np.full(104, 0.3, np.float32), 2),
     ):
-        buffers.take(geometry)
+        buffers.use_geometry(geometry)
         engine.infer()
         maps.append(buffers.map.copy())
     assert buffers.revision == 2

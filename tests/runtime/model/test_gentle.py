@@ -179,7 +179,7 @@ def maps(bundle, monkeypatch=None, bounds=None):
     if bounds is not None:
         monkeypatch.setattr(gentle, "SURE", bounds)
     buffers, found = Buffers(bundle), {}
-    buffers.take(GeometryGraph(bundle).geometry(bent(), None, 1))
+    buffers.use_geometry(GeometryGraph(bundle).geometry(bent(), None, 1))
     buffers.change[0] = np.random.default_rng(5).normal(0, 0.1, 104)
     for one in engines(bundle, buffers):
         buffers.map[:] = 0.0

@@ -33,7 +33,7 @@ def changed(path, out, change):
 def maps(bundle, cloud=None, forget=None):
     """Return {solver: map} of one dV; the bias of the network ``forget`` is 0; the bundle's own is ""."""
     buffers = Buffers(bundle)
-    buffers.take(GeometryGraph(bundle).geometry(cloud, None, 1))
+    buffers.use_geometry(GeometryGraph(bundle).geometry(cloud, None, 1))
     buffers.change[0] = np.random.default_rng(5).normal(0, 0.1, 104)
     if forget is not None:
         buffers.beside.get(forget, buffers.bias)[:] = 0.0

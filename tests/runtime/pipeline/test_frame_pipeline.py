@@ -113,12 +113,12 @@ def test_what_a_frame_that_is_withheld_would_have_said_the_next_one_says(pipelin
 
 def test_a_device_s_own_words_do_not_crowd_out_what_happened(pipeline, counts):
     for number in range(40):
-        pipeline.intake.tell_next(f"device:{number}", MOST_EVENTS)
+        pipeline.intake.add_event(f"device:{number}", MOST_EVENTS)
     assert go(pipeline, payload(counts, 10))
     assert go(pipeline, payload(counts, 3))
     assert pipeline.record.events == ("device_reset",)
     for number in range(40):
-        pipeline.intake.tell_next(f"device:{number}", MOST_EVENTS)
+        pipeline.intake.add_event(f"device:{number}", MOST_EVENTS)
     assert go(pipeline, payload(counts, 5))
     assert len(pipeline.record.events) == MOST_EVENTS + 1
     assert pipeline.record.events[-1] == "lost"

@@ -100,8 +100,8 @@ class Sheet:
 @pytest.mark.parametrize(("sheet", "each"), [(Sheet(True), WITHOUT_ROWS), (Sheet(False), AUDIT_FRAMES)])
 def test_while_rows_are_missing_frames_are_looked_at_more_often(sheet, each):
     audit = GateAudit(9, 1350)
-    assert [audit.looks(sheet) for _ in range(3 * each)] == [n % each == each - 1 for n in range(3 * each)]
-    assert not any(GateAudit(None, 1350).looks(sheet) for _ in range(3 * each))
+    assert [audit.is_due(sheet) for _ in range(3 * each)] == [n % each == each - 1 for n in range(3 * each)]
+    assert not any(GateAudit(None, 1350).is_due(sheet) for _ in range(3 * each))
 
 
 def test_frames_that_nobody_wants_are_not_looked_at(pipeline, counts):

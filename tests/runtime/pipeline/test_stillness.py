@@ -89,7 +89,7 @@ def test_a_map_is_computed_anew_now_and_then_whatever_happens(stillness):
     answers = [stillness.still(zero) for _ in range(REFRESH_FRAMES)]
     assert answers == [True] * (REFRESH_FRAMES - 1) + [False]
     stillness.keep(zero)
-    stillness.forget()
+    stillness.reset()
     assert not stillness.still(zero)
 
 

@@ -25,7 +25,7 @@ def test_the_unsplit_graph_gives_the_map_of_the_split_ones() -> None:
     bundle = load_bundle(BUNDLE)
     ways, _ = variants(bundle, seed=3)
     buffers = Buffers(bundle)
-    buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
+    buffers.use_geometry(GeometryGraph(bundle).geometry(None, None, 0))
     buffers.change[:] = 0.1 * np.random.default_rng(3).standard_normal((1, 104))
     engines(bundle, buffers)[0].infer()
     for name in ("unsplit", "onnxruntime-default"):

@@ -1,15 +1,12 @@
 """Files of a series: each takes the next number that is free, and none that is there is lost."""
 
-import os
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from eitskin import SkinState
 from eitskin_tools import cli
-from eitskin_tools.recording import writer as sinks
 from eitskin_tools.recording.layout import MAP, WIRE
 from eitskin_tools.recording.reader import Recording
 from eitskin_tools.recording.script import Script
@@ -50,30 +47,6 @@ def test_every_file_begins_with_a_frame_of_the_wire(tmp_path: Path) -> None:
     series.close()
     found = [[entry.topic for entry in Recording(path).entries()] for path in series.files]
     assert found == [[WIRE.topic, MAP.topic]] * 3
-
-
-@pytest.mark.parametrize("step", ["write", "link"])
-def test_no_file_is_ever_there_without_its_head(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
-    """Whenever it ends, each file says what it is: looked at just before and behind what gives it its name."""
-    really, seen = getattr(os, step), 0
-
-    def look() -> int:
-        return sum(bool(Recording(path).head["file"]) for path in tmp_path.iterdir())
-
-    def looked_at(*given: Any, **more: Any) -> Any:
-        nonlocal seen
-        seen += look()
-        found = really(*given, **more)
-        seen += look()
-        return found
-
-    monkeypatch.setattr(sinks, "os", SimpleNamespace(**{**vars(os), step: looked_at}))
-    series = Series(tmp_path / "r.mcap", {}, most_bytes=1)
-    for number in range(3):
-        series.add(WIRE, b"frame", number, number)
-        series.sync()
-    series.close()
-    assert seen > 3
 
 
 def test_a_runtime_that_starts_anew_passes_over_a_file_as_well(tmp_path: Path, items: list[Any]) -> None:

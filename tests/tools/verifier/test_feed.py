@@ -37,7 +37,7 @@ class Line:
         pipeline = SimpleNamespace(
             buffers=buffers, health=None, skin=PAPER, normaliser=SimpleNamespace(volts_per_count=0.0),
             bundle=SimpleNamespace(id="b", labels="area", touch_kind="raise"),
-            intake=SimpleNamespace(tell_next=lambda event: None),
+            intake=SimpleNamespace(add_event=lambda event: None),
         )  # fmt: skip
         reference = Reference(np.ones(104), np.full(104, NOISE), 100, "s", 0, "c", "")
         skin = SimpleNamespace(pipeline=pipeline, reference=reference, loop=SimpleNamespace(run_id="r"))

@@ -180,7 +180,7 @@ def variants(bundle: Bundle, seed: int = 0) -> tuple[dict[str, Infer], dict[str,
         seed: Of the dV that every variant gets.
     """
     buffers = Buffers(bundle)
-    buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
+    buffers.use_geometry(GeometryGraph(bundle).geometry(None, None, 0))
     buffers.change[:] = 0.1 * np.random.default_rng(seed).standard_normal((1, N_ROWS))
     deployed = {engine.name: engine for engine in engines(bundle, buffers)}
     found: dict[str, Infer] = {name: _own(engine).infer for name, engine in deployed.items()}

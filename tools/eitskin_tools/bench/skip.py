@@ -250,9 +250,9 @@ class FrameRunner:
         """Take the prepared frame through the pipeline, and do what waits for leisure when it is due."""
         pipeline = self.pipeline
         fit = pipeline.accept(self._ready, time.perf_counter_ns()) and pipeline.compute(self._wanted)
-        pipeline.note_health()
+        pipeline.keep_for_health()
         if pipeline.has_leisure_work:
-            pipeline.look_at_health()
+            pipeline.check_health()
         return fit
 
 

@@ -356,7 +356,7 @@ def denormal_rows(bundle: Bundle) -> list[Row]:
     """Return a row for each solver of a bundle, and for its geometry graph."""
     rng = np.random.default_rng(0)
     buffers = Buffers(bundle)
-    buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
+    buffers.use_geometry(GeometryGraph(bundle).geometry(None, None, 0))
     usual = rng.normal(0.0, 0.05, N_ROWS).astype(np.float32)
     signs = np.sign(usual)
     half = np.arange(N_ROWS) % 2 == 0
@@ -430,7 +430,7 @@ def maps_of(bundle: Bundle, changes: Floats, engine: int = 0) -> Floats:
     """Return (n, 1350) maps on the flat sheet, one at a time through the runtime's engine."""
     buffers = Buffers(bundle)
     found = engines(bundle, buffers)[engine]
-    buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
+    buffers.use_geometry(GeometryGraph(bundle).geometry(None, None, 0))
     maps = []
     for change in changes:
         buffers.change[0] = change

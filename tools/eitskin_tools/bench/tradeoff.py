@@ -264,7 +264,7 @@ def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
 
     def geometry(case: Case) -> None:
         predicted = log_ratio(case.sheet.predicted(), flat_voltages(bundle.skin)) if bundle.uses_prediction else None
-        buffers.take(graph.geometry(case.sheet.cloud_mm, predicted, buffers.revision + 1))
+        buffers.use_geometry(graph.geometry(case.sheet.cloud_mm, predicted, buffers.revision + 1))
         shown[0] = case.sheet
 
     def solver(engine: Any, *, every: bool = False) -> Callable[[Case], Any]:

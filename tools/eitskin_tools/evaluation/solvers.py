@@ -180,7 +180,7 @@ def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> N
             elif prediction == "true":
                 predicted = log_ratio(case.sheet.untouched, case.flat_reference)
             shown[:] = [case.sheet, shown[1] + 1]
-            buffers.take(graph.geometry(case.sheet.cloud_mm, predicted, shown[1]))
+            buffers.use_geometry(graph.geometry(case.sheet.cloud_mm, predicted, shown[1]))
         buffers.change[0] = relative_change(case.voltages, case.flat_reference)
         engine.infer()
         return np.asarray(buffers.map, dtype=np.float64).reshape(skin.grid.shape)

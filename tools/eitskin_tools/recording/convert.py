@@ -1,6 +1,6 @@
-"""A recording as arrays, a row a frame: what NPZ and Parquet hold.
+"""Recordings as files that other programs read: NPZ, Parquet and rosbag2.
 
-::
+NPZ and Parquet have a row a frame ::
 
     seq, device_us, read_ns, wall_ns, withheld, touched, gate_logit, solver, conditions     of every frame of the wire
     voltages_V (n, 104) V       cloud_index (n,) into the clouds, -1 for none, or where it is not known
@@ -9,7 +9,7 @@
 
 Frames of the idle mode, of a few drives, are left out and counted.
 
-A recording as rosbag2, without ROS: standard messages only, so that every ROS 2 machine plays it.
+rosbag2 is written without ROS, in standard messages that every ROS 2 machine plays:
 
 ===================  =======================  =======================================================
 /eitskin/voltages    sensor_msgs/Image        64FC1, one row of 104 V a frame

@@ -1,14 +1,11 @@
-"""From a subscription to a file: what comes is written as it came, and pictures for Foxglove beside it.
+"""From two subscriptions to a file: what was measured and what was published, and pictures for Foxglove beside it.
 
-The recorder is a process of its own: a chunk that is packed and forced onto the disk takes milliseconds, which the
-frame loop must not wait for. It knows no socket: whoever subscribes hands it one value after the other.
+The recorder is a process of its own: to pack a chunk and to force it onto the disk takes milliseconds, which the frame
+loop must not wait for. :class:`Recorder` knows no socket; it is given one value after the other.
 
-Two subscriptions into one queue: what was measured, and what was published of it.
-
-Each has a thread of its own that does nothing but take messages from its socket; whoever writes them may be held up by
-the disk for a while. All of them rest between whiles and then take what has come: a recording is in no hurry, and each
-waking of a thread takes time from the frame loop where cores are few. They wake when a frame is through, and have done
-before the next one comes.
+:class:`Intake` has a thread for each subscription that only takes messages from its socket, since the disk may hold up
+the writer. The threads rest between frames and then take what has come: each waking takes time from the frame loop
+where cores are few.
 """
 
 import threading

@@ -1,15 +1,12 @@
-"""A recording, computed once more from its first frame to its last.
+"""Computes a recording again from its first frame to its last, and compares the maps.
 
-Recorded frames to maps once more, by the runtime's own pipeline: no line, no socket, no clock.
+Each frame is computed by the runtime's own pipeline, with the reference, the cloud and the conditions of then. With the
+bundle that was running the pipeline takes its decisions from the recording (:mod:`eitskin.pipeline.recorded`), and the
+maps come out bit by bit as they were published. Another bundle judges by its own gate, and another solver makes maps of
+its own; their maps are compared with those of the bundle that was running.
 
-Every frame is held against the reference, computed with the cloud and under the conditions that held when it came. With
-the bundle that was running the pipeline takes its decisions from the recording (:mod:`eitskin.pipeline.recorded`), and
-the maps come out bit by bit as they were published. Another bundle judges by its own gate.
-
-What a recording's frames are, computed once more: bit by bit against what was published, and against another solver.
-
-Of a published frame the recording keeps a digest of its map. A map that only noise separates from the one before was
-published again as it was: then the digest is that of the earlier frame, which ``map_seq`` names.
+A recording keeps a digest of each published map. A map that only noise separates from the one before was published
+again as it was: then the digest is that of the earlier frame, which ``map_seq`` names.
 """
 
 import time

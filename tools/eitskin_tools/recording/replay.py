@@ -1,17 +1,14 @@
-"""A skin that a recording plays: the ordinary runtime on a recorded line.
+"""Plays a recording: the ordinary runtime reads it from a line that answers as the device did.
 
-The bundle, the reference and the solver are those of the recording unless others are named. Each cloud is taken before
-the frame that met it first, and a reference that was captured anew takes effect where it did. Electrodes that were
-excluded by hand are. Other failed electrodes, drift and the gate's threshold are those of the recording too, and so is
-what was decided of each frame by the frames before it (:mod:`eitskin.pipeline.recorded`); with another bundle the
-runtime finds all that out by itself.
+:class:`Player` uses the bundle, the reference and the solver of the recording unless others are named. A cloud takes
+effect before the frame that met it first, and so does a reference that was captured anew. Excluded and failed
+electrodes, drift and the gate's threshold are those of the recording, and so is what was decided of each frame
+(:mod:`eitskin.pipeline.recorded`). With another bundle the runtime finds all that out by itself.
 
-A line behind which a recording plays the device: the runtime reads it as it reads a port.
-
-It answers the handshake with the HELLO that was recorded, acknowledges what is asked of it, and from START on sends the
-frames as they came: at their pace, or one as soon as the one before is done. What belongs before a frame, such as a
-cloud, is done in the reader's thread when the frame before it is done, so that each frame meets what it met then.
-Played again and again, sequence numbers and the device's clock go on.
+:class:`RecordedLine` answers the handshake with the recorded HELLO, acknowledges requests, and after START sends the
+frames at their pace, or each as soon as the one before is done. What belongs before a frame, such as a cloud, is done
+in the reader's thread when the frame before it is done. Sequence numbers and the device's clock go on when the
+recording is played again and again.
 """
 
 import math

@@ -1,13 +1,11 @@
-"""Any span of a recording: its frames, what was published of them, and what held at its beginning.
+"""Reads any part of a recording without reading what comes before it.
 
-What is kept in memory does not grow with the file: the places of its chunks, and the clouds and conditions that were
-looked at last.
+:class:`ChunkIndex` reads the heads of the file's records alone. A chunk's head says when its first and its last message
+came, and the index behind it which channels it has. So a file of hours is known in a fraction of a second, even without
+a summary: 60 bytes for each quarter of a second are kept.
 
-Where the chunks of a recording lie, and what each holds: the heads of its records alone are read.
-
-A chunk's head says when its first and its last message came, and the index behind it which channels it has. So a file
-of hours is known in a fraction of a second, also one that was cut off and has no summary: 60 bytes for each quarter of
-a second of it are kept.
+:class:`SeekableRecording` returns a part: its frames, what was published of them, and what held at its beginning. It
+keeps the clouds and conditions that were read last, so its memory does not grow with the file.
 """
 
 import struct

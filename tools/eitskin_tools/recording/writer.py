@@ -1,21 +1,14 @@
-"""Writes one recording: a chunk at least every ``FLUSH_S``, forced onto the disk at once, and a summary at the end.
+"""Writes recordings to disk: one file or a series of them, whole also where the disk is full.
 
-Whoever reads a file that was cut off, by a kill or by the power, has everything up to the last chunk
-(:mod:`eitskin_tools.recording.reader`).
+A chunk is written at least every ``FLUSH_S`` and forced onto the disk at once; a summary follows at the end. A file
+that a kill or a power cut ends has everything up to its last chunk (:mod:`eitskin_tools.recording.reader`).
 
-Goes on in a new file when one is large or old enough; each of them can be read by itself.
+:class:`Series` goes on in a new file when one is large or old enough; each can be read by itself. A new file begins
+with a frame of the wire, and none is ended before it has one. A file that exists is never overwritten: the next one
+takes the next free number.
 
-A new file begins with a frame of the wire, and no file is ended before it has one: none is left without, also where the
-disk is full just then. A file that is there already is never written over: the next one takes the next number that is
-free.
-
-A file that is written to its end although the disk is full: a reserve is kept for that, and given up when needed.
-
-The reserve is a second file without a name: whatever ends this process frees it. When the disk is full it is closed,
-and what was being written is finished in the room that it leaves. One reserve serves all files of a series.
-
-A file gets its name when its head is in it, so that nobody ever finds one that does not say what it is, whenever this
-process is killed.
+:class:`Reserve` is a second file without a name, which whatever ends this process frees. When the disk is full the
+reserve is closed, and its room takes the last chunk and the summary.
 """
 
 import errno
@@ -42,7 +35,6 @@ FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """What the system says when there is no room."""
 
 NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW
-NAMELESS: Final = os.O_WRONLY | os.O_TMPFILE | os.O_CLOEXEC
 
 
 class Reserve:
@@ -127,28 +119,17 @@ class Sink:
         self._thread.start()
 
     def _make(self) -> None:
-        """Make the file and name it when the head is in it; where every file has a name, name it before."""
-        try:
-            self._handle = self._headed(os.open(self.path.parent, NAMELESS, 0o666))
-        except OSError as error:
-            if error.errno in (*FULL, errno.EEXIST):
-                raise
-            self._handle = self._headed(os.open(self.path, NEW, 0o666), named=True)
-
-    def _headed(self, handle: int, *, named: bool = False) -> int:
-        """Write the head into a file that was opened, name it, and return it; of one that cannot be, leave nothing."""
+        """Make the file, and write its head in one go; of one that has no room for it leave nothing."""
+        handle = os.open(self.path, NEW, 0o666)
         try:
             rest = memoryview(self._head)
             while rest:
                 rest = rest[os.write(handle, rest) :]
-            if not named:  # a folder is stated, since os.link follows no link without one
-                os.link(f"/proc/self/fd/{handle}", self.path.absolute(), src_dir_fd=0, follow_symlinks=True)
         except OSError:
             os.close(handle)
-            if named:
-                self.path.unlink()
+            self.path.unlink()
             raise
-        return handle
+        self._handle = handle
 
     def _is_there(self) -> RecordingError:
         return RecordingError(f"{self.path} exists already; name another file, or move it away")

@@ -94,7 +94,7 @@ class VerifierFeed:
                     self._report(record, (WAITING, process.ended))
             self._line, self._verifier, self._receive_ns = process.line, (STARTING, ""), 0
             self._is_busy, self._setup_for = False, (None, None)
-            self._stillness.forget()
+            self._stillness.reset()
         if buffers.geometry is not self._setup_for[0] or self._skin.reference is not self._setup_for[1]:
             self._send_setup(record)
             self._report(record)  # before the answer, which may be quick
@@ -145,7 +145,7 @@ class VerifierFeed:
     def _withdraw(self) -> None:
         """Take back what waits: it is touched no more, or otherwise known."""
         self._drop()
-        self._stillness.forget()
+        self._stillness.reset()
 
     @property
     def _missing(self) -> Rows:
@@ -228,7 +228,7 @@ class VerifierFeed:
         found, now_ns = was or self.state, record.stamps[PUBLISH]
         if found != self._reported:
             if found[0] != self._reported[0]:
-                self._pipeline.intake.tell_next(f"verifier:{found[0]}")
+                self._pipeline.intake.add_event(f"verifier:{found[0]}")
             self._reported, self._reported_ns = found, 0
         if self._is_wanted and now_ns - self._reported_ns >= REPEAT_NS:
             self._reported_ns = now_ns

@@ -38,7 +38,7 @@ class Resting:
 
     def forget(self) -> None:
         """Begin anew: something touched the sheet."""
-        self._stillness.forget()
+        self._stillness.reset()
 
     def take(self, change: npt.NDArray[np.float32]) -> Array | None:
         """Count an untouched frame, and return the mean of ``FRAMES`` where it is news.
@@ -55,7 +55,7 @@ class Resting:
         if self._count < FRAMES:
             return None
         mean = self._sum / self._count
-        self._stillness.forget()
+        self._stillness.reset()
         if self._told is not None and np.sqrt(np.mean(np.square(mean - self._told))) < NEWS:
             return None
         self._told = mean
