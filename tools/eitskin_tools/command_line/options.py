@@ -86,6 +86,16 @@ def check_snr(value: float) -> None:
         raise UsageError(f"--snr-db is {value:g}, expected {SNR_DB[0]:g} to {SNR_DB[1]:g}")
 
 
+def add_bundle(parser: argparse.ArgumentParser, what: str) -> None:
+    """Declare ``--bundle``.
+
+    Args:
+        parser: Of the command.
+        what: What the bundle is for, and which one is the default.
+    """
+    parser.add_argument("--bundle", type=files.bundle, metavar="FILE", help=f"{files.A_BUNDLE}, {what}")
+
+
 def add_skin(parser: argparse.ArgumentParser, what: str) -> None:
     """Declare ``--skin``.
 

@@ -17,12 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seconds", type=float, metavar="S", help="how long, from the first frame (20, with --view 3600)"
     )
     parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (default 200)")
-    parser.add_argument(
-        "--bundle",
-        type=files.bundle,
-        metavar="FILE",
-        help=f"{files.A_BUNDLE}, to run (default: a shipped one that knows the touches)",
-    )
+    options.add_bundle(parser, "to run (default: a shipped one that knows the touches)")
     options.add_touches(parser, "those of the bundle, presses where it knows them or one that does is shipped")
     parser.add_argument(
         "--solver",

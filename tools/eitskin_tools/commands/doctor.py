@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from eitskin_tools.command_line import files
+from eitskin_tools.command_line import files, options
 from eitskin_tools.command_line.options import flag
 from eitskin_tools.console.terminal import in_words, say
 from eitskin_tools.errors import UsageError
@@ -30,12 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="how long to look (default 2)")
     parser.add_argument("--reference", type=Path, metavar="FILE", help="captured reference (default: the model's)")
-    parser.add_argument(
-        "--bundle",
-        type=files.bundle,
-        metavar="FILE",
-        help=f"{files.A_BUNDLE}, that knows healthy frames (default: free)",
-    )
+    options.add_bundle(parser, "that knows healthy frames (default: free)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from eitskin_tools.command_line import files, kinds
+from eitskin_tools.command_line import files, kinds, options
 from eitskin_tools.console.terminal import say
 from eitskin_tools.errors import UsageError
 
@@ -24,12 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="FILE", help="capture: where it is stored")
     parser.add_argument("--frames", type=int, default=100, metavar="N", help="capture: how many frames (default 100)")
     parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
-    parser.add_argument(
-        "--bundle",
-        type=files.bundle,
-        metavar="FILE",
-        help=f"{files.A_BUNDLE}, whose flat sheet and gate it is held against (default: the shipped one of area labels "
-        "and of the skin's touches)",
+    options.add_bundle(
+        parser,
+        "whose flat sheet and gate it is held against (default: the shipped one of area labels and of the skin's "
+        "touches)",
     )
     parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
     parser.add_argument(

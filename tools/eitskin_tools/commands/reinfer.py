@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from eitskin_tools.command_line import files, kinds
+from eitskin_tools.command_line import files, kinds, options
 from eitskin_tools.command_line.options import add_span, check_span
 from eitskin_tools.errors import UsageError
 
@@ -21,12 +21,7 @@ PICTURES = 6
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("file", type=Path, metavar="FILE.mcap", help="made by 'eitskin record'")
-    parser.add_argument(
-        "--bundle",
-        type=files.bundle,
-        metavar="FILE",
-        help=f"{files.A_BUNDLE}, to use (default: the one that was running)",
-    )
+    options.add_bundle(parser, "to use (default: the one that was running)")
     parser.add_argument(
         "--recorded-bundle",
         type=files.bundle,

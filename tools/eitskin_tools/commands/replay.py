@@ -10,8 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from eitskin_tools.command_line import files
-from eitskin_tools.command_line.options import add_span, check_span
+from eitskin_tools.command_line.options import add_bundle, add_span, check_span
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import endings
 from eitskin_tools.verifier import options as verifier
@@ -32,12 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
     parser.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
     parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, which TCP needs")
-    parser.add_argument(
-        "--bundle",
-        type=files.bundle,
-        metavar="FILE",
-        help=f"{files.A_BUNDLE}, to use (default: the one that was running)",
-    )
+    add_bundle(parser, "to use (default: the one that was running)")
     parser.add_argument("--solver", metavar="NAME", help="most accurate solver to use (default: the one that ran)")
     pace = parser.add_mutually_exclusive_group()
     pace.add_argument("--as-fast-as-possible", action="store_true", help="one frame as soon as the last is done")

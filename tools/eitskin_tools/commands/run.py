@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eitskin.pipeline.latency_budget import MOST_MS
-from eitskin_tools.command_line import files, options
+from eitskin_tools.command_line import options
 from eitskin_tools.command_line.options import flag
 from eitskin_tools.console.run_log import FORMATS, RunLog, end_unread
 from eitskin_tools.console.run_status import closing, report
@@ -43,12 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reconnect", type=float, metavar="S", help="wait so long for a port that vanishes (default: end)"
     )
-    parser.add_argument(
-        "--bundle",
-        type=files.bundle,
-        metavar="FILE",
-        help=f"{files.A_BUNDLE}, to use (default: the shipped one of area labels and of the touches)",
-    )
+    options.add_bundle(parser, "to use (default: the shipped one of area labels and of the touches)")
     options.add_touches(parser, "those of --skin, else raise")
     parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
     parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")

@@ -9,8 +9,8 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from eitskin_tools.command_line import files, options
-from eitskin_tools.console.terminal import say
+from eitskin_tools.command_line import options
+from eitskin_tools.console.terminal import has_display, say
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import endings
 
@@ -31,12 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ROBOT.toml",
         help="all skins of a robot, or of 'eitskin run --config' in a folder",
     )
-    parser.add_argument(
-        "--bundle",
-        type=files.bundle,
-        metavar="FILE",
-        help=f"{files.A_BUNDLE}, that computes a recording's maps (default: the one that was running)",
-    )
+    options.add_bundle(parser, "that computes a recording's maps (default: the one that was running)")
     parser.add_argument("--port", type=int, default=PORT, metavar="N", help=f"of the page, 0 for any ({PORT})")
     parser.add_argument(
         "--host",
@@ -65,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         what, address = _recorded(arguments, where, stack) if arguments.file else _live(arguments, where, stack)
         say(f"viewing {what} at {address} until Ctrl-C")
         sys.stdout.flush()
-        if not arguments.no_open and _has_display():
+        if not arguments.no_open and has_display(sys.stdout):
             import webbrowser
 
             webbrowser.open(address)
@@ -126,8 +121,3 @@ def _live(arguments: argparse.Namespace, where: dict[str, Any], stack: contextli
 def _writable(folder: Path) -> Path | None:
     """Return a folder for recordings, or None where they cannot be written."""
     return folder.resolve() if os.access(folder, os.W_OK | os.X_OK) else None
-
-
-def _has_display() -> bool:
-    """Return whether somebody sits there who could see a browser."""
-    return sys.stdout.isatty() and bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

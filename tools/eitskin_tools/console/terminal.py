@@ -89,6 +89,11 @@ def prefix(event: str) -> str:
     return f"<{LEVELS.get(event, 6)}>"
 
 
+def has_display(stream: TextIO) -> bool:
+    """Return whether somebody sits before a stream who could see a browser too."""
+    return stream.isatty() and bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 def say(line: str, *, error: bool = False) -> None:
     """Print one line.
 

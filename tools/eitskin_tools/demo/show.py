@@ -11,7 +11,6 @@ Nothing is left behind: the processes end in order, the sockets and files lie in
 """
 
 import json
-import os
 import sys
 import tempfile
 import time
@@ -32,6 +31,7 @@ from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import to_toml
 from eitskin_proto.skin.touch_kind import TouchKind, knows
+from eitskin_tools.console.terminal import has_display
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.demo.score import accuracy, timing
 from eitskin_tools.pictures import RATE_HZ, Painter
@@ -234,7 +234,7 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
 def show_page(address: str) -> None:
     """Say where the page is, and open it where somebody sits in front of a browser."""
     print(f"look at it: {address}", file=sys.stderr, flush=True)
-    if sys.stderr.isatty() and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if has_display(sys.stderr):
         webbrowser.open(address)
 
 

@@ -3,7 +3,7 @@
 import argparse
 from typing import Final
 
-from eitskin_tools.command_line import files, options
+from eitskin_tools.command_line import options
 from eitskin_tools.command_line.options import ModeOption, settle
 
 TOUCHED: Final = ("single", "pair", "random")
@@ -89,12 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seeds", type=int, metavar="K", help="noise draws for each phantom (default: 1)")
     parser.add_argument("--shift-px", type=float, metavar="P", help="move every touch by up to P pixels, at random")
-    parser.add_argument(
-        "--bundle",
-        type=files.bundle,
-        metavar="FILE",
-        help=f"{files.A_BUNDLE}, with the network (default: the one with the same labels)",
-    )
+    options.add_bundle(parser, "with the network (default: the one with the same labels)")
     _add_ablations(parser)
     _add_trials(parser)
     options.add_skin(
