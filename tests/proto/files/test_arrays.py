@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eitskin_proto.files.arrays import pack_arrays, parse_npy, parse_npz, read_npz, save_arrays
+from eitskin_proto.files.arrays import numbers, pack_arrays, parse_npy, parse_npz, read_npz, text
 from eitskin_proto.files.reading import FileError
 
 
@@ -90,23 +90,42 @@ def test_a_directory_of_many_members_is_refused_before_it_is_read() -> None:
         parse_npz(out.getvalue(), 1 << 20)
 
 
-@pytest.mark.parametrize("compressed", [False, True])
-def test_a_file_holds_the_arrays_that_were_given_and_no_other(tmp_path, monkeypatch, compressed):
-    """As with numpy 1.26 to 2.1, to which every keyword is an array."""
-    name = "savez_compressed" if compressed else "savez"
-    whole = getattr(np, name)
-
-    def older(file, *arrays, **named):
-        return whole(file, *arrays, **{key.replace("allow_pickle", "_allow_pickle"): one for key, one in named.items()})
-
-    monkeypatch.setattr(np, name, older)
-    with open(tmp_path / "a.npz", "wb") as stream:
-        save_arrays(stream, {"a": np.arange(3), "told": "text"}, compressed=compressed)
-    found = read_npz(tmp_path / "a.npz", 1 << 20)
-    assert sorted(found) == ["a", "told"]
-    assert str(found["told"]) == "text"
-
-
 def test_arrays_of_objects_are_not_written():
     with pytest.raises(ValueError, match="array 'a' holds objects"):
         pack_arrays({"a": np.array([None])})
+
+
+@pytest.mark.parametrize("given", [np.ones((2, 3), np.float32), np.ones((2, 3), int), np.ones((2, 3), np.uint8)])
+def test_numbers_of_any_kind_become_float64(given):
+    found = numbers({"a": given}, "a", (None, 3))
+    assert found.dtype == np.float64
+    assert (found == given).all()
+
+
+@pytest.mark.parametrize(
+    ("given", "shape", "message"),
+    [
+        (np.ones(3, complex), None, "a holds complex128, expected real numbers"),
+        (np.array(["x"]), None, "a holds <U1, expected real numbers"),
+        (np.array([True]), None, "a holds bool, expected real numbers"),
+        (np.ones((2, 3)), (None, 4), r"a has shape \(2, 3\), expected \(n, 4\)"),
+        (np.ones(3), (4,), r"a has shape \(3,\), expected \(4,\)"),
+        (np.ones(3), (3, 1), r"a has shape \(3,\), expected \(3, 1\)"),
+        (np.array([[1.0, 2.0], [np.nan, np.inf]]), None, r"a\[1, 0\] is nan, expected finite numbers; 2 are not"),
+        (np.array(np.inf), (), r"a\[\] is inf"),
+    ],
+)
+def test_what_is_no_such_array_is_named(given, shape, message):
+    with pytest.raises(ValueError, match=message):
+        numbers({"a": given}, "a", shape)
+
+
+@pytest.mark.parametrize("given", [np.array("grün"), np.array(["grün"]), np.array("grün".encode())])
+def test_a_text_is_taken_as_it_was_saved(given):
+    assert text({"a": given}, "a") == "grün"
+
+
+@pytest.mark.parametrize("given", [np.array(7), np.array(["a", "b"]), np.array([], "U1")])
+def test_what_is_no_single_text_is_named(given):
+    with pytest.raises(ValueError, match=r"a is .* of shape \(.*\), expected one text"):
+        text({"a": given}, "a")

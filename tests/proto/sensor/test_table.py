@@ -53,30 +53,6 @@ def test_a_voltage_is_the_measured_electrode_minus_the_next():
     assert voltages_from_potentials(potentials)[row] == 3.0
 
 
-def test_the_tables_cannot_be_changed_by_accident():
-    assert not any(array.flags.writeable for array in (TABLE, FULL_TABLE, ROW_IN_FULL, RECIPROCAL_IN_FULL))
-
-
-def test_the_grid_covers_the_sheet_with_square_pixels():
-    centres = PAPER.grid.pixel_centres_mm()
-    assert centres.shape == (*PAPER.grid.shape, 2)
-    assert PAPER.grid.n_pixels == 1350
-    assert centres[0, 0].tolist() == [PAPER.grid.pitch_mm / 2] * 2
-    assert np.allclose(centres[-1, -1], [150 - PAPER.grid.pitch_mm / 2, 100 - PAPER.grid.pitch_mm / 2], rtol=1e-14)
-    assert np.allclose(np.diff(centres[0, :, 0]), np.diff(centres[:, 0, 1])[0], rtol=1e-12)
-
-
-def test_every_pixel_lies_in_the_unit_that_claims_it():
-    centres = PAPER.grid.pixel_centres_mm()
-    for row, column in np.ndindex(PAPER.grid.shape):
-        unit = int(PAPER.grid.unit_of_pixel[row, column])
-        x0, y0, x1, y1 = PAPER.grid.unit_rect_mm(unit % 14, unit // 14)
-        assert x0 <= centres[row, column, 0] < x1  # the middle column lies on a border exactly
-        assert y0 <= centres[row, column, 1] < y1
-    assert set(np.bincount(PAPER.grid.unit_of_pixel.ravel(), minlength=126).tolist()) == {9, 12, 16}
-    assert np.array_equal(PAPER.grid.map_from_units(np.arange(126)), PAPER.grid.unit_of_pixel)
-
-
 def test_electrodes_are_even_and_mirror_symmetric():
     assert np.allclose(np.diff(PAPER.arc_length_mm), 31.25, rtol=1e-14)
     # Mirrored in x, arc length s goes to 150 - s modulo the border's 500 mm.

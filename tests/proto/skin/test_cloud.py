@@ -116,8 +116,3 @@ def test_cloud_that_is_far_too_small_or_too_large_is_refused_with_its_bounds(sca
     centre = cloud.mean(axis=(1, 2), keepdims=True)
     with pytest.raises(ValueError, match=r"one line or in one point|expected 5 to 500 mm"):
         align_cloud(scale * (cloud - centre))
-
-
-def test_cloud_of_complex_numbers_is_refused():
-    with pytest.raises(ValueError, match="must be numbers"):
-        align_cloud(flat_cloud() * 1j)

@@ -6,10 +6,9 @@ from hypothesis import strategies as st
 
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.wire import config_toml, hardware
-from eitskin_proto.wire.config import BLOB, BLOB_BYTES, BLOB_FIELDS, Configuration, largest_line_rate_hz
+from eitskin_proto.wire.config import BLOB_BYTES, Configuration, largest_line_rate_hz
 from eitskin_proto.wire.frames import frame_bytes
 from eitskin_proto.wire.framing import crc32c, wire_bytes
-from eitskin_proto.wire.layout import WIDTH
 from eitskin_proto.wire.scan_rows import drives_from_list, drives_to_list, row_count
 
 PAPER = config_toml.named("paper")
@@ -223,10 +222,6 @@ def test_a_name_that_comes_with_the_package_needs_no_file(tmp_path, monkeypatch)
         config_toml.load("nowhere.toml")
     with pytest.raises(ValueError, match="'nowhere' does not come with the package"):
         config_toml.named("nowhere")
-
-
-def test_the_blob_struct_and_the_field_list_agree():
-    assert sum(WIDTH[kind] for _, kind in BLOB_FIELDS) == BLOB.size + 4 == BLOB_BYTES
 
 
 def test_drives_go_to_a_list_and_back():
