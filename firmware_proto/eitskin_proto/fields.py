@@ -103,7 +103,9 @@ class Fields:
         if key not in self._content:
             near = did_you_mean(str(key), map(str, self._content)).replace("did you mean", "is it meant by")
             return self._error(f"{self.where or 'the file'} lacks {key}, expected {expected}{near}")
-        return self._error(f"{self.path(key)} is {quoted(self._content[key])}, expected {expected}")
+        value = self._content[key]
+        found = f"{len(value)} bytes" if isinstance(value, bytes) else quoted(value)
+        return self._error(f"{self.path(key)} is {found}, expected {expected}")
 
     def value(self, key: Key, default: Any = REQUIRED) -> Any:
         """Return a value of any kind."""

@@ -185,7 +185,7 @@ def test_a_whole_stream_of_another_skin(virtual_skin, tmp_path):
             assert eitskin.send_cloud(control.endpoint, rolled(SECOND, 40.0), skin=OTHER) == 3
             with pytest.raises(ControlError, match=rf"grid_id: found {MOVED.grid_id}, expected .*eitskin surface"):
                 eitskin.send_cloud(control.endpoint, rolled(SECOND, 40.0), skin=MOVED)
-            with pytest.raises(ControlError, match=r"found 16200 bytes, expected 9720 bytes of <f4 \(3, 18, 45\)"):
+            with pytest.raises(ControlError, match=r"cloud is 16200 bytes, expected 9720 bytes of <f4 \(3, 18, 45\)"):
                 eitskin.send_cloud(control.endpoint, PAPER.grid.flat_cloud_mm())
             with pytest.raises(MismatchError, match="grid_id"):
                 eitskin.send_cloud(control.endpoint, tmp_path / "cloud.npz")
