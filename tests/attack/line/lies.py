@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from eitskin.errors import BadReference
-from eitskin.reference.builder import ReferenceBuilder
 from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.wire.frames import full_scale
 
@@ -137,38 +135,3 @@ def honest(effort: Effort) -> Outcome:
             outcome.broken.append(f"{name}: withheld {withheld[name]}, seed {effort.seed}")
     outcome.figures["withheld"] = withheld
     return outcome
-
-
-def references(effort: Effort) -> Outcome:
-    """Capture references of lies; none may be taken, and all honest ones must be."""
-    outcome = Outcome("front-end.references")
-    for draw in range(effort.count(1, 30)):
-        for kind, snr_db, width in FRONT_ENDS:
-            seed = effort.seed + 1000 * draw + int(snr_db) + width
-            sheet = Sheet(seed, kind, snr_db, width)
-            for what in ("honest", "frozen", *ALIKE):
-                if what == "a drive again" and (width == 2 or kind == "N1" or snr_db > 80.0):
-                    continue  # so little noise that rows which are the same by symmetry may read the same
-                refused = _refused(sheet, what)
-                outcome.note(bool(refused) == (what != "honest"), f"{what}: {refused or 'taken'}, {kind}, seed {seed}")
-    return outcome
-
-
-def _refused(sheet: Sheet, what: str) -> str:
-    builder = ReferenceBuilder(50)
-    hello = sheet.hello("LIAR-1")
-    frozen = sheet.sample(0.0)[0]
-    rng = np.random.default_rng(sheet.seed)
-    try:
-        for _ in range(50):
-            state = rng.bit_generator.state if what in ALIKE else None
-            counts = frozen if what == "frozen" else sheet.sample(0.0)[0]
-            if what in ALIKE:
-                counts = alike(what, counts, sheet.sample_bytes, rng)
-                if "wire" not in what and "stuck" not in what:
-                    rng.bit_generator.state = state  # the same rows in every frame
-            builder.add(counts * sheet.volts_per_count)
-        builder.finish(hello)
-    except BadReference as error:
-        return str(error)
-    return ""

@@ -17,7 +17,7 @@ from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
 
 from ..outcome import Effort, Outcome
-from .hostile_device import LIES, Endless, HostileDevice
+from .hostile_device import LIES, EndlessError, HostileDevice
 
 WANTED: Final = replace(config_toml.named("paper"), name="wanted", idle_drives=0, idle_rate_mHz=0)
 
@@ -28,7 +28,7 @@ ACTIONS: Final[dict[str, Callable[[Exchange], object]]] = {
     "rollback": procedure.rollback,
 }
 
-REFUSED: Final = ("no data", "less data", "more data", "another slot", "another offset", "another size", "bent data")
+REFUSED: Final = ("less data", "more data", "another slot", "another offset", "another size", "bent data")
 """Lies that the host can see through at once."""
 
 MOST_S: Final = 60.0
@@ -41,12 +41,17 @@ def _one_line(text: str) -> bool:
 
 def ended_well(action: str, lies: list[str], seed: int, share: float) -> str:
     """Return what did not hold in one exchange; nothing if all did."""
-    device = HostileDevice(lies, seed, share)
+    device = HostileDevice(lies, seed)
     exchange = Exchange(device, timeout_s=0.01, attempts=2)
+    if action == "rollback":  # there must be something to go back to
+        device.share = 0.0
+        for configuration in (config_toml.named("fast"), WANTED):
+            procedure.write(exchange, configuration)
+    device.share = share if lies else 0.0
     began_s = time.monotonic()
     try:
         ACTIONS[action](exchange)
-    except Endless as error:
+    except EndlessError as error:
         return f"goes on without end: {error}"
     except SkinError as error:
         if not lies:
@@ -56,7 +61,7 @@ def ended_well(action: str, lies: list[str], seed: int, share: float) -> str:
         return f"took {time.monotonic() - began_s:.0f} s"
     if share == 1.0 and lies and lies[0] in REFUSED:
         return "was believed"
-    if action == "write" and not (device.running == WANTED.to_blob() and device.confirmed):
+    if action == "write" and device.running != (WANTED.to_blob(), True):
         return "said that it was written, and the device neither runs nor confirmed it"
     return ""
 
@@ -67,7 +72,7 @@ def said_by_the_command(lies: list[str], seed: int) -> str:
     with patch.object(flash, "open_line", lambda port, baud: device), redirect_stdout(out), redirect_stderr(err):
         try:
             status = cli.main(["flash", "show", "--port", "hostile"])
-        except Endless as error:
+        except EndlessError as error:
             return f"goes on without end: {error}"
     lines = err.getvalue().splitlines()
     if status == 1 and (out.getvalue() or len(lines) != 1 or not _one_line(lines[0])):
@@ -89,6 +94,6 @@ def flashing(effort: Effort) -> Outcome:
         share = rng.choice((0.05, 0.1, 0.3))
         found = ended_well(action, list(LIES), seed, share)
         outcome.note(found == "", f"{action}, any lie, share {share}, seed {seed}: {found}")
-    for lie in ("no data", "another size", "an unknown code", "escape codes in texts"):
+    for lie in ("less data", "another size", "an unknown code", "escape codes in texts"):
         outcome.note((found := said_by_the_command([lie], effort.seed)) == "", f"the command, {lie!r}: {found}")
     return outcome

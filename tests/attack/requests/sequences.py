@@ -17,12 +17,19 @@ def _outcome(name: str, found: Figures) -> Outcome:
 
 def requests(effort: Effort) -> Outcome:
     """Play sequences on the core, and boot what every change of storage would leave behind, torn and whole."""
-    return _outcome("firmware.requests", powercut.cut_sequences(effort.count(1000, 100_000), effort.seed))
+    return _lacking("firmware.requests", "host") or _outcome(
+        "firmware.requests", powercut.cut_sequences(effort.count(1000, 100_000), effort.seed)
+    )
 
 
 def board_requests(effort: Effort) -> Outcome:
-    """Play some on the firmware under QEMU, and kill it at changes of storage; nothing where there is no QEMU."""
-    missing = missing_tools("qemu")
-    if missing:
-        return Outcome("firmware.board", 1, 1, figures={"skipped": f"{', '.join(missing)} not found"})
-    return _outcome("firmware.board", powercut.cut_board_sequences(effort.count(3, 60), effort.seed))
+    """Play some on the firmware under QEMU, and kill it at changes of storage."""
+    return _lacking("firmware.board", "qemu") or _outcome(
+        "firmware.board", powercut.cut_board_sequences(effort.count(3, 60), effort.seed)
+    )
+
+
+def _lacking(name: str, needs: str) -> Outcome | None:
+    """Return what stands for an attack whose tools are not there; None if they are."""
+    missing = missing_tools(needs)
+    return Outcome(name, 1, 1, figures={"skipped": f"{', '.join(missing)} not found"}) if missing else None
