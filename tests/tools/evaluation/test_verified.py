@@ -18,7 +18,7 @@ from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.shape_verdict import ShapeTouch, ShapeVerdict
 from eitskin_sim.verification.snapped_units import UnitTouch, UnitVerdict, unit_shares
 from eitskin_tools.cli import main
-from eitskin_tools.evaluation.verified.share import LEAST_SHARE, map_error, network_share
+from eitskin_tools.evaluation.verified.share import MIN_NETWORK_SHARE, map_error, network_share
 from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork, add_verdicts, shape_of
 
 
@@ -167,21 +167,21 @@ def test_the_less_surely_physics_draws_touches_the_more_is_the_network_s() -> No
     grid = PAPER.grid
     shares = [network_share(sure_to(error), shown(0.02), 1, grid) for error in (0.0, 0.3, 1.0, 3.0)]
     assert shares == sorted(shares)
-    assert shares[0] == pytest.approx(LEAST_SHARE, abs=0.01)
+    assert shares[0] == pytest.approx(MIN_NETWORK_SHARE, abs=0.01)
     assert 0.2 < shares[-1] < 1.0
     doubts = [network_share(sure_to(1.0), shown(doubt), 1, grid) for doubt in (0.0, 0.05, 0.2)]
     assert doubts == sorted(doubts, reverse=True), "the more the network doubts, the less is its own"
     assert network_share(sure_to(0.3, p_value=1e-4), shown(0.02), 1, grid) == 1.0
-    assert network_share(replace(sure_to(0.3), pieces=SQUARE[:0], touches=()), shown(0.0), 0, grid) == LEAST_SHARE
-    assert network_share(sure_to(3.0), np.zeros(grid.shape), 0, grid) == LEAST_SHARE, "it shows no touch at all"
+    assert network_share(replace(sure_to(0.3), pieces=SQUARE[:0], touches=()), shown(0.0), 0, grid) == MIN_NETWORK_SHARE
+    assert network_share(sure_to(3.0), np.zeros(grid.shape), 0, grid) == MIN_NETWORK_SHARE, "it shows no touch at all"
 
 
 def test_a_body_of_several_shapes_is_one_touch_that_a_network_shows() -> None:
     grid, arm = PAPER.grid, np.array([[0.0, 65.0, 45.0, 10.0, 10.0, 0.0, 40.0, 0.0]])
     ell = np.vstack([SQUARE, arm])
     apart = replace(sure_to(3.0), pieces=ell, likely=((1.0, ell),), scatter=np.full((1, 2, 7), 3.0))
-    assert network_share(apart, map_of(ell), 1, grid) == LEAST_SHARE, "it shows one of two"
-    assert network_share(replace(apart, joints=((1, 0),)), map_of(ell), 1, grid) > LEAST_SHARE
+    assert network_share(apart, map_of(ell), 1, grid) == MIN_NETWORK_SHARE, "it shows one of two"
+    assert network_share(replace(apart, joints=((1, 0),)), map_of(ell), 1, grid) > MIN_NETWORK_SHARE
 
 
 def test_the_error_of_a_map_is_that_of_its_borders_and_alike_for_ellipses() -> None:
