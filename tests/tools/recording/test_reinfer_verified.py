@@ -13,8 +13,8 @@ from eitskin_sim.verification.snapped_units import UnitVerdict
 from eitskin_tools import cli
 from eitskin_tools.evaluation.verified import recorded as module
 from eitskin_tools.evaluation.verified.recorded import VerifiedSolver
-from eitskin_tools.evaluation.verified.resting import FRAMES
 from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork
+from eitskin_tools.evaluation.verified.untouched_baseline import FRAMES
 from eitskin_tools.recording.reinfer import Computed, Rerun, reinfer, write
 from eitskin_tools.recording.script import Script, Step
 

@@ -11,7 +11,7 @@ from eitskin.frame_record import PUBLISH, FrameRecord
 from eitskin.messaging.streams.verified import READY, STARTING
 from eitskin.reference.captured import Reference
 from eitskin_proto.skin.skin import PAPER
-from eitskin_tools.evaluation.verified.resting import FRAMES
+from eitskin_tools.evaluation.verified.untouched_baseline import FRAMES
 from eitskin_tools.verifier.feed import VerifierFeed
 from eitskin_tools.verifier.letters import (
     FRAME,

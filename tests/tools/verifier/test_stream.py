@@ -10,7 +10,7 @@ import pytest
 
 import eitskin
 from eitskin_tools import cli
-from eitskin_tools.evaluation.verified.resting import FRAMES
+from eitskin_tools.evaluation.verified.untouched_baseline import FRAMES
 from eitskin_tools.verifier.feed import LATE
 
 from .conftest import PATIENCE_S, TOUCHED, until

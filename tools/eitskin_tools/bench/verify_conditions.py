@@ -27,7 +27,7 @@ from eitskin_sim.scene.scene import load_phantoms
 from eitskin_sim.scene.shapes import Ellipse
 from eitskin_sim.scene.shift import shifted
 from eitskin_tools.command_line import files
-from eitskin_tools.evaluation.verified.resting import FRAMES
+from eitskin_tools.evaluation.verified.untouched_baseline import FRAMES
 
 Array = npt.NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from eitskin.pipeline.stillness import Stillness
 from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
 from eitskin_proto.skin.toml import to_toml
-from eitskin_tools.evaluation.verified.resting import FRAMES, Resting
+from eitskin_tools.evaluation.verified.untouched_baseline import FRAMES, UntouchedBaseline
 from eitskin_tools.verifier.child import VerifierProcess
 from eitskin_tools.verifier.letters import LARGEST_PACKET, STATE, FrameLetter, RestLetter, Rows, Setup, unpack
 
@@ -57,7 +57,7 @@ class VerifierFeed:
         self._pipeline = skin.pipeline
         self._nothing_missing = np.zeros(len(skin.pipeline.buffers.change[0]), dtype=np.bool_)
         self._stillness = Stillness()
-        self._resting = Resting()
+        self._baseline = UntouchedBaseline()
         self._candidate: bytes | None = None
         self._is_due = False
         """Whether the candidate is to be verified as soon as the verifier has no other."""
@@ -128,13 +128,13 @@ class VerifierFeed:
             self._is_due = self.mode == "always"
         elif self._candidate is not None:
             self._is_due = True
-        self._resting.forget()
+        self._baseline.reset()
 
     def _rest(self) -> None:
         """Tell what the untouched sheet reads, once it has been still for a while and that is news."""
         if not self._setup or self._setup_packet or self._missing.any():
             return
-        if (mean := self._resting.take(self._pipeline.buffers.change[0])) is not None:
+        if (mean := self._baseline.add(self._pipeline.buffers.change[0])) is not None:
             self._send(RestLetter(self._setup, FRAMES, mean).packed())
 
     def _is_known(self) -> bool:
@@ -189,8 +189,8 @@ class VerifierFeed:
         )  # fmt: skip
         self._setup += 1
         self._setup_packet = setup.packed(self._setup)
-        for one in (self._stillness, self._resting):
-            one.use(flat.voltages_V, flat.spread_V, flat.frames, step_V)
+        self._stillness.use(flat.voltages_V, flat.spread_V, flat.frames, step_V)
+        self._baseline.start(flat.voltages_V, flat.spread_V, flat.frames, step_V)
         self._withdraw()
         if self._verifier[0] != STARTING:
             self._verifier = PREPARING, ""

@@ -15,8 +15,8 @@ from eitskin.model.bundle import Bundle
 from eitskin.reference.captured import Reference
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.evaluation.harness import Case, Run, Sheet
-from eitskin_tools.evaluation.verified.resting import FRAMES, Resting
 from eitskin_tools.evaluation.verified.solver import VerifiedNetwork, noise_shown
+from eitskin_tools.evaluation.verified.untouched_baseline import FRAMES, UntouchedBaseline
 from eitskin_tools.recording.reinfer import NOTHING, Computed, FrameVerdict, Rerun, Verdicts
 from eitskin_tools.recording.script import Script, Step, reference_of
 
@@ -47,7 +47,7 @@ class VerifiedSolver:
         self._image: npt.NDArray[np.float64] = np.zeros(bundle.skin.grid.shape)
         self._fits = False
         self._unfit = ""
-        self._resting = Resting()
+        self._baseline = UntouchedBaseline()
         self._at_rest_V: npt.NDArray[np.float64] | None = None
 
     def compute(self, step: Step) -> Computed | None:
@@ -65,14 +65,14 @@ class VerifiedSolver:
         if found.solver == NOTHING:
             self._rest(found, self._reference)
             return found
-        self._resting.forget()
+        self._baseline.reset()
         return self._checked(found, self._reference, self._sheet)
 
     def _begin(self, reference: Reference) -> None:
         """Begin with another surface or reference."""
         self._verified = self._at_rest_V = None
         step_V = self._script.hello.volts_per_count
-        self._resting.use(reference.voltages_V, reference.spread_V, reference.frames, step_V)
+        self._baseline.start(reference.voltages_V, reference.spread_V, reference.frames, step_V)
 
     def _missing(self, reference: Reference) -> npt.NDArray[np.bool_]:
         """Return (104,) rows that are not looked at."""
@@ -83,10 +83,10 @@ class VerifiedSolver:
     def _rest(self, found: Computed, reference: Reference) -> None:
         """Take an untouched frame, and tell physics what the sheet reads then, where that is news."""
         if found.touched:
-            self._resting.forget()
+            self._baseline.reset()
         if found.touched or found.gate_logit is None or self._missing(reference).any():
             return
-        if (mean := self._resting.take(self._rerun.change)) is not None:
+        if (mean := self._baseline.add(self._rerun.change)) is not None:
             self._at_rest_V = reference.voltages_V * (1.0 + mean)
             self._tell_rest()
 

@@ -1,7 +1,7 @@
-"""The sheet at rest, for verifiers: the mean of some still frames that nothing touched, where it says something new.
+"""What the untouched sheet reads: the mean of some still frames that nothing touched, where it says something new.
 
 What a sheet reads untouched tells physics how it differs from its scan
-(:mod:`eitskin_sim.verification.at_rest`). It takes a quarter of a second of rest, and is told again once it has
+(:mod:`eitskin_sim.verification.at_rest`). It takes a quarter of a second of rest, and is given again once it has
 changed: after a press that left something behind, or by drift.
 """
 
@@ -18,29 +18,29 @@ Array = npt.NDArray[np.float64]
 FRAMES: Final = 50
 """That the mean is of."""
 
-NEWS: Final = 1e-3
-"""Rms of dV by which it has to differ from what was told: what the model is not better than either."""
+MIN_NEW_RMS: Final = 1e-3
+"""Rms of dV by which a mean differs from the last one, or it is no news: the model is not better either."""
 
 
-class Resting:
+class UntouchedBaseline:
     """Gathers untouched frames of one surface under one reference."""
 
     def __init__(self) -> None:
         self._stillness = Stillness()
         self._sum: Array = np.zeros(N_ROWS)
         self._count = 0
-        self._told: Array | None = None
+        self._last: Array | None = None
 
-    def use(self, voltages_V: Array, spread_V: Array, frames: int, step_V: float) -> None:
-        """Begin with another surface or reference; arguments as of :meth:`eitskin.pipeline.stillness.Stillness.use`."""
+    def start(self, voltages_V: Array, spread_V: Array, frames: int, step_V: float) -> None:
+        """Start with another surface or reference; arguments as of :meth:`eitskin.pipeline.stillness.Stillness.use`."""
         self._stillness.use(voltages_V, spread_V, frames, step_V)
-        self._told = None
+        self._last = None
 
-    def forget(self) -> None:
-        """Begin anew: something touched the sheet."""
+    def reset(self) -> None:
+        """Start anew: something touched the sheet."""
         self._stillness.reset()
 
-    def take(self, change: npt.NDArray[np.float32]) -> Array | None:
+    def add(self, change: npt.NDArray[np.float32]) -> Array | None:
         """Count an untouched frame, and return the mean of ``FRAMES`` where it is news.
 
         Args:
@@ -56,7 +56,7 @@ class Resting:
             return None
         mean = self._sum / self._count
         self._stillness.reset()
-        if self._told is not None and np.sqrt(np.mean(np.square(mean - self._told))) < NEWS:
+        if self._last is not None and np.sqrt(np.mean(np.square(mean - self._last))) < MIN_NEW_RMS:
             return None
-        self._told = mean
+        self._last = mean
         return mean
