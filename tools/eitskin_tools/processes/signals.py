@@ -52,13 +52,15 @@ class Stopped(BaseException):
 
 
 def stop_when_told() -> None:
-    """Let what asks for an end raise :class:`Stopped`, each signal once."""
+    """Let what asks for an end raise :class:`Stopped`, once."""
     for number in endings():
-        signal.signal(number, _stop)
+        signal.signal(number, stop)
 
 
-def _stop(number: int, frame: FrameType | None) -> None:
-    signal.signal(number, signal.SIG_IGN)
+def stop(number: int, frame: FrameType | None) -> None:
+    """Raise :class:`Stopped`, as a handler; whatever asks once more is ignored."""
+    for handled in endings():
+        signal.signal(handled, signal.SIG_IGN)
     raise Stopped
 
 

@@ -7,13 +7,11 @@ plug, stop.
 
 import json
 import os
-import signal
 import sys
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter_ns
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +23,7 @@ from eitskin_proto.wire import config_toml
 from eitskin_proto.wire.config import Configuration
 from eitskin_proto.wire.frames import full_scale
 from eitskin_sim.measurement.noise import add_noise
-from eitskin_tools.processes.signals import endings
+from eitskin_tools.processes.signals import Stopped, endings, met_by, stop
 from eitskin_tools.virtual_skin.device import CONVERTER_V, Identity, VirtualDevice
 from eitskin_tools.virtual_skin.faults import FOREIGN_ID, Fault, FaultPlayer
 from eitskin_tools.virtual_skin.pty import PtyPort
@@ -129,16 +127,6 @@ class Options:
     """File of the host time of every frame, :func:`eitskin_tools.virtual_skin.server.wire_times`."""
 
 
-class _Stopped(BaseException):
-    """A signal that asks for an end arrived."""
-
-
-def _stop(number: int, frame: FrameType | None) -> None:
-    for handled in endings():
-        signal.signal(handled, signal.SIG_IGN)
-    raise _Stopped
-
-
 def serve(options: Options) -> int:
     """Run a virtual skin until it is told to stop or its time is over; return the exit status.
 
@@ -147,17 +135,10 @@ def serve(options: Options) -> int:
         SceneError: The scene's file is no scene.
         OSError: A file cannot be read or written.
     """
-    before = {number: signal.signal(number, _stop) for number in endings()}
-    try:
-        with ExitStack() as stack:
-            server = _build(options, stack)
-            until = None if options.seconds is None else perf_counter_ns() + int(options.seconds * 1e9)
-            server.run(until)
-    except _Stopped:
-        pass
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with met_by(stop, *endings()), suppress(Stopped), ExitStack() as stack:
+        server = _build(options, stack)
+        until = None if options.seconds is None else perf_counter_ns() + int(options.seconds * 1e9)
+        server.run(until)
     return 0
 
 
