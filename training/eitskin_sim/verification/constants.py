@@ -70,6 +70,9 @@ MAX_STEP: Final = (6.0, 6.0, 3.0, 3.0, 0.3, 0.7, 1.5)
 
 FIRST_DAMPING: Final = 1e-2
 
+MIN_DAMPING: Final = 1e-4
+"""Worth 0.001 on paper_mm."""
+
 DAMPING_UP: Final = 8.0
 
 DAMPING_DOWN: Final = 5.0

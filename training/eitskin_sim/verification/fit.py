@@ -249,7 +249,7 @@ def refine(
         by = None if kept else _broyden(by, fit, better, fitted, scale)
         kept, fit = by is not None, better
         if not shortened:
-            damping /= c.DAMPING_DOWN
+            damping = max(damping / c.DAMPING_DOWN, c.MIN_DAMPING)
     return fit
 
 
