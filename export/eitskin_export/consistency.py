@@ -61,7 +61,7 @@ RATE: Final = 1e-4
 """Share of healthy frames, touches that cover electrodes among them, that may exceed a threshold."""
 
 FRAMES: Final = 16_000
-"""Healthy frames that choose the thresholds, and as many that measure them."""
+"""MeasuredConsistency frames that choose the thresholds, and as many that measure them."""
 
 MARGIN: Final = 1.2
 """Times the farthest held-out deformation's distance: what still counts as an untouched sheet."""
@@ -74,7 +74,7 @@ HALF_LARGEST: Final = 65504.0
 
 
 @dataclass(frozen=True, slots=True)
-class Healthy:
+class MeasuredConsistency:
     """A bundle's consistency.npz and what was measured of it."""
 
     arrays: dict[str, npt.NDArray[np.floating]]
@@ -105,7 +105,7 @@ def healthy(
     bends: Bends,
     projection_inverse: Array,
     filling: Mapping[str, npt.NDArray[np.floating]] | None = None,
-) -> Healthy:
+) -> MeasuredConsistency:
     """Return what a bundle says of healthy frames.
 
     Args:
@@ -131,7 +131,7 @@ def healthy(
     choose, measure = seen[::2], seen[1::2]
     thresholds = np.quantile(choose, 1.0 - RATE, axis=0) if len(choose) else np.full(2, np.inf)
     alarms = float((measure > thresholds).any(axis=1).mean()) if len(measure) else 0.0
-    return Healthy({**arrays, "thresholds": thresholds}, alarms, len(measure))
+    return MeasuredConsistency({**arrays, "thresholds": thresholds}, alarms, len(measure))
 
 
 def _half(value: npt.NDArray[np.floating]) -> npt.NDArray[np.float16]:

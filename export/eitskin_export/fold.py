@@ -45,7 +45,7 @@ class GeometryHalf(nn.Module):
         return self.linear(self.convolutions(cloud))  # type: ignore[no-any-return]
 
 
-class Mixed(nn.Module):
+class MixedImages(nn.Module):
     """An :class:`ImageLinear` as one matrix: (n B, inputs) -> (n B, outputs), the n images of a sample in a row.
 
     Image g reads those g then each of all, in their order (of four: g, g with x mirrored, g with y, g with both); then
@@ -126,7 +126,7 @@ class Head(nn.Module):
         return touched if plain else _gather(touched, self.pixel)
 
     def _fused(self, x: Tensor, bias: Tensor) -> Tensor:
-        if isinstance(self.fusion, Mixed):
+        if isinstance(self.fusion, MixedImages):
             return torch.addmm(bias, self.fusion.gathered(x), self.fusion.linear.weight.T)
         assert isinstance(self.fusion, nn.Linear)
         return torch.addmm(bias, x, self.fusion.weight.T)
@@ -186,10 +186,10 @@ def split(model: VD2T) -> tuple[GeometryHalf, Head]:
     assert isinstance(voltage, nn.Sequential)
     voltage = nn.Sequential(*voltage, *map(_folded, before_fusion))
     if isinstance(fusion_voltage, ImageLinear):
-        mixed = Mixed(fusion_voltage)
+        mixed = MixedImages(fusion_voltage)
         mixed.linear.weight = nn.Parameter(mixed.linear.weight.detach() * scale[:, None])
         fusion: nn.Module = mixed
-        last = Mixed(_central(last, of_outputs(exact.mirrors, architecture.outputs)))
+        last = MixedImages(_central(last, of_outputs(exact.mirrors, architecture.outputs)))
     else:
         assert isinstance(fusion_voltage, nn.Linear)
         fusion = _linear(fusion_voltage.weight * scale[:, None], None)
@@ -210,7 +210,7 @@ def _folded(module: nn.Module) -> nn.Module:
         module.path = _folded(module.path)  # type: ignore[assignment]
         return module
     if isinstance(module, ImageLinear):
-        return Mixed(module)
+        return MixedImages(module)
     if isinstance(module, Narrow):
         return Narrow(*map(_folded, module))
     if not isinstance(module, nn.Sequential):
@@ -219,7 +219,7 @@ def _folded(module: nn.Module) -> nn.Module:
     for layer in (_folded(child) for child in module):
         if isinstance(layer, nn.BatchNorm1d | nn.BatchNorm2d) and layers:
             before = layers[-1]
-            if isinstance(before, Mixed):
+            if isinstance(before, MixedImages):
                 before.linear = fuse_linear_bn_eval(before.linear, layer)
                 continue
             fuse = fuse_linear_bn_eval if isinstance(before, nn.Linear) else fuse_conv_bn_eval

@@ -37,7 +37,7 @@ from eitskin.pipeline.idle import IdleMode
 from eitskin.pipeline.stats import Statistics
 from eitskin.reference.builder import ReferenceBuilder
 from eitskin.reference.captured import Reference
-from eitskin.reference.judged import Yardstick, yardstick_of
+from eitskin.reference.judged import ReferenceChecks, reference_checks
 from eitskin.reference.recapture import Recapture
 from eitskin.touches.watch import TouchWatch
 from eitskin_proto.wire.codes import EventCode, MessageType
@@ -612,7 +612,7 @@ class FrameLoop:
             PortLost: The port vanished.
             ValueError: Fewer than 2 frames.
         """
-        builder, yardstick = ReferenceBuilder(frames, self._pipeline.skin), self._yardstick()
+        builder, checks = ReferenceBuilder(frames, self._pipeline.skin), self._checks()
         asked_ns, first = time.perf_counter_ns(), True
         for _ in self._accepted(asked_ns + int(self._patience_s(frames) * 1e9)):
             # The newest frame that waited may be the first to be accepted; a reference is of the sheet as it is now.
@@ -622,7 +622,7 @@ class FrameLoop:
             if unfit := self._unfit_for_reference():
                 builder.leave_out(unfit)
             elif builder.add(self._pipeline.normaliser.voltages()):
-                found = builder.finish(self._device.hello, yardstick, force=force)
+                found = builder.finish(self._device.hello, checks, force=force)
                 self.use(found, fresh=True)
                 return found
         if self.source.stopping:
@@ -640,7 +640,7 @@ class FrameLoop:
             BadReference: As in :meth:`capture`; or the loop was stopped, or another one is being captured. The old
                 reference stays.
         """
-        recapture = Recapture(ReferenceBuilder(frames, self._pipeline.skin), self._yardstick(), force=force)
+        recapture = Recapture(ReferenceBuilder(frames, self._pipeline.skin), self._checks(), force=force)
         with self._capturing:
             if self._recapture is not None:
                 raise self._recapture.under_way()
@@ -655,10 +655,10 @@ class FrameLoop:
             raise recapture.too_few()
         return found
 
-    def _yardstick(self) -> Yardstick:
+    def _checks(self) -> ReferenceChecks:
         health = self._pipeline.health
         missing = None if health is None else health.electrodes.missing.copy()
-        return yardstick_of(self._pipeline.bundle, self.reference, missing)
+        return reference_checks(self._pipeline.bundle, self.reference, missing)
 
     def _patience_s(self, frames: int) -> float:
         return CAPTURE_S + frames / max(self._device.hello.rate_mHz / 1000, 1e-3)

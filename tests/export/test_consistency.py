@@ -9,10 +9,10 @@ import torch
 
 from eitskin.health.electrodes import ElectrodeWatch
 from eitskin.health.imputation import Consistency, without_rows
-from eitskin_export.consistency import Healthy, evidence, healthy
+from eitskin_export.consistency import MeasuredConsistency, evidence, healthy
 from eitskin_export.package import damped_inverse, tikhonov
 from eitskin_proto.sensor.row_gaussian import log_of_change, rows_of
-from eitskin_sim.measurement.consistency import Filler
+from eitskin_sim.measurement.consistency import RowImputation
 from eitskin_training.gate.untouched import bends_of
 from eitskin_training.network.filling import Filling
 from eitskin_training.recipes import recipe
@@ -28,20 +28,20 @@ def data(toy_data: Any) -> TrainingData:
 
 
 @pytest.fixture(scope="module")
-def found(data: TrainingData) -> Healthy:
+def found(data: TrainingData) -> MeasuredConsistency:
     return healthy(data, recipe("tiny"), bends_of(data), INVERSE)
 
 
-def test_the_runtime_reads_what_export_wrote(found: Healthy) -> None:
+def test_the_runtime_reads_what_export_wrote(found: MeasuredConsistency) -> None:
     with np.load(io.BytesIO(found.to_npz()), allow_pickle=False) as archive:
         deployed = Consistency.of(dict(archive))
     np.testing.assert_array_equal(deployed.covariance, found.arrays["covariance"])
 
 
-def test_training_and_runtime_fill_in_the_same(data: TrainingData, found: Healthy) -> None:
+def test_training_and_runtime_fill_in_the_same(data: TrainingData, found: MeasuredConsistency) -> None:
     change = noisy_change(data, data.validation[:5], ("N2",), 50.0, np.random.default_rng(0))
     taught = change.copy()
-    Filler(consistency_of(data, recipe("tiny"))).fill(taught, (3, 9))
+    RowImputation(consistency_of(data, recipe("tiny"))).fill(taught, (3, 9))
     watch = ElectrodeWatch(Consistency.of(found.arrays), data.reference, np.zeros(104), excluded=(3, 9))
     for row in range(len(change)):
         watch.correct(change[row])
@@ -83,7 +83,7 @@ def test_weights_beyond_half_precision_are_refused(data: TrainingData) -> None:
         healthy(data, recipe("tiny"), bends_of(data), INVERSE, arrays)
 
 
-def test_thresholds_hold_on_frames_that_did_not_choose_them(data: TrainingData, found: Healthy) -> None:
+def test_thresholds_hold_on_frames_that_did_not_choose_them(data: TrainingData, found: MeasuredConsistency) -> None:
     assert (found.arrays["thresholds"] > 0).all()
     assert found.frames > 50
     # 1 in 10,000 is aimed at; the few frames of toy data say no more than "rare".

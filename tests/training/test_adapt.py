@@ -11,7 +11,7 @@ import torch
 
 from eitskin_proto.sensor.row_gaussian import log_of_change, rows_of
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.measurement.consistency import Filler, fit
+from eitskin_sim.measurement.consistency import RowImputation, fit
 from eitskin_training import run_files, train
 from eitskin_training.adapt import Plan, adapt, write
 from eitskin_training.network.filling import Filling
@@ -38,7 +38,7 @@ def test_untaught_it_fills_in_what_the_gaussian_says(toy_data: Any) -> None:
     consistency = consistency_of(data, tiny())
     change = noisy_change(data, data.validation[:6], ("N2",), 50.0, np.random.default_rng(0))
     expected = change.copy()
-    Filler(consistency).fill(expected[:4], (3, 9))
+    RowImputation(consistency).fill(expected[:4], (3, 9))
     logs = torch.from_numpy(log_of_change(change).astype(np.float32))
     filled, missing = Filling(consistency)(logs, [(slice(0, 4), (3, 9))], torch.zeros(6, 104))
     # P has a condition of up to 1e5 and is multiplied in float32 here.

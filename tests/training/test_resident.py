@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from eitskin_proto.sensor.normalise import inverse_reference, relative_change
-from eitskin_sim.measurement.consistency import Filler
+from eitskin_sim.measurement.consistency import RowImputation
 from eitskin_training import resident as resident_steps
 from eitskin_training import train
 from eitskin_training.network.mirror import mirrors
@@ -82,7 +82,7 @@ def test_electrodes_are_filled_in_as_the_runtime_and_the_batches_do(toy_data: An
     change = relative_change(data.voltages, data.reference).astype(np.float32)
     for electrodes in ((3,), (2, 9), (0, 7, 15)):
         known = change.copy()
-        Filler(gaussian).fill(known, electrodes)
+        RowImputation(gaussian).fill(known, electrodes)
         own, every = torch.zeros(len(change), dtype=torch.int64), torch.ones(len(change), 1, dtype=torch.bool)
         chosen = torch.tensor([lost.sets.index(electrodes)])
         found = lost.fill(torch.from_numpy(change), chosen, own, every)

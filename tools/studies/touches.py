@@ -103,13 +103,13 @@ def _trials(bundle: Path | None, deformations: int, each: int) -> list[dict[str,
     """Return how far off a single touch is, and how many pairs are told apart."""
     import numpy as np
 
-    from eitskin.touches.moments import Finder
+    from eitskin.touches.moments import TouchFinder
     from eitskin_proto.skin.skin import PAPER
     from eitskin_sim.evaluation import trials
     from eitskin_sim.evaluation.harness import Case, Conditions, Run, evaluate_all
     from eitskin_tools.evaluation.solvers import Request, named
 
-    finder = Finder(PAPER.grid)
+    finder = TouchFinder(PAPER.grid)
     solver = named(Request("vd2t", bundle=None if bundle is None else str(bundle)), "area", PAPER)
     lists: list[Any] = []
 

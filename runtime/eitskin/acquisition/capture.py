@@ -10,7 +10,7 @@ from eitskin.errors import BadReference
 from eitskin.reference.builder import ReferenceBuilder
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference
 from eitskin.reference.front_end import stuck
-from eitskin.reference.judged import Yardstick
+from eitskin.reference.judged import ReferenceChecks
 from eitskin.reference.normaliser import Normaliser
 from eitskin.reference.scanned import ReferenceScan
 from eitskin_proto.errors import ProtocolError
@@ -28,7 +28,7 @@ def capture(
     frames: int = DEFAULT_FRAMES,
     baud: int = DEFAULT_BAUD,
     *,
-    yardstick: Yardstick | None = None,
+    checks: ReferenceChecks | None = None,
     force: bool = False,
     skin: Skin = PAPER,
     scan: ReferenceScan | None = None,
@@ -39,7 +39,7 @@ def capture(
         port: Serial port's path, or ``usb:SERIAL``.
         frames: How many, at least 2.
         baud: Bits per second on a real UART.
-        yardstick: What it is held against (:func:`eitskin.reference.judged.yardstick_of`); None for nothing.
+        checks: What it is held against (:func:`eitskin.reference.judged.reference_checks`); None for nothing.
         force: Take it even if the sheet was bent, touched or moving.
         skin: Whose reference it is.
         scan: Of the sheet as it lies; None for a flat one.
@@ -58,7 +58,7 @@ def capture(
         end_s = time.perf_counter() + PATIENCE_S + frames * 1000 / max(device.hello.rate_mHz, 1)
         _collect(device, builder, end_s)
         device.stop()
-        return builder.finish(device.hello, yardstick, force=force)
+        return builder.finish(device.hello, checks, force=force)
     finally:
         transport.close()
 

@@ -1,7 +1,7 @@
 """How far is the sheet from its one reference? Drying and warmth move every row alike, or nearly so.
 
 What is followed is taken out of the frames, and of two kinds. The sheet that is known to be untouched is followed from
-look to look (:mod:`eitskin.health.resting`), from the moment of a reference that was taken just now: common drift,
+look to look (:mod:`eitskin.health.baseline`), from the moment of a reference that was taken just now: common drift,
 uneven drift and after-effects of presses. And where a scan says what the shape does, a common factor c of at least
 ``LEAST`` is taken over from the untouched sheet's Gaussian (:mod:`eitskin.health.untouched`), once the frames have
 rested for ``HOLD``, and if the scan explains the rest to D <= ``CLEAN``: no touch of 16 to 25 mm within that, of
@@ -25,8 +25,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.health.baseline import UntouchedBaseline
 from eitskin.health.imputation import Array, Consistency
-from eitskin.health.resting import Resting
 from eitskin.health.untouched import Untouched
 from eitskin_proto.sensor.table import N_ROWS
 
@@ -81,7 +81,7 @@ class Drift:
         self._models = Untouched.of(consistency, predicted=False), Untouched.of(consistency, predicted=True)
         self._low_high = (float(consistency.ratio_range[0]) - 1.0, float(consistency.ratio_range[1]) - 1.0)
         self._compensate = compensate
-        self.resting = Resting()
+        self.resting = UntouchedBaseline()
         """What the untouched sheet reads."""
         self._factor = np.ones(N_ROWS, dtype=np.float32)
         self.changes = 0

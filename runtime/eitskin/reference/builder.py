@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from eitskin.errors import BadReference
 from eitskin.reference.captured import SMALLEST_V, Reference
-from eitskin.reference.front_end import Sameness
-from eitskin.reference.judged import Yardstick, accept, judge
+from eitskin.reference.front_end import RepeatedFrames
+from eitskin.reference.judged import ReferenceChecks, accept, judge
 from eitskin.reference.movement import Movement
 from eitskin.reference.scanned import ReferenceScan
 from eitskin_proto.sensor.table import N_ROWS
@@ -46,7 +46,7 @@ class ReferenceBuilder:
         self._product = np.zeros(N_ROWS)
         self._unfit = 0
         self._movement = Movement(frames)
-        self._sameness = Sameness()
+        self._sameness = RepeatedFrames()
 
     def add(self, voltages: npt.NDArray[np.float64]) -> bool:
         """Take one frame and return whether there are enough.
@@ -81,12 +81,12 @@ class ReferenceBuilder:
                 "end, its supply and its wires, and at the current and the gain of the configuration ('eitskin flash')"
             )
 
-    def finish(self, hello: Hello, yardstick: Yardstick | None = None, *, force: bool = False) -> Reference:
+    def finish(self, hello: Hello, checks: ReferenceChecks | None = None, *, force: bool = False) -> Reference:
         """Return the reference of what was taken.
 
         Args:
             hello: Of the device.
-            yardstick: What it is held against (:func:`eitskin.reference.judged.yardstick_of`); None for nothing.
+            checks: What it is held against (:func:`eitskin.reference.judged.reference_checks`); None for nothing.
             force: Take it even if the sheet was bent, touched or moving, or all frames were the same.
 
         Raises:
@@ -111,7 +111,7 @@ class ReferenceBuilder:
             skin_digest=self._skin.digest,
             scan=self._scan,
         )
-        against = yardstick or Yardstick()
+        against = checks or ReferenceChecks()
         looked_at = found.voltages_V if against.missing is None else np.where(against.missing, 0.0, found.voltages_V)
         same = self._sameness.refusals(found.voltages_V, found.spread_V, hello.volts_per_count)
         judgement = judge(found, self._movement.relative(looked_at), against, same)

@@ -174,7 +174,7 @@ def _evidence(spread_counts: Array) -> float:
     return float(np.log(np.maximum(2.0 * math.sqrt(math.pi) * spread_counts, 1.0)).sum())
 
 
-class Sameness:
+class RepeatedFrames:
     """Counts frames of a capture that repeat another, and holds its rows against each other; allocates little."""
 
     __slots__ = ("_hashes", "repeats", "taken", "unlike")

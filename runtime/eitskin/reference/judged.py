@@ -64,7 +64,7 @@ ANOTHER_SHEET: Final = "a sheet that the bundle was not made for needs a bundle 
 
 
 @dataclass(frozen=True, slots=True)
-class Yardstick:
+class ReferenceChecks:
     """What a captured reference is held against; all of it may be missing."""
 
     flat_V: Array | None = None
@@ -76,9 +76,9 @@ class Yardstick:
     """(104,) rows that say nothing, such as those of electrodes left out."""
 
 
-def yardstick_of(
+def reference_checks(
     bundle: "Bundle", older: Reference | None = None, missing: npt.NDArray[np.bool_] | None = None
-) -> Yardstick:
+) -> ReferenceChecks:
     """Return what a bundle has to hold a reference against, with an older one.
 
     Args:
@@ -92,22 +92,22 @@ def yardstick_of(
     consistency = bundle.consistency_arrays() or {}
     flat = np.asarray(consistency["reference"], dtype=np.float64) if "reference" in consistency else None
     arrays = None if older is None else bundle.gate_arrays()
-    return Yardstick(flat, older, None if arrays is None else Gate(arrays), missing)
+    return ReferenceChecks(flat, older, None if arrays is None else Gate(arrays), missing)
 
 
-def judge(found: Reference, movement: float, yardstick: Yardstick, refused: tuple[str, ...] = ()) -> Judgement:
+def judge(found: Reference, movement: float, checks: ReferenceChecks, refused: tuple[str, ...] = ()) -> Judgement:
     """Return what there is to say of a captured reference.
 
     Args:
         found: The reference; one with a scan is looked at as the flat one that it makes.
         movement: Of its capture, relative.
-        yardstick: What it is held against.
+        checks: What it is held against.
         refused: Reasons that were found already.
     """
     found, refusals, remarks = found.flat(), list(refused), []
     usable = ~lost_rows(found.voltages_V, found.spread_V)
-    if yardstick.missing is not None:
-        usable &= ~yardstick.missing
+    if checks.missing is not None:
+        usable &= ~checks.missing
     sigma = relative_spread(found.voltages_V, found.spread_V)
     spread = float(np.median(sigma[usable])) if usable.any() else 1.0
     if spread > LARGEST_SPREAD:
@@ -123,17 +123,17 @@ def judge(found: Reference, movement: float, yardstick: Yardstick, refused: tupl
         )
     noise = sigma**2 / found.frames
     model, older = None, None
-    if yardstick.flat_V is not None:
-        model = _difference(found.voltages_V, yardstick.flat_V, usable, noise)
+    if checks.flat_V is not None:
+        model = _difference(found.voltages_V, checks.flat_V, usable, noise)
         flat = "the bundle's flat, untouched sheet"
         _compare(model, MODEL_DIFFERENCE, flat, refusals, remarks, f" ({ANOTHER_SHEET})")
     touched = None
-    if (before := _same_device(found, yardstick.older)) is not None:
+    if (before := _same_device(found, checks.older)) is not None:
         both = usable & ~lost_rows(before.voltages_V, before.spread_V)
         past = relative_spread(before.voltages_V, before.spread_V) ** 2 / before.frames
         older = _difference(found.voltages_V, before.voltages_V, both, noise + past)
         _compare(older, OLDER_DIFFERENCE, f"the reference of {before.captured_utc}", refusals, remarks)
-        touched = _touched(yardstick.gate, found.voltages_V, before.voltages_V, both)
+        touched = _touched(checks.gate, found.voltages_V, before.voltages_V, both)
         if touched:
             refusals.append(
                 f"the sheet is touched, by the bundle's gate against the reference of {before.captured_utc}"

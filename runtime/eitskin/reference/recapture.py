@@ -9,7 +9,7 @@ from queue import Empty, SimpleQueue
 from eitskin.errors import BadReference, SkinError
 from eitskin.reference.builder import ReferenceBuilder
 from eitskin.reference.captured import Reference
-from eitskin.reference.judged import Yardstick
+from eitskin.reference.judged import ReferenceChecks
 from eitskin_proto.wire.messages import Hello
 
 
@@ -18,14 +18,14 @@ class Recapture:
 
     Args:
         builder: Of as many frames as were asked for.
-        yardstick: What the reference is held against.
+        checks: What the reference is held against.
         force: Whether it is taken whatever is found.
     """
 
-    __slots__ = ("_force", "_outcome", "_yardstick", "builder", "settled")
+    __slots__ = ("_checks", "_force", "_outcome", "builder", "settled")
 
-    def __init__(self, builder: ReferenceBuilder, yardstick: Yardstick, *, force: bool) -> None:
-        self.builder, self._yardstick, self._force = builder, yardstick, force
+    def __init__(self, builder: ReferenceBuilder, checks: ReferenceChecks, *, force: bool) -> None:
+        self.builder, self._checks, self._force = builder, checks, force
         self._outcome: SimpleQueue[Reference | SkinError] = SimpleQueue()
         self.settled = False
         """It has an outcome, whether or not that was waited for already."""
@@ -36,7 +36,7 @@ class Recapture:
         Raises:
             BadReference: The sheet was bent, touched or moving, or nothing is connected.
         """
-        return self.builder.finish(hello, self._yardstick, force=self._force)
+        return self.builder.finish(hello, self._checks, force=self._force)
 
     def settle(self, outcome: Reference | SkinError) -> None:
         """Say which reference is in use now, or why there is no new one; safe in a signal handler. The first counts."""

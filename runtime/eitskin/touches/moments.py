@@ -75,7 +75,7 @@ class Found:
         return [area * self.pixel_mm2 for area in areas]
 
 
-class Finder:
+class TouchFinder:
     """Finds the touches of one map after another.
 
     Args:

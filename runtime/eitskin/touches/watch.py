@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.touches.moments import Finder, Found
+from eitskin.touches.moments import Found, TouchFinder
 from eitskin.touches.surface import Surface
 from eitskin.touches.touch import EVENT_LAYOUT, HEAD, LAYOUT
 from eitskin.touches.tracking import Tracker
@@ -28,7 +28,7 @@ class TouchWatch:
     __slots__ = ("_finder", "_found", "_map", "_rows", "_surface", "tracker")
 
     def __init__(self, grid: Grid) -> None:
-        self._finder = Finder(grid)
+        self._finder = TouchFinder(grid)
         self.tracker = Tracker(grid)
         self._found: Found = self._finder.nothing
         self._rows: list[bytes] = []

@@ -54,7 +54,7 @@ def _honest(effort: Effort, outcome: Outcome, what: str, number: int) -> None:
     """Be so many; one process reads for all, and the short form leaves it time on a busy machine."""
     options = {**TOUCHED, "rate_hz": float(effort.count(40, 200))}
     with attacked(**options) as stream, crowd(stream, number) as found:
-        late = [Late(stream.frames) for _ in range(effort.count(3, 20))] if number == PROMISED else []
+        late = [LaterChanges(stream.frames) for _ in range(effort.count(3, 20))] if number == PROMISED else []
         if late:
             outcome.note(*_told(stream.frames))
         first = status(stream)["frames"]
@@ -74,7 +74,7 @@ def _honest(effort: Effort, outcome: Outcome, what: str, number: int) -> None:
     outcome.note(whole, f"{what}: {found}")
 
 
-class Late:
+class LaterChanges:
     """Who comes when there are enough: greets and subscribes without waiting for an answer."""
 
     def __init__(self, endpoint: str) -> None:

@@ -8,7 +8,7 @@ import pytest
 from eitskin.errors import BadReference
 from eitskin.model.bundle import load_bundle
 from eitskin.reference.builder import ReferenceBuilder
-from eitskin.reference.judged import Yardstick, yardstick_of
+from eitskin.reference.judged import ReferenceChecks, reference_checks
 from eitskin.reference.movement import Movement
 from eitskin_proto.sensor.table import TABLE
 
@@ -41,19 +41,19 @@ def frames_of(voltages, kind="N2", count=100, seed=0):
     return voltages + LEVEL * size * draw
 
 
-def capture(frames, hello, yardstick=None, *, force=False):
+def capture(frames, hello, checks=None, *, force=False):
     builder = ReferenceBuilder(len(frames))
     for frame in frames:
         builder.add(frame)
-    return builder.finish(hello, yardstick, force=force)
+    return builder.finish(hello, checks, force=force)
 
 
 @pytest.mark.parametrize("kind", ["N2", "N3"])
 @pytest.mark.parametrize("count", [10, 30, 100])
 def test_honest_captures_are_taken_without_a_word_and_again_against_the_first(bundle, flat, hello, kind, count):
     for seed in range(20):
-        first = capture(frames_of(flat, kind, count, seed), hello, yardstick_of(bundle))
-        again = capture(frames_of(flat, kind, count, 100 + seed), hello, yardstick_of(bundle, first))
+        first = capture(frames_of(flat, kind, count, seed), hello, reference_checks(bundle))
+        again = capture(frames_of(flat, kind, count, 100 + seed), hello, reference_checks(bundle, first))
         assert (first.judgement.refusals, first.judgement.remarks) == ((), ())
         assert (again.judgement.refusals, again.judgement.remarks) == ((), ())
         assert again.judgement.movement == 0.0
@@ -65,7 +65,7 @@ def test_a_sheet_that_is_not_quite_the_models_is_remarked_on_and_taken(bundle, f
     apart = rng.standard_normal(104)
     for rms, said in ((0.05, 0), (0.16, 1)):
         own = flat * np.exp(rms * (apart - np.median(apart)) / np.sqrt(np.mean((apart - np.median(apart)) ** 2)))
-        found = capture(frames_of(own), hello, yardstick_of(bundle))
+        found = capture(frames_of(own), hello, reference_checks(bundle))
         assert found.judgement.model_difference == pytest.approx(rms, abs=0.005)
         assert len(found.judgement.remarks) == said
         assert len(found.report()) == 1 + said
@@ -77,26 +77,26 @@ def test_gross_bends_are_refused_against_the_model_and_most_against_an_older_ref
     for factor in bends:
         shape = np.log(factor) - np.median(np.log(factor))
         rms = np.sqrt(np.mean(shape**2))
-        for bound, yardstick in ((0.20, yardstick_of(bundle)), (0.10, yardstick_of(bundle, older))):
+        for bound, checks in ((0.20, reference_checks(bundle)), (0.10, reference_checks(bundle, older))):
             if rms > 1.1 * bound:
                 gross += 1
                 with pytest.raises(BadReference, match=r"leave the sheet flat, untouched and at rest.*--force"):
-                    capture(frames_of(flat * factor), hello, yardstick)
+                    capture(frames_of(flat * factor), hello, checks)
     assert gross > 30
 
 
 def test_a_common_factor_of_current_or_wetness_is_no_reason(bundle, flat, hello):
     older = capture(frames_of(flat), hello)
     for factor in (0.2, 0.8, 1.3, 1000.0):
-        found = capture(frames_of(flat * factor), hello, yardstick_of(bundle))
+        found = capture(frames_of(flat * factor), hello, reference_checks(bundle))
         assert found.judgement.remarks == ()
-    dry = capture(frames_of(flat * 1.3), hello, Yardstick(older=older))
+    dry = capture(frames_of(flat * 1.3), hello, ReferenceChecks(older=older))
     assert dry.judgement.older_difference == pytest.approx(0.0, abs=2e-3)
 
 
 def test_force_takes_it_and_says_what_was_found(bundle, flat, hello):
     bent = flat * np.exp(0.4 * np.sin(np.arange(104)))
-    found = capture(frames_of(bent), hello, yardstick_of(bundle), force=True)
+    found = capture(frames_of(bent), hello, reference_checks(bundle), force=True)
     assert found.judgement.refusals
     assert "differs from the bundle's flat, untouched sheet by" in found.report()[1]
     assert "a bundle of its own: --bundle FILE" in found.report()[1]
@@ -108,18 +108,18 @@ def test_an_older_reference_of_another_device_or_configuration_is_not_held_again
     bent = flat * np.exp(0.4 * np.sin(np.arange(104)))
     older = capture(frames_of(flat), hello)
     for other in (replace(older, serial_number="OTHER"), replace(older, configuration_digest=1)):
-        assert capture(frames_of(bent), hello, Yardstick(older=other)).judgement.older_difference is None
+        assert capture(frames_of(bent), hello, ReferenceChecks(older=other)).judgement.older_difference is None
     with pytest.raises(BadReference, match="differs from the reference of"):
-        capture(frames_of(bent), hello, Yardstick(older=older))
+        capture(frames_of(bent), hello, ReferenceChecks(older=older))
 
 
 def test_a_touch_is_told_by_the_gate_against_the_older_reference(bundle, flat, hello):
     older = capture(frames_of(flat), hello)
-    yardstick = yardstick_of(bundle, older)
+    checks = reference_checks(bundle, older)
     columns = bundle.tikhonov()[15 * 45 + 20]  # rows that a touch near the middle changes, by the projection
     touched = flat * (1.0 + 0.25 * columns / np.abs(columns).max())
     with pytest.raises(BadReference, match="the sheet is touched, by the bundle's gate"):
-        capture(frames_of(touched), hello, yardstick)
+        capture(frames_of(touched), hello, checks)
 
 
 @pytest.mark.parametrize("kind", ["N2", "N3"])
@@ -163,7 +163,7 @@ def test_rows_of_electrodes_that_are_left_out_are_not_looked_at(bundle, flat, he
     frames = frames_of(flat)
     frames[:, gone] *= rng.uniform(0.1, 10.0, int(gone.sum())) * np.linspace(1.0, 2.0, 100)[:, None]
     with pytest.raises(BadReference):
-        capture(frames, hello, yardstick_of(bundle))
-    found = capture(frames, hello, yardstick_of(bundle, missing=gone))
+        capture(frames, hello, reference_checks(bundle))
+    found = capture(frames, hello, reference_checks(bundle, missing=gone))
     assert found.judgement.refusals == ()
     assert found.judgement.movement == 0.0

@@ -9,7 +9,7 @@ import pytest
 from eitskin.errors import BadReference, MismatchError
 from eitskin.reference import captured as references
 from eitskin.reference.builder import ReferenceBuilder
-from eitskin.reference.judged import Yardstick
+from eitskin.reference.judged import ReferenceChecks
 from eitskin.reference.plausible import scan_of
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.cloud_file import Surface
@@ -35,12 +35,12 @@ def scan(bent):
     return scan_of(Surface(cloud, 3.0 * bent, np.full(104, 3.0)), PAPER)
 
 
-def taken(voltages, hello, scan=None, yardstick=None):
+def taken(voltages, hello, scan=None, checks=None):
     builder = ReferenceBuilder(20, PAPER, scan)
     rng = np.random.default_rng(2)
     for _ in range(20):
         builder.add(voltages * (1.0 + 1e-3 * rng.standard_normal(104)))
-    return builder.finish(hello, yardstick)
+    return builder.finish(hello, checks)
 
 
 def test_the_model_s_ratio_makes_a_flat_reference(flat_V, bent, scan, hello):
@@ -59,10 +59,10 @@ def test_a_reference_without_a_scan_is_itself(flat_V, hello):
 def test_a_bent_sheet_is_refused_but_not_where_it_was_scanned(flat_V, hello):
     bent = np.exp(0.3 * np.sin(np.arange(104.0)))
     scan = scan_of(Surface(flat_cloud(), bent, np.ones(104)), PAPER)
-    yardstick = Yardstick(flat_V=flat_V)
+    checks = ReferenceChecks(flat_V=flat_V)
     with pytest.raises(BadReference, match="differs from the bundle's flat"):
-        taken(flat_V * bent, hello, None, yardstick)
-    assert taken(flat_V * bent, hello, scan, yardstick).judgement.refusals == ()
+        taken(flat_V * bent, hello, None, checks)
+    assert taken(flat_V * bent, hello, scan, checks).judgement.refusals == ()
 
 
 def test_a_stored_scan_comes_back(flat_V, scan, hello, tmp_path):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.touches.moments import MOST_TOUCHES, Finder
+from eitskin.touches.moments import MOST_TOUCHES, TouchFinder
 from eitskin.touches.pieces import HALF, SADDLE, pieces
 from eitskin_proto.skin.grid import Grid
 
@@ -14,7 +14,7 @@ RNG = np.random.default_rng(0)
 
 @pytest.fixture(scope="module")
 def finder():
-    return Finder(GRID)
+    return TouchFinder(GRID)
 
 
 def only(found):
@@ -163,12 +163,12 @@ def test_the_largest_are_listed_where_there_are_too_many(finder):
 
 def test_the_largest_map_in_shreds_is_not_taken_apart():
     grid = Grid((150.0, 150.0), (120, 120), (10, 10))
-    found = Finder(grid).find(np.indices(grid.shape).sum(axis=0) % 2.0)
+    found = TouchFinder(grid).find(np.indices(grid.shape).sum(axis=0) % 2.0)
     assert (found.count, found.more) == (0, 1)
 
 
 def test_another_grid_has_its_own_millimetres():
     grid = Grid((60.0, 90.0), (18, 20), (6, 6))
-    found = only(Finder(grid).find(box(21.0, 30.0, 33.0, 50.0, grid)))
+    found = only(TouchFinder(grid).find(box(21.0, 30.0, 33.0, 50.0, grid)))
     assert found[:2] == pytest.approx((27.0, 40.0))
     assert found[5] == pytest.approx(240.0)

@@ -10,7 +10,7 @@ from eitskin_proto.skin.parts import Instrument, Layer, Ring, Touches
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.calibration import bends, model, session, solved, unseen
-from eitskin_sim.calibration.bends import BendError, Like
+from eitskin_sim.calibration.bends import BendError, ScanError
 from eitskin_sim.calibration.fit import CalibrationError
 from eitskin_sim.calibration.printed import table
 from eitskin_sim.calibration.recording import Later, Recording
@@ -113,7 +113,7 @@ def test_what_no_scan_shows_moves_a_row_and_its_reciprocal_alike_and_no_press(co
 def test_a_scan_says_how_far_it_is_stretched_and_how_noisy_it_is():
     bend = Bend(angle_deg=70.0, stretch_along=1.03)  # rolling stretches nothing
     cloud = measured_cloud(bend, np.random.default_rng(3), 0.2).astype(np.float64)
-    like = bends.like_scan(cloud, fit_cloud(cloud, PAPER.grid), PAPER.grid)
+    like = bends.scan_error(cloud, fit_cloud(cloud, PAPER.grid), PAPER.grid)
     assert like.strain == pytest.approx((1.03**2 - 1.0) / 2.0, rel=0.1)
     assert like.noise_mm == pytest.approx(0.2, rel=0.05)
     xy = PAPER.grid.pixel_centres_mm().reshape(-1, 2)
@@ -122,7 +122,7 @@ def test_a_scan_says_how_far_it_is_stretched_and_how_noisy_it_is():
 
 @pytest.mark.slow  # twice six bends on the usual mesh
 def test_a_model_of_a_scan_that_is_hardly_stretched_is_off_by_less():
-    near = bends.drawn_errors(PAPER, 6, like=Like(0.03, 0.1))[0]
+    near = bends.drawn_errors(PAPER, 6, like=ScanError(0.03, 0.1))[0]
     assert np.sqrt(np.mean(near**2)) < 0.5 * np.sqrt(np.mean(bends.drawn_errors(PAPER, 6)[0] ** 2))
 
 

@@ -22,7 +22,7 @@ from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet, sheet_blocks
 from eitskin_sim.freeform.voltages import set_responses, set_voltages
 from eitskin_sim.scene.bend import bend_metric
-from eitskin_sim.scene.parts import Bend, Electrodes, Late, Scene, Sheet, SmoothField, Touch
+from eitskin_sim.scene.parts import Bend, Electrodes, LaterChanges, Scene, Sheet, SmoothField, Touch
 from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.scene.touch_table import DISC, ELLIPSE, RECTANGLE, gather
 from eitskin_sim.unit_grid.skeleton import unit_system
@@ -57,7 +57,7 @@ def device(skin: Skin) -> Device:
     found = draw_device(skin, np.random.default_rng(2)).device
     assert found.electrodes.contact == "edge"
     assert found.sheet.field is not None
-    return found.since(Late(factor=0.93, gradient_rms=0.03, field=SmoothField(0.04, 40.0, 5)))
+    return found.since(LaterChanges(factor=0.93, gradient_rms=0.03, field=SmoothField(0.04, 40.0, 5)))
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from eitskin_sim.devices.expansion import (
     whole_differences,
 )
 from eitskin_sim.fem.solve import factorise_scene
-from eitskin_sim.scene.parts import Bend, Late, Scene, SmoothField
+from eitskin_sim.scene.parts import Bend, LaterChanges, Scene, SmoothField
 
 MM = 6.0
 BEND = Bend(angle_deg=60.0, stretch_along=1.05, bumps_mm=((40.0, 30.0, 4.0, 15.0),))
@@ -44,7 +44,9 @@ def test_all_differences_follow_from_those_above_the_diagonal(state: Expansion) 
 
 
 def test_the_layer_and_the_gauge_factor_move_it_as_they_move_a_solved_sheet(state: Expansion) -> None:
-    sheet = replace(NOMINAL.sheet, field=SmoothField(2e-3, 40.0, 3), late=Late(gradient_rms=2e-3, field=None, seed=4))
+    sheet = replace(
+        NOMINAL.sheet, field=SmoothField(2e-3, 40.0, 3), late=LaterChanges(gradient_rms=2e-3, field=None, seed=4)
+    )
     uneven, stretching = replace(NOMINAL, sheet=sheet), replace(NOMINAL.sheet, gauge_factor=0.02)
     for device, where, by_how_much in (
         (uneven, LAYER, Fields.of(sheet).parts(sheet, late=True)),

@@ -11,7 +11,7 @@ from eitskin_sim.fem.forward import Factor
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet, sheet_blocks
 from eitskin_sim.freeform.voltages import set_responses, set_voltages
-from eitskin_sim.scene.parts import Bend, Late, Scene, SmoothField, Touch
+from eitskin_sim.scene.parts import Bend, LaterChanges, Scene, SmoothField, Touch
 from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.scene.touch_table import DISC, RECTANGLE, gather
 from eitskin_sim.unit_grid.skeleton import unit_system
@@ -33,7 +33,7 @@ def device() -> Device:
     found = draw_device(named("lab"), np.random.default_rng(2)).device
     assert found.sheet.gauge_factor
     assert found.sheet.field is not None
-    return found.since(Late(factor=0.93, gradient_rms=0.03, field=SmoothField(0.04, 40.0, 5)))
+    return found.since(LaterChanges(factor=0.93, gradient_rms=0.03, field=SmoothField(0.04, 40.0, 5)))
 
 
 @pytest.fixture(scope="module")

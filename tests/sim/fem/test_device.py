@@ -14,7 +14,7 @@ from eitskin_sim.fem.solve import Law, factorise_scene, solve_scene
 from eitskin_sim.measurement.faults import response_of
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.layer import relative_conductivity
-from eitskin_sim.scene.parts import Bend, Electrodes, Late, Scene, Sheet, SmoothField, Touch
+from eitskin_sim.scene.parts import Bend, Electrodes, LaterChanges, Scene, Sheet, SmoothField, Touch
 from eitskin_sim.scene.shapes import Disc, Rect
 
 COARSE = 6.0
@@ -27,7 +27,7 @@ TOUCHES = (
 
 BENT = Bend(angle_deg=90, axis_deg=20, twist_deg=20, stretch_along=1.1, stretch_across=0.97, nonuniformity=0.05)
 FIELD = SmoothField(0.2, 40.0, 7)
-DEVICE = Sheet(gauge_factor=1.0, field=FIELD, late=Late(1.2, 0.05, SmoothField(0.05, 60.0, 8), 9))
+DEVICE = Sheet(gauge_factor=1.0, field=FIELD, late=LaterChanges(1.2, 0.05, SmoothField(0.05, 60.0, 8), 9))
 SCATTERED = Electrodes(
     size_mm=tuple(4.0 + 0.25 * (k % 3) for k in range(16)),
     contact_impedance_ohm_m2=tuple(1e-4 * (1 + k % 5) for k in range(16)),
@@ -46,7 +46,7 @@ def conducting(scene: Scene, factor: float) -> Scene:
 def test_an_even_factor_divides_voltages_under_touches_too(contact: str, law: Law) -> None:
     bend, touches = (BENT, TOUCHES) if law == "constant" else (Bend(), TOUCHES[:1])  # a bend's windows all differ
     scene = Scene(electrodes=Electrodes(contact), bend=bend, touches=touches, element_size_mm=COARSE)
-    drifted = conducting(replace(scene, sheet=Sheet(late=Late(1.3))), 1.3)
+    drifted = conducting(replace(scene, sheet=Sheet(late=LaterChanges(1.3))), 1.3)
     np.testing.assert_allclose(solve_scene(drifted, law).voltages * 1.3, solve_scene(scene, law).voltages, rtol=1e-8)
 
 
@@ -178,6 +178,6 @@ def test_a_reference_is_before_what_came_late_and_knows_the_rest() -> None:
     reference = scene.reference()
     assert reference == Scene(replace(DEVICE, late=None), SCATTERED, element_size_mm=COARSE)
     found = solve_scene(reference).voltages
-    nothing_came = replace(reference, sheet=replace(DEVICE, late=Late()))
+    nothing_came = replace(reference, sheet=replace(DEVICE, late=LaterChanges()))
     np.testing.assert_array_equal(solve_scene(nothing_came).voltages, found)
     assert np.abs(solve_scene(replace(reference, sheet=DEVICE)).voltages / found - 1.0).max() > 0.05

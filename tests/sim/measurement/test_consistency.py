@@ -5,7 +5,7 @@ import pytest
 
 from eitskin_proto.sensor.row_gaussian import RATIO_RANGE, RowGaussian, log_of_change, rows_of
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_sim.measurement.consistency import FLOOR, Filler, fit
+from eitskin_sim.measurement.consistency import FLOOR, RowImputation, fit
 
 
 def drawn(count: int, seed: int = 0) -> tuple[np.ndarray, RowGaussian]:
@@ -25,7 +25,7 @@ def test_what_is_filled_in_is_the_conditional_mean_of_the_textbook(electrodes: t
     expected = known.mean[rows] + (log_of_change(change[:, ~rows]) - known.mean[~rows]) @ gain.T
     filled = change.copy()
     filled[:, rows] = 55.0  # whatever stands there must not matter
-    Filler(known).fill(filled, electrodes)
+    RowImputation(known).fill(filled, electrodes)
     # The covariance has a condition of 1e5: half the digits of float64 are left.
     np.testing.assert_allclose(np.log1p(filled[:, rows]), expected, atol=1e-8)
     np.testing.assert_array_equal(filled[:, ~rows], change[:, ~rows])
@@ -33,7 +33,7 @@ def test_what_is_filled_in_is_the_conditional_mean_of_the_textbook(electrodes: t
 
 def test_six_causes_are_found_again_without_an_electrode() -> None:
     change, _ = drawn(3000)
-    filler = Filler(fit(change))
+    filler = RowImputation(fit(change))
     apart, _ = drawn(200, seed=1)
     filled = apart.copy()
     filler.fill(filled, (5,))

@@ -8,7 +8,7 @@ import pytest
 from eitskin.errors import BadReference
 from eitskin.model.bundle import load_bundle
 from eitskin.reference.builder import ReferenceBuilder
-from eitskin.reference.judged import yardstick_of
+from eitskin.reference.judged import reference_checks
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.scene.family import draw
@@ -28,7 +28,7 @@ def captured(voltages, kind, older=None):
     builder = ReferenceBuilder(60)
     for _ in range(60):
         builder.add(add_noise(voltages, voltages, kind, 50.0, RNG))
-    return builder.finish(HELLO, yardstick_of(load_bundle(), older))
+    return builder.finish(HELLO, reference_checks(load_bundle(), older))
 
 
 def own_electrodes():

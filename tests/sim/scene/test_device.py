@@ -15,7 +15,7 @@ from eitskin_sim.scene.layer import (
     relative_conductivity,
     smooth_field,
 )
-from eitskin_sim.scene.parts import Late, Sheet, SmoothField
+from eitskin_sim.scene.parts import LaterChanges, Sheet, SmoothField
 from eitskin_sim.scene.scene import SceneError, load_scene, parse_scene, scene_json
 
 POINTS = np.stack(np.meshgrid(np.linspace(0.0, 150.0, 31), np.linspace(0.0, 100.0, 21)), axis=-1)
@@ -51,14 +51,14 @@ def test_a_field_of_endless_correlation_is_a_constant() -> None:
 
 def test_what_came_late_is_a_factor_a_tilt_and_a_field_beside_what_was_there() -> None:
     there, came = SmoothField(0.1, 40.0, 1), SmoothField(0.05, 60.0, 2)
-    sheet = Sheet(field=there, late=Late(1.2, 0.03, came, 4))
+    sheet = Sheet(field=there, late=LaterChanges(1.2, 0.03, came, 4))
     np.testing.assert_array_equal(log_conductivity(sheet, POINTS, late=False), smooth_field(there, POINTS))
     tilt = log_conductivity(sheet, POINTS) - np.log(1.2) - smooth_field(there, POINTS) - smooth_field(came, POINTS)
     assert np.abs(np.diff(tilt, 2, axis=0)).max() < 1e-15 > np.abs(np.diff(tilt, 2, axis=1)).max()
     points, weights = np.polynomial.legendre.leggauss(3)  # exact for squares of planes
     grid = np.stack(np.meshgrid(75.0 * (points + 1.0), 50.0 * (points + 1.0)), axis=-1)
     even = np.outer(weights, weights) / 4.0
-    plane = log_conductivity(Sheet(late=Late(gradient_rms=0.03, seed=4)), grid)
+    plane = log_conductivity(Sheet(late=LaterChanges(gradient_rms=0.03, seed=4)), grid)
     assert (even * plane).sum() == pytest.approx(0.0, abs=1e-15)
     assert (even * plane**2).sum() == pytest.approx(0.03**2, rel=1e-12)
 
@@ -67,7 +67,7 @@ def test_the_gauge_is_a_power_of_the_area_stretch() -> None:
     metric = np.array([[1.3**2, 0.0, 0.9**2], [1.0, 0.0, 1.0], [2.0, 1.0, 1.0]])
     for k in (-2.0, 0.0, 1.5):
         np.testing.assert_allclose(gauge(Sheet(gauge_factor=k), metric), [(1.3 * 0.9) ** -k, 1.0, 1.0], rtol=1e-14)
-    sheet = Sheet(gauge_factor=2.0, late=Late(1.1))
+    sheet = Sheet(gauge_factor=2.0, late=LaterChanges(1.1))
     assert relative_conductivity(sheet, POINTS[0, :3], metric)[0] == pytest.approx(1.1 / 1.17**2, rel=1e-12)
     assert is_uneven(sheet)
     assert not is_uneven(Sheet())
@@ -89,7 +89,7 @@ DEVICE: dict[str, Any] = {
 
 def test_a_device_is_read_and_survives_its_own_json() -> None:
     scene = parse_scene(DEVICE)
-    assert scene.sheet.late == Late(1.08, 0.02, SmoothField(0.01, 60.0, 4))
+    assert scene.sheet.late == LaterChanges(1.08, 0.02, SmoothField(0.01, 60.0, 4))
     assert scene.electrodes.sizes_mm()[1] == 4.1
     assert scene.electrodes.impedances_ohm_m2()[4] == 5e-4
     assert parse_scene(json.loads(scene_json(scene))) == scene

@@ -10,7 +10,7 @@ from eitskin_proto.skin.toml import named
 from eitskin_sim.devices.device import ideal
 from eitskin_sim.freeform.sheet import inverted_metric
 from eitskin_sim.scene.family import draw
-from eitskin_sim.scene.parts import Bend, Late
+from eitskin_sim.scene.parts import Bend, LaterChanges
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import fit_cloud, noise_tangents
@@ -108,11 +108,11 @@ def test_the_layers_columns_are_the_forward_models_derivatives(model: SheetModel
     step, nominal, sd = 1e-3, untouched_V(model), model.spreads
     names = model.unseen.names
     column = {name: model.unseen.columns[:, model.unseen.n_waves + names.index(name)] for name in names}
-    drifted = (untouched_V(model, late=Late(factor=1.0 + step)) - nominal) / np.log(1.0 + step)
+    drifted = (untouched_V(model, late=LaterChanges(factor=1.0 + step)) - nominal) / np.log(1.0 + step)
     stretched = (untouched_V(model, gauge_factor=step) - nominal) / step
     for found, expected in ((column["drift"], sd.drift * drifted), (column["gauge"], sd.gauge * stretched)):
         assert np.linalg.norm(found - expected) < 0.015 * np.linalg.norm(expected)
-    tilted = sd.tilt * (untouched_V(model, late=Late(gradient_rms=step, seed=5)) - nominal) / step
+    tilted = sd.tilt * (untouched_V(model, late=LaterChanges(gradient_rms=step, seed=5)) - nominal) / step
     two = np.stack([column["tilt x"], column["tilt y"]], axis=-1)
     share = np.linalg.lstsq(two, tilted, rcond=None)[0]
     assert np.linalg.norm(tilted - two @ share) < 0.015 * np.linalg.norm(tilted)

@@ -1,12 +1,12 @@
-"""What the forward model says of touches bears out what drift is told from them by (eitskin.health.resting)."""
+"""What the forward model says of touches bears out what drift is told from them by (eitskin.health.baseline)."""
 
 import numpy as np
 import pytest
 from tests.tools.studies.study import study
 
+from eitskin.health.baseline import MOST_UNEVEN, PART, UntouchedBaseline
 from eitskin.health.drift import CLEAN, LEAST
 from eitskin.health.imputation import Consistency
-from eitskin.health.resting import MOST_UNEVEN, PART, Resting
 from eitskin.health.untouched import Untouched
 from eitskin.model.bundle import default_path, load_bundle
 from eitskin_proto.sensor.table import N_ROWS
@@ -45,7 +45,7 @@ def consistency():
 
 @pytest.mark.parametrize("noise", [np.full(N_ROWS, 0.003), np.geomspace(1e-3, 1.0, N_ROWS)])
 def test_no_touch_moves_all_rows_alike(touches, noise):
-    resting = Resting()
+    resting = UntouchedBaseline()
     resting.start(noise, 100, known=True)
     for contrast, logs in touches:
         found = resting.split(logs, 1.0)

@@ -5,7 +5,7 @@ from pathlib import Path
 from eitskin.model import bundle as bundles
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation.harness import Conditions
-from eitskin_sim.evaluation.trials import Softness, single, untouched
+from eitskin_sim.evaluation.trials import TouchProfile, single, untouched
 from eitskin_sim.scene.scene import load_phantoms
 from eitskin_tools.command_line import files
 from eitskin_tools.evaluation import solvers
@@ -15,7 +15,7 @@ TINY = Path(__file__).parents[2] / "golden" / "tiny.eitskin"
 
 
 def test_what_touches_a_phantom():
-    assert single(16.0, 1, 1, "A", Softness(0.4, 4.0))[0].scene.touch_kind == "lower"
+    assert single(16.0, 1, 1, "A", TouchProfile(0.4, 4.0))[0].scene.touch_kind == "lower"
     assert single(10.0, 1, 1)[0].scene.touch_kind == "raise"
     assert untouched(1)[0].scene.touch_kind == "raise"
     shipped = load_phantoms(files.find("paper_mm", files.PHANTOMS))
@@ -48,7 +48,7 @@ def test_presses_and_touches_of_one_list_have_a_bundle_each(monkeypatch):
 
     monkeypatch.setattr(solvers, "named", noted)
     monkeypatch.setattr(solvers, "evaluate_all", evaluated)
-    phantoms = [*single(10.0, 1, 1), *single(16.0, 1, 1, "A", Softness(0.4, 4.0)), *single(8.0, 1, 1)]
+    phantoms = [*single(10.0, 1, 1), *single(16.0, 1, 1, "A", TouchProfile(0.4, 4.0)), *single(8.0, 1, 1)]
     ((by_group, results),) = evaluate_named(phantoms, [Request("vd2t")], Conditions("none"))
     assert asked == list(by_group) == [("area", "raise"), ("area", "lower")]
     assert [phantom for phantom, _ in results] == phantoms

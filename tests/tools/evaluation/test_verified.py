@@ -11,7 +11,7 @@ from eitskin_sim.evaluation.harness import Case, Conditions, Run, Sheet, evaluat
 from eitskin_sim.evaluation.metrics import score
 from eitskin_sim.evaluation.trials import random, single
 from eitskin_sim.fem.solve import solve_scene
-from eitskin_sim.scene.parts import Bend, Late, Phantom, Scene
+from eitskin_sim.scene.parts import Bend, LaterChanges, Phantom, Scene
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.verification.network_map import map_of
 from eitskin_sim.verification.residual import Noise
@@ -84,7 +84,7 @@ def test_sheets_are_seen_at_rest_by_physics_alone(
 
 
 def test_sheets_that_one_scan_shows_alike_are_shapes_of_their_own() -> None:
-    late = replace(Scene().sheet, late=Late(1.08))
+    late = replace(Scene().sheet, late=LaterChanges(1.08))
     scenes = [replace(Scene(element_size_mm=6.0), sheet=sheet, bend=Bend(60.0)) for sheet in (Scene().sheet, late)]
     scan, flat = measured_cloud(Bend(60.0)).astype(np.float64), solve_scene(scenes[1].reference()).voltages
     sheets = [Sheet(scan, solve_scene(one).voltages) for one in (*scenes, scenes[0])]

@@ -69,12 +69,12 @@ import atexit, signal, sys
 
 when = sys.argv.pop()
 
-class Finder:
+class TouchFinder:
     def find_spec(self, name, path=None, target=None):
         if name == when:
             signal.raise_signal(signal.SIGINT)
 
-sys.meta_path.insert(0, Finder())
+sys.meta_path.insert(0, TouchFinder())
 if when == "the end":
     atexit.register(signal.raise_signal, signal.SIGINT)
 from eitskin_tools.entry import main

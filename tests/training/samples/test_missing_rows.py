@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eitskin_proto.sensor.row_gaussian import rows_of
-from eitskin_sim.measurement.consistency import Filler, fit
+from eitskin_sim.measurement.consistency import RowImputation, fit
 from eitskin_training.recipes import recipe
 from eitskin_training.samples.batches import batches, consistency_of, lose_electrodes
 
@@ -15,7 +15,7 @@ from eitskin_training.samples.batches import batches, consistency_of, lose_elect
 def test_the_stated_share_of_samples_loses_whole_electrodes() -> None:
     rng = np.random.default_rng(3)
     before = np.expm1(0.1 * rng.standard_normal((6000, 104))).astype(np.float32)
-    filler = Filler(fit(before[:500]))
+    filler = RowImputation(fit(before[:500]))
     after = before.copy()
     lose_electrodes(after, 0.2, filler, rng)
     changed = after != before

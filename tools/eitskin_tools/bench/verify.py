@@ -25,7 +25,7 @@ from eitskin_sim.evaluation.metrics import TOUCHED, Score, lost_mm, score
 from eitskin_sim.evaluation.mismatch import IDEAL
 from eitskin_sim.evaluation.near import NEAR_MM
 from eitskin_sim.evaluation.truth import truth_map
-from eitskin_sim.measurement.consistency import Filler
+from eitskin_sim.measurement.consistency import RowImputation
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.parts import Bend, Touch
@@ -157,7 +157,9 @@ class Units:
         self._network = named(Request("vd2t"), "units").run
         arrays = bundle_for(Request("vd2t"), "units").consistency_arrays()
         assert arrays is not None, "the shipped bundle of units fills in rows"
-        self._filler = Filler(RowGaussian(np.asarray(arrays["mean"], float), np.asarray(arrays["covariance"], float)))
+        self._filler = RowImputation(
+            RowGaussian(np.asarray(arrays["mean"], float), np.asarray(arrays["covariance"], float))
+        )
         self._image: Array = np.zeros(PAPER.grid.shape)
 
     def row(self, condition: Condition) -> Row:

@@ -17,7 +17,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.device import Device, draw_device
 from eitskin_sim.evaluation.mismatch import IDEAL, LAB, Mismatch
-from eitskin_sim.evaluation.trials import Softness
+from eitskin_sim.evaluation.trials import TouchProfile
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.measurement.noise import Kind
 from eitskin_sim.scene.family import Family
@@ -154,7 +154,7 @@ def _seen_at_rest() -> list[Anywhere]:
 
 def _singles(contrast: float = 50.0, side_mm: float = SINGLE_MM) -> Callable[[int, int], list[Phantom]]:
     return lambda deformations, each: trials.single(
-        side_mm, deformations, each, "A", Softness(contrast) if contrast != 50.0 else trials.HARD
+        side_mm, deformations, each, "A", TouchProfile(contrast) if contrast != 50.0 else trials.HARD
     )
 
 
@@ -167,7 +167,7 @@ def _pairs(family: Family) -> Callable[[int, int], list[Phantom]]:
 
 
 def _presses(contrast: float) -> Callable[[int, int], list[Phantom]]:
-    softness = Softness(contrast, PRESS_BORDER_MM, disc=True)
+    softness = TouchProfile(contrast, PRESS_BORDER_MM, disc=True)
     return lambda deformations, each: trials.single(PRESS_MM, deformations, each, "A", softness)
 
 

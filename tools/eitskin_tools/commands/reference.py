@@ -68,12 +68,12 @@ def _capture(arguments: argparse.Namespace) -> Any:
     from eitskin.acquisition.capture import capture
     from eitskin.acquisition.serial_port import DEFAULT_BAUD
     from eitskin.model.skin_in_use import bundle_and_skin
-    from eitskin.reference.judged import yardstick_of
+    from eitskin.reference.judged import reference_checks
     from eitskin.reference.plausible import scan_of
     from eitskin_proto.skin.cloud_file import load_surface
 
     bundle, skin = bundle_and_skin(arguments.bundle, arguments.skin)
-    yardstick = yardstick_of(bundle, _older(arguments, skin))
+    yardstick = reference_checks(bundle, _older(arguments, skin))
     scan = None
     if arguments.surface is not None:
         scan = scan_of(load_surface(arguments.surface, skin), skin)

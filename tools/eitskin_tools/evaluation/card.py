@@ -126,10 +126,10 @@ def _trials(bundle: Bundle, deformations: int, each: int) -> list[runs.Trial]:
 def _touches(contrast: float, deformations: int, each: int, skin: Skin) -> list[Phantom]:
     """Return phantoms of one touch of a contrast: a hard square, or by turns a soft square and a soft disc."""
     if contrast > 1.0:
-        return trials.single(runs.SINGLE_MM, deformations, each, "A", trials.Softness(contrast), skin)
+        return trials.single(runs.SINGLE_MM, deformations, each, "A", trials.TouchProfile(contrast), skin)
     square, disc = (
         trials.single(
-            runs.PRESS_MM, deformations, each, "A", trials.Softness(contrast, runs.PRESS_BORDER_MM, round_), skin
+            runs.PRESS_MM, deformations, each, "A", trials.TouchProfile(contrast, runs.PRESS_BORDER_MM, round_), skin
         )
         for round_ in (False, True)
     )

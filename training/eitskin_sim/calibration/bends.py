@@ -66,7 +66,7 @@ class BendError:
 
 
 @dataclass(frozen=True, slots=True)
-class Like:
+class ScanError:
     """What is known of a scan whose model's error is asked for: bends are drawn that look as this one does."""
 
     strain: float
@@ -76,7 +76,7 @@ class Like:
 
 
 @lru_cache(maxsize=8)
-def bend_error(skin: Skin, like: Like | None = None) -> BendError:
+def bend_error(skin: Skin, like: ScanError | None = None) -> BendError:
     """Return the error of a skin's scanned bends; 0.2 CPU-s a draw.
 
     Args:
@@ -86,14 +86,14 @@ def bend_error(skin: Skin, like: Like | None = None) -> BendError:
     return error_of(*drawn_errors(skin, DRAWS, like))
 
 
-def like_scan(cloud_mm: Array, surface: FittedSurface, grid: Grid) -> Like:
+def scan_error(cloud_mm: Array, surface: FittedSurface, grid: Grid) -> ScanError:
     """Return what a scan (3, rows, columns) and the surface through it tell of the scan's own error."""
     xy = grid.pixel_centres_mm().reshape(-1, 2)
     off = np.asarray(cloud_mm).reshape(3, -1).T - surface.points(xy)
     noise_mm = float(np.sqrt(np.mean(off**2)))
     # of the two lengths and, twice, of the shear: what the scan's noise adds to the square of a strain
     added = 1.5 * sum(float(np.mean(np.sum((noise_mm * one) ** 2, axis=1))) for one in noise_tangents(xy, grid))
-    return Like(float(np.sqrt(max(strain_of(surface.metric(xy)) ** 2 - added, 0.0))), noise_mm)
+    return ScanError(float(np.sqrt(max(strain_of(surface.metric(xy)) ** 2 - added, 0.0))), noise_mm)
 
 
 def strain_of(metric: Array) -> float:
@@ -122,7 +122,7 @@ def error_of(errors: Array, slopes: Array, gauges: Array) -> BendError:
     return BendError(mean, scale * covariance, steeper, max(float(apart.max()) / scale, 1.0))
 
 
-def drawn_errors(skin: Skin, draws: int, like: Like | None = None) -> tuple[Array, Array, Array]:
+def drawn_errors(skin: Skin, draws: int, like: ScanError | None = None) -> tuple[Array, Array, Array]:
     """Return (draws, 104) errors of the model of drawn bends, slopes by the gauge factor, and (draws,) its values."""
     generator, doubts = np.random.default_rng([SEED, 1]), skin.may_be_off
     scene = nominal_scene(skin, element_size_mm=solved.ELEMENT_MM)
@@ -146,7 +146,7 @@ def drawn_errors(skin: Skin, draws: int, like: Like | None = None) -> tuple[Arra
     return np.array(errors), np.array(slopes), np.array(gauges)
 
 
-def _bends(skin: Skin, draws: int, sheet: Sheet, like: Like | None) -> tuple[Bend, ...]:
+def _bends(skin: Skin, draws: int, sheet: Sheet, like: ScanError | None) -> tuple[Bend, ...]:
     drawn = draw("A", draws, SEED, skin)
     if like is None:
         return drawn

@@ -52,7 +52,7 @@ class Read:
 
 
 @dataclass(frozen=True, slots=True)
-class Lying:
+class SheetState:
     """How the sheet lies, and what presses it; as it stands, as it lay when the reference was taken."""
 
     scanned: Metric | None = None
@@ -88,7 +88,7 @@ class Model:
         self.layer = SmoothModes(self.size_mm, doubts.layer_rms, doubts.layer_correlation_mm)
         self.unseen = None if recording.cloud_mm is None else unseen_of(skin, recording.cloud_mm)
         """Of a reference with its scan."""
-        self.base = Lying(None if self.unseen is None else self.unseen.metric)
+        self.base = SheetState(None if self.unseen is None else self.unseen.metric)
         """How the sheet lay when the reference was taken."""
         own = [] if self.unseen is None else [self.unseen.group]
         self.parameters = Parameters(skin, self.layer.count, [*own, *more])
@@ -152,7 +152,7 @@ class Model:
             normalised=self.skin.front_end.normalised,
         )
 
-    def shape(self, z: Array, lying: Lying) -> Shape:
+    def shape(self, z: Array, lying: SheetState) -> Shape:
         """Return what changes the metric; a scan shows the true lengths."""
         parameters = self.parameters
         gauge, thickness = parameters.one(GAUGE, z), parameters.one("thickness_mm", z)
@@ -162,14 +162,14 @@ class Model:
         along, across = parameters.one("length_scale", z) * stretch[0], parameters.one("width_scale", z) * stretch[1]
         return Shape(float(np.log(along)), float(np.log(across)), 0.0, gauge, float(np.log(thickness)))
 
-    def solved(self, z: Array, lying: Lying | None = None) -> Solved:
+    def solved(self, z: Array, lying: SheetState | None = None) -> Solved:
         """Return the sheet; as it lay when the reference was taken where nothing else is said."""
         lying = self.base if lying is None else lying
         own = z[self.parameters.slices[OWN_LAYER]] if self.layer.count else np.zeros(0)
         metric, shape = lying.scanned or flat_metric, self.shape(z, lying)
         return Solved(self.size_mm, self.electrodes(z), metric, shape, self.layer.at, own, lying.touches(z))
 
-    def read(self, z: Array, lying: Lying | None = None, *, derivatives: bool) -> Read:
+    def read(self, z: Array, lying: SheetState | None = None, *, derivatives: bool) -> Read:
         """Return what should be read; as the sheet lay when the reference was taken where nothing else is said.
 
         Raises:
@@ -214,7 +214,7 @@ class Model:
         found = self.unseen.mean + own + self.parameters.one(GAUGE, z) * self._unseen_by_gauge
         return np.asarray(found[self._table_row])
 
-    def slope(self, lying: Lying) -> Array:
+    def slope(self, lying: SheetState) -> Array:
         """Return (104,) how the logarithms of a sheet's voltages follow the gauge factor, as it is stated.
 
         Args:
@@ -227,7 +227,7 @@ class Model:
         by_z = read.jacobian[:, self.parameters.slices[GAUGE]][:, 0] / read.voltages_V
         return np.asarray(of_table(by_z) / self.parameters.groups[GAUGE].spread)
 
-    def _rates(self, z: Array, sheet: Solved, lying: Lying) -> tuple[list[int], Array]:
+    def _rates(self, z: Array, sheet: Solved, lying: SheetState) -> tuple[list[int], Array]:
         """Return the parameters that the sheet's differences (16, 16) depend on, and their derivatives by each z."""
         parameters, slices = self.parameters, self.parameters.slices
         at: list[int] = []

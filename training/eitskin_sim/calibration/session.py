@@ -18,7 +18,7 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration import stamp as stamps
 from eitskin_sim.calibration.bends import bend_error
 from eitskin_sim.calibration.fit import CHANCE, CalibrationError
-from eitskin_sim.calibration.model import GAUGE, Lying, Model, Read
+from eitskin_sim.calibration.model import GAUGE, Model, Read, SheetState
 from eitskin_sim.calibration.recording import Later, Recording
 from eitskin_sim.calibration.rows import noise_V, of_table
 from eitskin_sim.surface.predict import fit_cloud
@@ -45,7 +45,7 @@ class Moment:
     name: str
     """For people."""
     read: Later
-    lying: Lying
+    lying: SheetState
     covariance: Array
     """(104, 104) of dV, beside a press's own share."""
     expected: Array
@@ -164,7 +164,7 @@ class Session:
             error = bend_error(self.flat.skin)
             ratio = one.voltages_V / of_table(self.flat.recording.reference_V)
             covariance = self._covariance(one) + ratio[:, None] * error.covariance * ratio
-            lying = Lying(fit_cloud(one.cloud_mm, self.flat.skin.grid).metric, at_reference=False)
+            lying = SheetState(fit_cloud(one.cloud_mm, self.flat.skin.grid).metric, at_reference=False)
             more = ratio * error.steeper * self.flat.slope(lying)
             found.append(
                 Moment(f"bent moment {number}", one, lying, covariance, ratio * error.mean, more, error.largest)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.calibration.bends import bend_error, like_scan
+from eitskin_sim.calibration.bends import bend_error, scan_error
 from eitskin_sim.calibration.parameters import Group
 from eitskin_sim.calibration.solved import Metric
 from eitskin_sim.surface.predict import fit_cloud
@@ -62,6 +62,6 @@ def unseen_of(skin: Skin, cloud_mm: Array) -> Unseen:
         cloud_mm: (3, rows, columns) the scan.
     """
     surface = fit_cloud(cloud_mm, skin.grid)
-    error = bend_error(skin, like_scan(cloud_mm, surface, skin.grid))
+    error = bend_error(skin, scan_error(cloud_mm, surface, skin.grid))
     root = np.asarray(np.linalg.cholesky(error.covariance), dtype=np.float64)
     return Unseen(surface.metric, error.mean, root, error.steeper, error.largest)

@@ -6,7 +6,7 @@ from typing import Final
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.measurement.front_end import FrontEnd
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
-from eitskin_sim.scene.parts import Electrodes, Late, Sheet
+from eitskin_sim.scene.parts import Electrodes, LaterChanges, Sheet
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +17,7 @@ class Device:
     electrodes: Electrodes = field(default_factory=Electrodes)
     front_end: FrontEnd = field(default_factory=FrontEnd)
 
-    def since(self, late: Late | None) -> "Device":
+    def since(self, late: LaterChanges | None) -> "Device":
         """Return the device with what came after its reference was taken; None is the device at that moment."""
         return replace(self, sheet=replace(self.sheet, late=late))
 

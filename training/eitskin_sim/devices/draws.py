@@ -24,7 +24,7 @@ from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.measurement.front_end import FrontEnd, capacitance
-from eitskin_sim.scene.parts import Bend, Electrodes, Late, Sheet, SmoothField
+from eitskin_sim.scene.parts import Bend, Electrodes, LaterChanges, Sheet, SmoothField
 
 Array = npt.NDArray[np.float64]
 
@@ -75,7 +75,7 @@ class DrawnDevice:
 class Moment:
     """What is true of a device at one deformation, and how it is scanned there."""
 
-    late: Late
+    late: LaterChanges
     """What came to the layer since the reference was taken."""
     scan_noise_mm: float
     scan_factor: float
@@ -129,7 +129,7 @@ def draw_moment(skin: Skin, rng: np.random.Generator) -> Moment:
     doubts = skin.may_be_off
     rms = float(rng.uniform(*doubts.late_rms) * _walked(1, rng)[0])
     turn = float(rng.uniform(0.0, np.pi / 2))
-    late = Late(
+    late = LaterChanges(
         gradient_rms=rms * float(np.sin(turn)),
         field=_field(rms * float(np.cos(turn)), doubts.late_correlation_mm, rng),
         seed=int(rng.integers(SEEDS)),

@@ -15,7 +15,7 @@ from eitskin_sim.evaluation.mismatch import Mismatch
 from eitskin_sim.measurement.front_end import FrontEnd, capacitance
 from eitskin_sim.scene.family import scaled
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
-from eitskin_sim.scene.parts import Bend, Electrodes, Late, Scene, Sheet, SmoothField, Touch
+from eitskin_sim.scene.parts import Bend, Electrodes, LaterChanges, Scene, Sheet, SmoothField, Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
 from eitskin_sim.surface.measured_cloud import measured_cloud
 
@@ -94,7 +94,7 @@ def draw_device(mismatch: Mismatch, seed: int, number: int, skin: Skin = PAPER) 
     arc = _along(np.array(nominal.arc_length_mm), sheet.size_mm, size_mm[0]) + off.electrodes_mm * places
     impedance = nominal.impedances_ohm_m2() * off.impedance_factor * np.exp(off.impedance_spread * contacts)
     drifts = off.drift_percent or off.gradient_rms
-    late = Late(1.0 + off.drift_percent / 100.0, off.gradient_rms, None, late_seed) if drifts else None
+    late = LaterChanges(1.0 + off.drift_percent / 100.0, off.gradient_rms, None, late_seed) if drifts else None
     return Device(
         mismatch=mismatch,
         sheet=replace(

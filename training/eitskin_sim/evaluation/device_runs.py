@@ -116,7 +116,9 @@ def drawn_trials(deformations: int, each: int, skin: Skin = PAPER) -> list[Trial
     found = [Trial("single", tuple(trials.single(SINGLE_MM, deformations, each, skin=skin)))]
     for name, contrast in (("press04", 0.4), ("press06", 0.6)):
         square, disc = (
-            trials.single(PRESS_MM, deformations, each, "A", trials.Softness(contrast, PRESS_BORDER_MM, round_), skin)
+            trials.single(
+                PRESS_MM, deformations, each, "A", trials.TouchProfile(contrast, PRESS_BORDER_MM, round_), skin
+            )
             for round_ in (False, True)
         )
         mixed = tuple(two[number % 2] for number, two in enumerate(zip(square, disc, strict=True)))

@@ -51,7 +51,7 @@ Touches = Callable[[np.random.Generator], tuple[Touch, ...]]
 
 
 @dataclass(frozen=True, slots=True)
-class Softness:
+class TouchProfile:
     """What a trial's touch is besides its size: by default a hard square."""
 
     contrast: float = 50.0
@@ -62,7 +62,7 @@ class Softness:
     """Round, and not square."""
 
 
-HARD: Final = Softness()
+HARD: Final = TouchProfile()
 
 
 def single(
@@ -70,7 +70,7 @@ def single(
     deformations: int,
     each: int,
     family: Family = "A",
-    softness: Softness = HARD,
+    softness: TouchProfile = HARD,
     skin: Skin = PAPER,
 ) -> list[Phantom]:
     """Return phantoms of one touch each.

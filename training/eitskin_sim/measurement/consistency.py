@@ -45,7 +45,7 @@ def fit(change: npt.NDArray[np.floating]) -> RowGaussian:
     return RowGaussian(mean, apart.T @ apart / (len(logs) - 1) + FLOOR * np.eye(N_ROWS))
 
 
-class Filler:
+class RowImputation:
     """Fills in the rows of missing electrodes; what a set of electrodes needs is kept for the next time.
 
     Args:

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.scene.parts import Late, Sheet, SmoothField
+from eitskin_sim.scene.parts import LaterChanges, Sheet, SmoothField
 
 Array = npt.NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def smooth_field(field: SmoothField, xy_mm: Array) -> Array:
     return np.asarray(field.rms * np.sqrt(2.0 / WAVES) * found).reshape(xy.shape[:-1])
 
 
-def _tilt(late: Late, size_mm: tuple[float, float], xy_mm: Array) -> Array:
+def _tilt(late: LaterChanges, size_mm: tuple[float, float], xy_mm: Array) -> Array:
     """Return (...,) a plane of mean zero and rms ``gradient_rms`` over the sheet, its direction drawn from the seed."""
     turn = np.random.default_rng([TILT_SEED, late.seed]).uniform(0.0, 2.0 * np.pi)
     across = (xy_mm / np.array(size_mm) - 0.5) @ np.array([np.cos(turn), np.sin(turn)])

@@ -43,7 +43,7 @@ class SmoothField:
 
 
 @dataclass(frozen=True, slots=True)
-class Late:
+class LaterChanges:
     """What came to the layer's conductivity after the reference was taken; all three multiply it."""
 
     factor: float = 1.0
@@ -67,7 +67,7 @@ class Sheet:
     """k: where the sheet is stretched, its conductivity is multiplied by (local area stretch)^-k."""
     field: SmoothField | None = None
     """Unevenness of log conductivity that was there when the reference was taken."""
-    late: Late | None = None
+    late: LaterChanges | None = None
     """What came since; the reference is without it."""
 
 

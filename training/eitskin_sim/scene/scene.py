@@ -21,7 +21,7 @@ from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
 from eitskin_sim.scene.parts import (
     Bend,
     Electrodes,
-    Late,
+    LaterChanges,
     Phantom,
     Scene,
     SceneError,
@@ -231,11 +231,11 @@ def _field(sheet: Fields) -> SmoothField | None:
     return field
 
 
-def _late(sheet: Fields) -> Late | None:
+def _late(sheet: Fields) -> LaterChanges | None:
     if sheet.value("late", None) is None:
         return None
     fields = sheet.table("late")
-    late = Late(
+    late = LaterChanges(
         factor=fields.number("factor", 1.0, low=1.0 / limits.MOST_DRIFT, high=limits.MOST_DRIFT),
         gradient_rms=fields.number("gradient_rms", 0.0, low=0.0, high=limits.MOST_UNEVEN),
         field=_field(fields),

@@ -45,7 +45,7 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class JudgedObject:
     """An object that stands in the tank, and what was found of it."""
 
     object: Object
@@ -76,7 +76,7 @@ def find_objects(model: TankModel, image: Array) -> list[Found]:
     return found
 
 
-def judge(objects: Sequence[Object], found: Sequence[Found]) -> list[Judged]:
+def judge(objects: Sequence[Object], found: Sequence[Found]) -> list[JudgedObject]:
     """Return what was found of every object: each found one counts once, for the object that it is nearest to."""
     pairs = sorted(
         (angle_error_deg(one, other), i, j)
@@ -89,12 +89,12 @@ def judge(objects: Sequence[Object], found: Sequence[Found]) -> list[Judged]:
         if i not in taken and j not in {number for number, _ in taken.values()}:
             taken[i] = j, error
     return [
-        Judged(one, found[taken[i][0]], taken[i][1]) if i in taken else Judged(one, None, None)
+        JudgedObject(one, found[taken[i][0]], taken[i][1]) if i in taken else JudgedObject(one, None, None)
         for i, one in enumerate(objects)
     ]
 
 
-def ghosts(judged: Sequence[Judged], found: Sequence[Found], unknown: Sequence[Unknown]) -> int:
+def ghosts(judged: Sequence[JudgedObject], found: Sequence[Found], unknown: Sequence[Unknown]) -> int:
     """Return how many found ones are no object's: not the right ones, nor in the sector of an object of any sign."""
     right = [one.found for one in judged if one.right]
     return sum(

@@ -28,7 +28,7 @@ from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.devices.draws import DrawnDevice, draw_device, draw_front_end, draw_moment
 from eitskin_sim.devices.expansion import Expansion, Fields, expansion, whole_differences
 from eitskin_sim.devices.readings import readings, sheet_differences
-from eitskin_sim.scene.parts import Bend, Late
+from eitskin_sim.scene.parts import Bend, LaterChanges
 
 Array = npt.NDArray[np.float64]
 
@@ -179,7 +179,7 @@ def about(
     flat: References,
     drawn: DrawnDevice,
     at: npt.NDArray[np.intp],
-    since: Sequence[Late],
+    since: Sequence[LaterChanges],
     more: Array,
 ) -> tuple[Array, Array]:
     """Return D (n, 16, 16) of a device at moments, and when its reference was taken, of first order.

@@ -24,7 +24,7 @@ from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.measurement.consistency import SAMPLES, Filler, fit
+from eitskin_sim.measurement.consistency import SAMPLES, RowImputation, fit
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.scene.parts import Bend
 from eitskin_training.network.mirror import Mirror, mirrors
@@ -38,7 +38,7 @@ SETS: Final = 6
 """Different sets of electrodes in a batch: samples that lose the same ones are filled in together."""
 
 
-def lose_electrodes(dv: npt.NDArray[np.float32], share: float, filler: Filler, rng: np.random.Generator) -> None:
+def lose_electrodes(dv: npt.NDArray[np.float32], share: float, filler: RowImputation, rng: np.random.Generator) -> None:
     """Fill in, in place, the rows of one to three electrodes in some samples.
 
     Args:
@@ -197,7 +197,7 @@ def batches(
     rng = np.random.default_rng([seed, epoch])
     images = {} if mirrored is None else mirrored
     shown = mirrors(data.skin)
-    filler = Filler(consistency_of(data, recipe)) if recipe.lost_electrode else None
+    filler = RowImputation(consistency_of(data, recipe)) if recipe.lost_electrode else None
     for rows in in_order(data, recipe, rng):
         flip = int(rng.integers(len(shown))) if recipe.flips else 0
         if flip not in images:

@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.touches.moments import Finder
+from eitskin.touches.moments import TouchFinder
 from eitskin_proto.sensor.normalise import inverse_reference
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
@@ -68,7 +68,7 @@ class MapVerifier:
     ) -> None:
         self._reference_V, self._noise, self._labels, self._skin, self._clock = reference_V, noise, labels, skin, clock
         self._prior = touch_prior(touches, skin)
-        self._finder = Finder(skin.grid)
+        self._finder = TouchFinder(skin.grid)
         self.shapes = ShapeVerifier(reference_V, noise, touches, skin, clock=clock)
         self.shown = 0
         """Touches that the last map shows."""

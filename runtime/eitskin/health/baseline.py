@@ -95,7 +95,7 @@ class Split:
         return bool(self.rms <= min(PART * abs(self.common), LIMIT * self.noise + MOST_UNEVEN))
 
 
-class Resting:
+class UntouchedBaseline:
     """Follows the untouched sheet.
 
     Attributes:

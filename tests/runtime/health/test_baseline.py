@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.health.resting import AFTER_EFFECT, Resting
+from eitskin.health.baseline import AFTER_EFFECT, UntouchedBaseline
 from eitskin_proto.sensor.table import N_ROWS
 
 NOISE = 0.00316
@@ -19,7 +19,7 @@ class Sheet:
 
     def __init__(self, noise=NOISE, *, known=True, seed=0):
         self.rng, self.noise = np.random.default_rng(seed), noise
-        self.resting = Resting()
+        self.resting = UntouchedBaseline()
         self.resting.start(np.full(N_ROWS, noise), 100, known=known)
         self.own = noise / 10 * self.rng.standard_normal(N_ROWS)  # of the reference
 
