@@ -8,7 +8,7 @@ from tests.second_skin import SECOND
 from tests.training.network.skins import SKINS
 from torch import nn
 
-from eitskin.model.onnx.allowed import check_graph
+from eitskin.model.onnx_graph import check_graph
 from eitskin_export import graphs, parity
 from eitskin_export.fold import split
 from eitskin_export.package import int8_head

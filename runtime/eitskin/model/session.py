@@ -19,8 +19,7 @@ import onnxruntime  # noqa: E402 -- behind the variable
 
 from eitskin.errors import BundleError, MismatchError  # noqa: E402
 from eitskin.model.bundle import EXPORT_HINT, Bundle  # noqa: E402
-from eitskin.model.onnx.allowed import check_graph  # noqa: E402
-from eitskin.model.onnx.small_weights import without_small_weights  # noqa: E402
+from eitskin.model.onnx_graph import check_graph, without_small_weights  # noqa: E402
 from eitskin_proto.files.plain import plain  # noqa: E402
 from eitskin_proto.sensor.ids import PROTOCOL_ID  # noqa: E402
 

@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.errors import BundleError
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.onnx.allowed import check_graph
+from eitskin.model.onnx_graph import check_graph
 
 onnx = pytest.importorskip("onnx", reason="hostile graphs are built with it")
 

@@ -10,8 +10,7 @@ from eitskin.model.bundle import load_bundle
 from eitskin.model.denormals import SMALLEST, flushed, is_small
 from eitskin.model.engine import ProjectionEngine
 from eitskin.model.gate import Gate
-from eitskin.model.onnx.protobuf import GRAPH, INITIALISER, content, fields_of
-from eitskin.model.onnx.small_weights import without_small_weights
+from eitskin.model.onnx_graph import GRAPH, INITIALISER, content, fields_of, without_small_weights
 from eitskin_proto.skin.skin import PAPER
 
 DENORMAL = np.float32(1e-40)

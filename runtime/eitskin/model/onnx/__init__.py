@@ -1,1 +1,0 @@
-"""ONNX files cut down to what a region needs, without the ``onnx`` package."""

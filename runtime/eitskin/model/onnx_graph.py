@@ -1,0 +1,611 @@
+"""Checks a bundle's ONNX graph before ONNX Runtime loads it, without the ``onnx`` package.
+
+A graph is a program. ONNX has loops that run for years, operators that make a gigabyte of two numbers, tensors that lie
+in other files, and functions in functions. ``eitskin export`` makes none of this: here a graph is a list of operators
+whose shapes all follow from its constants. :func:`check_graph` works out shapes and work beforehand, since ONNX Runtime
+would compute the constant part of a graph while it loads. The module reads only what that needs of the nested protobuf
+messages: fields, nodes by their inputs and outputs, shapes of tensors.
+
+``RULES`` is the list of operators that a graph may have. A rule takes :class:`Operands` and returns shapes and work. It
+need not find every mistake, which ONNX Runtime does, but it may not make a value out to be smaller than it is.
+
+:func:`without_small_weights` sets weights to 0 that are too small to be computed with: those of matrices and of what
+has more axes, which are multiplied with what a frame brings. A small number by itself may be the one that a division
+must not lose. ONNX Runtime's own switch (``session.set_denormal_as_zero``) would change the arithmetic of the thread
+that makes the first session, and of every thread made there later, numpy and the caller's own sums included.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from eitskin.errors import BundleError
+from eitskin.model.denormals import is_small
+from eitskin_proto.files.plain import quoted
+
+GRAPH: Final = 7
+"""Field of ModelProto; those of GraphProto and TensorProto follow."""
+NODE, INITIALISER, OUTPUT, VALUE_INFO = 1, 5, 12, 13
+DIMS, DATA_TYPE, FLOATS, INT32S, INT64S, NAME, RAW = 1, 2, 4, 5, 7, 8, 9
+
+LONGEST_VARINT: Final = 10
+"""Bytes of a number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field of a message."""
+
+    number: int
+    value: memoryview | int
+    """Its content: a number, or the bytes of a text, a message or packed values."""
+    raw: memoryview
+    """All of it, as it stands in the file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """An operator of a graph, by the names of what it reads and writes."""
+
+    kind: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+
+def node_of(field: Field) -> Node | None:
+    """Return the node that a field of a graph is; None for any other."""
+    if field.number != NODE:
+        return None
+    inside = list(fields_of(content(field)))
+
+    def texts(number: int) -> tuple[str, ...]:
+        return tuple(decoded(content(item)) for item in inside if item.number == number)
+
+    kinds = texts(4)
+    if len(kinds) != 1:
+        raise unreadable()  # which of several counts is the library's secret
+    return Node(kinds[0], texts(1), texts(2))
+
+
+def dims_of(tensor: memoryview) -> list[int]:
+    """Return a tensor's shape."""
+    return [value for field in fields_of(tensor) if field.number == DIMS for value in integers(field)]
+
+
+def fields_of(data: memoryview) -> Iterator[Field]:
+    """Yield the fields of a message.
+
+    Raises:
+        BundleError: These bytes are none.
+    """
+    at = 0
+    while at < len(data):
+        start = at
+        key, at = _varint(data, at)
+        if key & 7 == 2:
+            size, at = _varint(data, at)
+            at += size
+            if at > len(data):
+                raise unreadable()
+            yield Field(key >> 3, data[at - size : at], data[start:at])
+        elif key & 7 == 0:
+            value, at = _varint(data, at)
+            yield Field(key >> 3, value, data[start:at])
+        elif key & 7 in (1, 5):
+            at += 8 if key & 7 == 1 else 4
+            if at > len(data):
+                raise unreadable()
+            yield Field(key >> 3, 0, data[start:at])
+        else:
+            raise unreadable()
+
+
+def _varint(data: memoryview, at: int) -> tuple[int, int]:
+    value = 0
+    for number, byte in enumerate(data[at : at + LONGEST_VARINT]):
+        value |= (byte & 0x7F) << 7 * number
+        if byte < 0x80:
+            return value & (1 << 64) - 1, at + number + 1
+    raise unreadable()
+
+
+def unreadable() -> BundleError:
+    """Return the error of bytes that are no ONNX model."""
+    return BundleError("a graph is no ONNX model that can be read")
+
+
+def decoded(data: memoryview) -> str:
+    """Return a text of a message.
+
+    Raises:
+        BundleError: It is none.
+    """
+    try:
+        return bytes(data).decode()
+    except UnicodeDecodeError as error:
+        raise unreadable() from error
+
+
+def integers(field: Field) -> list[int]:
+    """Return the unsigned numbers of a repeated field, packed or not."""
+    if isinstance(field.value, int):
+        return [field.value]
+    found, at = [], 0
+    while at < len(field.value):
+        value, at = _varint(field.value, at)
+        found.append(value)
+    return found
+
+
+def signed(value: int) -> int:
+    """Return the signed number that 64 bits stand for."""
+    return (value ^ 1 << 63) - (1 << 63)
+
+
+def content(field: Field) -> memoryview:
+    """Return the bytes of a field.
+
+    Raises:
+        BundleError: It is a number.
+    """
+    if isinstance(field.value, int):
+        raise unreadable()
+    return field.value
+
+
+def text(field: Field, number: int) -> str:
+    """Return a text inside a message, "" if it has none."""
+    return next((decoded(content(item)) for item in fields_of(content(field)) if item.number == number), "")
+
+
+Shape = tuple[int, ...]
+Made = tuple[list[Shape], int]
+
+
+class UnknownShapeError(ValueError):
+    """A shape depends on what is only computed when the graph runs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Operands:
+    """What an operator is given."""
+
+    shapes: list[Shape | None]
+    """Of its inputs; None for one that is left out."""
+    values: list[list[int] | None]
+    """Of inputs that are short integer constants; None for others."""
+    attributes: dict[str, int | list[int] | str]
+    outputs: int
+
+    def shape(self, number: int) -> Shape:
+        """Return the shape of an input that must be there."""
+        found = self.shapes[number]
+        if found is None:
+            raise UnknownShapeError("lacks an operand")
+        return found
+
+    def constant(self, number: int, name: str = "") -> list[int] | None:
+        """Return the values of a constant input, or of the attribute that it once was; None for neither."""
+        if number < len(self.shapes) and self.shapes[number] is not None:
+            found = self.values[number]
+            if found is None:
+                raise UnknownShapeError("goes by numbers that are not constant")
+            return found
+        return self.numbers(name)
+
+    def numbers(self, name: str) -> list[int] | None:
+        """Return an attribute that is a list of integers; None if it is not there."""
+        found = self.attributes.get(name)
+        if found is None or isinstance(found, list):
+            return found
+        raise UnknownShapeError(f"has {name} of another kind")
+
+    def number(self, name: str, default: int) -> int:
+        """Return an attribute that is an integer."""
+        found = self.attributes.get(name, default)
+        if not isinstance(found, int):
+            raise UnknownShapeError(f"has {name} of another kind")
+        return found
+
+
+def _same(given: Operands) -> Made:
+    return [given.shape(0)], 0
+
+
+def _broadcast(given: Operands) -> Made:
+    return [_joint([given.shape(number) for number in range(len(given.shapes))])], 0
+
+
+def _joint(shapes: Sequence[Shape]) -> Shape:
+    """Return what shapes broadcast to, by arithmetic alone: nothing of that size is made."""
+    axes = max(map(len, shapes))
+    found = []
+    for sizes in zip(*((1,) * (axes - len(shape)) + shape for shape in shapes), strict=True):
+        others = {size for size in sizes if size != 1}
+        if len(others) > 1:
+            raise ValueError("shapes do not fit")
+        found.append(others.pop() if others else 1)
+    return tuple(found)
+
+
+def _quantised(given: Operands) -> Made:
+    return [given.shape(0), (), ()], 0
+
+
+def _gemm(given: Operands) -> Made:
+    first, second = given.shape(0), given.shape(1)
+    if len(first) != 2 or len(second) != 2:
+        raise ValueError("no matrices")
+    rows, inner = first[::-1] if given.number("transA", 0) else first
+    columns = second[0] if given.number("transB", 0) else second[1]
+    return [(rows, columns)], rows * inner * columns
+
+
+def _matmul(given: Operands) -> Made:
+    first, second = given.shape(0), given.shape(1)
+    if not first or not second:
+        raise ValueError("no matrices")
+    left, right = (1, *first) if len(first) == 1 else first, (*second, 1) if len(second) == 1 else second
+    whole = (*_joint([left[:-2], right[:-2]]), left[-2], right[-1])
+    kept = whole if len(first) > 1 else (*whole[:-2], whole[-1])
+    return [kept if len(second) > 1 else kept[:-1]], math.prod(whole) * left[-1]
+
+
+def _slid(given: Operands, shape: Shape, kernel: Sequence[int]) -> Shape:
+    """Return the extents that a window leaves as it slides."""
+    count = len(kernel)
+    if len(shape) != count or min(kernel, default=0) < 1:
+        raise ValueError("a window of other axes")
+    steps = given.numbers("strides") or [1] * count
+    wide = given.numbers("dilations") or [1] * count
+    pads = given.numbers("pads") or [0] * (2 * count)
+    if min(*steps, *wide, 1) < 1 or min(pads) < 0 or len(pads) != 2 * count:
+        raise ValueError("a window that does not move")
+    up = given.number("ceil_mode", 0)
+    same = str(given.attributes.get("auto_pad", "")).startswith("SAME")
+    return tuple(
+        -(-size // step)
+        if same
+        else max(0, (size + before + after - spread * (width - 1) - 1 + up * (step - 1)) // step + 1)
+        for size, width, step, spread, before, after in zip(
+            shape, kernel, steps, wide, pads[:count], pads[count:], strict=True
+        )
+    )
+
+
+def _conv(given: Operands) -> Made:
+    image, weights = given.shape(0), given.shape(1)
+    extents = _slid(given, image[2:], weights[2:])
+    work = image[0] * math.prod(extents) * math.prod(weights)
+    return [(image[0], weights[0], *extents)], work
+
+
+def _pool(given: Operands) -> Made:
+    image, kernel = given.shape(0), given.numbers("kernel_shape") or []
+    found = (*image[:2], *_slid(given, image[2:], kernel))
+    return [found], math.prod(found) * math.prod(kernel)
+
+
+def _concat(given: Operands) -> Made:
+    shapes = [given.shape(number) for number in range(len(given.shapes))]
+    axis = given.number("axis", 0) % len(shapes[0])
+    return [(*shapes[0][:axis], sum(shape[axis] for shape in shapes), *shapes[0][axis + 1 :])], 0
+
+
+def _reshape(given: Operands) -> Made:
+    old, wanted = given.shape(0), given.constant(1)
+    if wanted is None:
+        raise UnknownShapeError("names no shape")
+    if not given.number("allowzero", 0):
+        wanted = [old[axis] if size == 0 else size for axis, size in enumerate(wanted)]
+    if wanted.count(-1) > 1 or min(wanted, default=1) < -1:
+        raise ValueError("no shape")
+    rest = math.prod(size for size in wanted if size != -1)
+    found = tuple(math.prod(old) // rest if size == -1 else size for size in wanted)
+    if math.prod(found) != math.prod(old):
+        raise ValueError("another number of elements")
+    return [found], 0
+
+
+def _transpose(given: Operands) -> Made:
+    shape = given.shape(0)
+    order = given.numbers("perm") or list(range(len(shape)))[::-1]
+    if sorted(order) != list(range(len(shape))):
+        raise ValueError("no order of axes")
+    return [tuple(shape[axis] for axis in order)], 0
+
+
+def _unsqueeze(given: Operands) -> Made:
+    shape, axes = list(given.shape(0)), given.constant(1, "axes") or []
+    for axis in sorted(axis % (len(shape) + len(axes)) for axis in axes):
+        shape.insert(axis, 1)
+    return [tuple(shape)], 0
+
+
+def _squeeze(given: Operands) -> Made:
+    shape, axes = given.shape(0), given.constant(1, "axes")
+    gone = {axis % len(shape) for axis in axes} if axes else {axis for axis, size in enumerate(shape) if size == 1}
+    return [tuple(size for axis, size in enumerate(shape) if axis not in gone)], 0
+
+
+def _slice(given: Operands) -> Made:
+    shape = list(given.shape(0))
+    starts, stops = given.constant(1, "starts") or [], given.constant(2, "ends") or []
+    axes = given.constant(3, "axes") or list(range(len(starts)))
+    steps = given.constant(4) or [1] * len(starts)
+    for axis, start, stop, step in zip(axes, starts, stops, steps, strict=True):
+        shape[axis] = len(range(shape[axis])[start:stop:step])
+    return [tuple(shape)], 0
+
+
+def _gather(given: Operands) -> Made:
+    shape, index = given.shape(0), given.shape(1)
+    axis = given.number("axis", 0) % len(shape)
+    return [(*shape[:axis], *index, *shape[axis + 1 :])], 0
+
+
+def _gather_elements(given: Operands) -> Made:
+    return [given.shape(1)], 0
+
+
+def _split(given: Operands) -> Made:
+    shape = given.shape(0)
+    axis = given.number("axis", 0) % len(shape)
+    count = given.outputs
+    sizes = given.constant(1, "split") or [-(-shape[axis] // count)] * count
+    if len(sizes) != count or min(sizes) < 0:
+        raise ValueError("other parts than outputs")
+    return [(*shape[:axis], size, *shape[axis + 1 :]) for size in sizes], 0
+
+
+Rule = Callable[[Operands], Made]
+
+RULES: Final[dict[str, Rule]] = {
+    **dict.fromkeys(("Relu", "Sigmoid", "Log", "Clip", "Cast", "Identity", "Tanh", "Exp", "Sqrt", "Neg", "Abs"), _same),
+    **dict.fromkeys(("Add", "Sub", "Mul", "Div", "Max", "Min"), _broadcast),
+    "DynamicQuantizeLinear": _quantised,
+    "Gemm": _gemm,
+    **dict.fromkeys(("MatMul", "MatMulInteger"), _matmul),
+    "Conv": _conv,
+    **dict.fromkeys(("AveragePool", "MaxPool"), _pool),
+    "Concat": _concat,
+    "Reshape": _reshape,
+    "Transpose": _transpose,
+    "Unsqueeze": _unsqueeze,
+    "Squeeze": _squeeze,
+    "Slice": _slice,
+    "Gather": _gather,
+    "GatherElements": _gather_elements,
+    "Split": _split,
+}
+"""Operators that may be in a graph."""
+
+
+IR_VERSION, OPSETS, METADATA = 1, 8, 14
+MODEL_FIELDS: Final = frozenset({IR_VERSION, 2, 3, 4, 5, 6, GRAPH, OPSETS, METADATA})
+"""Of a model: who made it, its graph, its operators' version, metadata. No functions, no training."""
+
+INPUT, GRAPH_NAME, GRAPH_DOC = 11, 2, 10
+GRAPH_FIELDS: Final = frozenset({NODE, GRAPH_NAME, INITIALISER, GRAPH_DOC, INPUT, OUTPUT, VALUE_INFO, 14, 16})
+"""Of a graph; 15 would be sparse constants."""
+
+LOCATION: Final = 14
+TENSOR_FIELDS: Final = frozenset({DIMS, DATA_TYPE, FLOATS, INT32S, INT64S, NAME, RAW, 12, LOCATION, 16})
+"""Of a constant; 13 would name another file, and so does its location where it is not 0."""
+
+ATTRIBUTE_FIELDS: Final = frozenset({1, 2, 3, 4, 7, 8, 13, 20})
+"""Of an attribute: numbers and texts; 5 would be a constant, 6 and 11 graphs."""
+
+ITEM_BYTES: Final = {1: 4, 2: 1, 3: 1, 4: 2, 5: 2, 6: 4, 7: 8, 9: 1, 10: 2, 11: 8, 12: 4, 13: 8, 16: 2}
+"""Bytes of an element by ONNX's number for its type; texts are not among them."""
+
+NEWEST_OPSET: Final = 25
+MOST_NODES: Final = 2048
+MOST_CONSTANTS: Final = 4096
+LONGEST_INDEX: Final = 64
+"""Elements of a constant that says a shape or a range."""
+
+LARGEST_VALUE: Final = 1 << 22
+LARGEST_SUM: Final = 1 << 25
+"""Elements of a value between two operators, and of all of them; the largest shipped has 16,200, and 140,000."""
+
+MOST_WORK: Final = 1 << 29
+"""Multiplications of a run: half a second; the largest shipped graph has 3 million."""
+
+
+def check_graph(model: bytes) -> None:
+    """Refuse a model that could run for long, take much memory or read another file.
+
+    Args:
+        model: An ONNX file.
+
+    Raises:
+        BundleError: It is none, or holds what exported networks do not have; the message names it.
+    """
+    fields = list(fields_of(memoryview(model)))
+    if {field.number for field in fields} - MODEL_FIELDS:
+        raise BundleError("a graph brings functions or a training of its own, expected operators alone")
+    for field in fields:
+        if field.number == OPSETS:
+            domain, version = text(field, 1), _number(content(field), 2)
+            if domain not in ("", "ai.onnx") or not 1 <= version <= NEWEST_OPSET:
+                raise BundleError(
+                    f"a graph needs operators of {quoted(domain)} {version}, expected ONNX's own up to {NEWEST_OPSET}"
+                )
+    graphs = [content(field) for field in fields if field.number == GRAPH]
+    if len(graphs) != 1:
+        raise unreadable()
+    _check(list(fields_of(graphs[0])))
+
+
+def _check(graph: list[Field]) -> None:
+    if {field.number for field in graph} - GRAPH_FIELDS:
+        raise BundleError("a graph holds sparse constants, expected dense ones")
+    nodes, constants = ([field for field in graph if field.number == kind] for kind in (NODE, INITIALISER))
+    if len(nodes) > MOST_NODES or len(constants) > MOST_CONSTANTS:
+        raise BundleError(
+            f"a graph has {len(nodes)} operators and {len(constants)} constants, expected at most {MOST_NODES} and "
+            f"{MOST_CONSTANTS}"
+        )
+    shapes: dict[str, Shape] = {}
+    values: dict[str, list[int]] = {}
+    for field in constants:
+        _take_constant(content(field), shapes, values)
+    for field in graph:
+        if field.number == INPUT:
+            name, shape = _declared(field)
+            if shapes.setdefault(name, shape) != shape:
+                raise BundleError(f"a graph declares {quoted(name)} in two shapes")
+    elements = work = 0
+    for field in nodes:
+        node = node_of(field)
+        assert node is not None
+        found, cost = _shapes(node, field, shapes, values)
+        for name, shape in zip(node.outputs, found, strict=False):
+            if name in shapes:
+                raise BundleError(f"a graph makes {quoted(name)} twice")
+            size = math.prod(shape)
+            elements, cost = elements + size, cost + size
+            if size > LARGEST_VALUE or elements > LARGEST_SUM:
+                raise BundleError(
+                    f"a graph's {node.kind} makes {size} elements, expected at most {LARGEST_VALUE}, and "
+                    f"{LARGEST_SUM} in all"
+                )
+            if name:
+                shapes[name] = shape
+        work += cost
+        if work > MOST_WORK:
+            raise BundleError(f"a graph's operators multiply {work} times or more, expected at most {MOST_WORK}")
+
+
+def _shapes(
+    node: Node, field: Field, shapes: Mapping[str, Shape], values: Mapping[str, list[int]]
+) -> tuple[list[Shape], int]:
+    """Return the shapes of what an operator makes, and its multiplications."""
+    rule = RULES.get(node.kind)
+    if rule is None or text(field, 7) not in ("", "ai.onnx"):
+        raise BundleError(f"a graph uses the operator {quoted(node.kind)}, which no exported network has")
+    unknown = [name for name in node.inputs if name and name not in shapes]
+    if unknown:
+        raise BundleError(f"a graph's {node.kind} reads {quoted(unknown[0])} before anything makes it")
+    attributes = [content(item) for item in fields_of(content(field)) if item.number == 5]
+    given = [shapes[name] if name else None for name in node.inputs]
+    known = [values.get(name) for name in node.inputs]
+    try:
+        return rule(Operands(given, known, dict(map(_attribute, attributes)), len(node.outputs)))
+    except UnknownShapeError as error:
+        raise BundleError(f"a graph's {node.kind} {error}, expected a shape that its constants tell") from error
+    except (IndexError, TypeError, ValueError, ZeroDivisionError, OverflowError) as error:
+        raise BundleError(f"a graph's {node.kind} has operands that do not fit each other") from error
+
+
+def _attribute(data: memoryview) -> tuple[str, int | list[int] | str]:
+    fields = list(fields_of(data))
+    if {field.number for field in fields} - ATTRIBUTE_FIELDS:
+        raise BundleError("an operator of a graph holds a graph or a constant of its own, expected numbers and texts")
+    name = _one_text(fields, 1)
+    several = [signed(value) for field in fields if field.number == 8 for value in integers(field)]
+    if several:
+        return name, several
+    single = [signed(value) for field in fields if field.number == 3 for value in integers(field)]
+    return name, single[-1] if single else _one_text(fields, 4)
+
+
+def _one_text(fields: list[Field], number: int) -> str:
+    found = [decoded(content(field)) for field in fields if field.number == number]
+    if len(found) > 1:
+        raise unreadable()
+    return found[0] if found else ""
+
+
+def _take_constant(tensor: memoryview, shapes: dict[str, Shape], values: dict[str, list[int]]) -> None:
+    fields = list(fields_of(tensor))
+    if {field.number for field in fields} - TENSOR_FIELDS or _number(tensor, LOCATION) != 0:
+        raise BundleError("a constant of a graph lies in another file, or is of no known kind")
+    name, shape = _one_text(fields, NAME), tuple(map(signed, dims_of(tensor)))
+    kinds = [value for field in fields if field.number == DATA_TYPE for value in integers(field)]
+    if not name or name in shapes or len(kinds) != 1 or kinds[0] not in ITEM_BYTES or min(shape, default=0) < 0:
+        raise BundleError(f"a graph's constant {quoted(name)} has a shape or a type that cannot be")
+    size = math.prod(shape)
+    raw = sum(len(content(field)) for field in fields if field.number == RAW)
+    if raw and raw != size * ITEM_BYTES[kinds[0]]:
+        raise BundleError(f"a graph's constant {quoted(name)} has {raw} bytes, and another number of elements")
+    if not raw and size > len(tensor):  # an element that is stored singly takes a byte at least
+        raise BundleError(f"a graph's constant {quoted(name)} claims {size} elements and holds fewer")
+    shapes[name] = shape
+    if kinds[0] == 7 and size <= LONGEST_INDEX:
+        stored = [content(field) for field in fields if field.number == RAW]
+        if stored:
+            data = bytes(stored[-1])
+            values[name] = [int.from_bytes(data[at : at + 8], "little", signed=True) for at in range(0, len(data), 8)]
+        else:
+            values[name] = [signed(value) for field in fields if field.number == INT64S for value in integers(field)]
+
+
+def _declared(field: Field) -> tuple[str, Shape]:
+    """Return name and shape of an input; no size may be left open."""
+    fields = list(fields_of(content(field)))
+    name = _one_text(fields, 1)
+    level = [content(item) for item in fields if item.number == 2]
+    for number in (1, 2):  # TypeProto.tensor_type, then its shape
+        level = [content(item) for part in level for item in fields_of(part) if item.number == number]
+    if len(level) != 1:
+        raise BundleError(f"a graph's input {quoted(name)} has no shape")
+    dims = [_number(content(item), 1) for item in fields_of(level[0]) if item.number == 1]
+    if min(dims, default=1) < 1:
+        raise BundleError(f"a graph's input {quoted(name)} leaves a size open, expected numbers")
+    return name, tuple(dims)
+
+
+def _number(data: memoryview, number: int) -> int:
+    """Return a number inside a message, 0 if it has none."""
+    found = [value for field in fields_of(data) if field.number == number for value in integers(field)]
+    return signed(found[-1]) if found else 0
+
+
+FLOAT32: Final = 1
+"""ONNX's number for the element type."""
+
+
+def without_small_weights(model: bytes) -> bytes:
+    """Return the model itself, or a copy with 0 for every weight that is not computed with.
+
+    Args:
+        model: An ONNX file; one that cannot be read is returned as it is, for ONNX Runtime to say what is wrong.
+    """
+    if not _flush(memoryview(model)):
+        return model
+    changed = bytearray(model)
+    _flush(memoryview(changed))
+    return bytes(changed)
+
+
+def _flush(model: memoryview) -> bool:
+    """Return whether there are such weights, and overwrite them where the memory can be written."""
+    found = False
+    try:
+        for field in fields_of(model):
+            for inside in fields_of(content(field)) if field.number == GRAPH else ():
+                if inside.number == INITIALISER:
+                    found |= _flush_tensor(content(inside))
+    except (BundleError, IndexError, ValueError):
+        return found
+    return found
+
+
+def _flush_tensor(tensor: memoryview) -> bool:
+    fields = list(fields_of(tensor))
+    if not any(field.number == DATA_TYPE and field.value == FLOAT32 for field in fields) or len(dims_of(tensor)) < 2:
+        return False
+    found = False
+    for field in fields:
+        if field.number in (RAW, FLOATS):
+            values = np.frombuffer(content(field), dtype="<f4")
+            small = is_small(values)
+            found |= bool(small.any())
+            if values.flags.writeable:
+                values[small] = 0.0
+    return found
