@@ -46,9 +46,9 @@ def scanned(number: int, family: Family) -> Scan:
 
 def test_a_shape_says_where_its_material_lies_and_bumps_that_it_lies_anywhere(usual: UsualWaves) -> None:
     """Uneven stretch beside, which no scan shows."""
-    apart, left, stated = errors(usual, "A", 10)
+    apart, left, stated = errors(usual, "A", 6)
     assert left.sum() < 0.4 * apart.sum()
-    _, _, bumped = errors(usual, "B", 5)
+    _, _, bumped = errors(usual, "B", 3)
     assert np.median(bumped) > 3.0 * np.median(stated)
 
 
