@@ -208,7 +208,8 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     chosen = ["--bundle", str(options.bundle)] if options.bundle else []
     chosen += ["--solver", options.solver] if options.solver else []
     chosen += [] if options.affinity is None else [f"--affinity={options.affinity}"]
-    chosen += ["--force-reference"] if options.noise == "none" else []  # no front end is without noise
+    # No front end is without noise; and an emulated board whose scan is late plays a frame of its recording twice.
+    chosen += ["--force-reference"] if options.noise == "none" or options.device == "qemu" else []
     runtime = Child(
         "run", "eitskin_tools.cli",
         ["run", f"--port={port}", f"--publish={publish}", f"--control={control}", "--json", *chosen], folder,
