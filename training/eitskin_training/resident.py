@@ -273,30 +273,30 @@ class ResidentSteps:
         self._graph: torch.cuda.CUDAGraph | None = None
         self._stream = torch.cuda.Stream(device) if device.type == "cuda" else None  # type: ignore[no-untyped-call]
 
-    def epoch(self, number: int, told: Callable[[], None]) -> float:
+    def epoch(self, number: int, report: Callable[[], None]) -> float:
         """Go through the data once and return the mean loss.
 
         Args:
             number: Of the epoch, from 1; with the run's seed it fixes every draw.
-            told: Called after every step.
+            report: Called after every step.
 
         Raises:
             SkinError: The loss stopped being a number.
         """
         table = self._stored.table(np.random.default_rng([self._run.seed, number]))
-        self._take(table)
+        self._load(table)
         if self._stream is None:
-            self._pass(number, len(table.samples), told)
+            self._pass(number, len(table.samples), report)
         else:
             self._stream.wait_stream(torch.cuda.current_stream(self._device))
             with torch.cuda.stream(self._stream):
                 if self._graph is None:
                     self._graph = self._captured(self._stream)
-                self._pass(number, len(table.samples), told)
+                self._pass(number, len(table.samples), report)
             torch.cuda.current_stream(self._device).wait_stream(self._stream)
         return float(self._loss) / len(table.samples)
 
-    def _take(self, table: Table) -> None:
+    def _load(self, table: Table) -> None:
         """Show the steps another epoch's batches, in the memory where they read them."""
         if self._table is None:
             self._table = table
@@ -306,7 +306,7 @@ class ResidentSteps:
         self._at.zero_()
         self._loss.zero_()
 
-    def _pass(self, number: int, steps: int, told: Callable[[], None]) -> None:
+    def _pass(self, number: int, steps: int, report: Callable[[], None]) -> None:
         run = self._run
         seed = run.seed * 1_000_003 + number
         torch.manual_seed(seed)  # of dropout
@@ -322,7 +322,7 @@ class ResidentSteps:
             run.average()
             if step % LOOKED_AT == 0 or step == steps:
                 check_loss(float(self._loss))
-            told()
+            report()
 
     def _step(self) -> None:
         """Learn from the batch at the present place, and go on to the next place."""

@@ -124,14 +124,14 @@ def _epochs(run: Run, data: TrainingData, out: Path, last: int, progress: Callab
         run.model.train()
         if run.still:
             keep_statistics(run.model)
-        loss = epoch_of(number, partial(_told, progress, run, steps, number))
+        loss = epoch_of(number, partial(_report, progress, run, steps, number))
         epoch = _validate(run, data, number, loss, time.monotonic() - began)
         run.history.append(epoch)
         _save(run, out)
         progress(Progress(number, recipe.epochs, run.step, steps, epoch))
 
 
-def _told(progress: Callable[[Progress], None], run: Run, steps: int, number: int) -> None:
+def _report(progress: Callable[[Progress], None], run: Run, steps: int, number: int) -> None:
     progress(Progress(number, run.recipe.epochs, run.step, steps))
 
 
@@ -142,12 +142,12 @@ def _passes(run: Run, data: TrainingData, steps: int) -> Pass:
     if held_by(data, run.recipe, where):
         return ResidentSteps(run, data, where, steps).epoch
 
-    def epoch(number: int, told: Callable[[], None]) -> float:
+    def epoch(number: int, report: Callable[[], None]) -> float:
         torch.manual_seed(run.seed * 1_000_003 + number)  # dropout depends on (seed, epoch) alone, like the batches
         losses = []
         for batch in batches(data, run.recipe, seed=run.seed, epoch=number, mirrored=mirrored):
             losses.append(_step(run, batch.to(where), steps))
-            told()
+            report()
         return sum(losses) / len(losses)
 
     return epoch
@@ -216,12 +216,12 @@ def _save(run: Run, out: Path) -> None:
 
 def _restore(run: Run, path: Path) -> None:
     try:
-        _take(run, read(path), path)
+        _restore_checkpoint(run, read(path), path)
     except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
         raise SkinError(f"{path} is no file of a training run: {plain(str(error))[:200]}; train again") from error
 
 
-def _take(run: Run, content: dict[str, Any], path: Path) -> None:
+def _restore_checkpoint(run: Run, content: dict[str, Any], path: Path) -> None:
     for name, found, expected in (
         ("recipe", Recipe.from_dict(content["recipe"]), run.recipe),
         ("seed", content["seed"], run.seed),

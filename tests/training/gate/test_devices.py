@@ -20,9 +20,8 @@ from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Disc
 from eitskin_training.gate import filters, fit, material, moments, observer, presses, rates, untouched
-from eitskin_training.gate.touches import Probe
+from eitskin_training.gate.touches import Probe, wide_bends
 from eitskin_training.gate.untouched import Bends, bends_of
-from eitskin_training.gate.wide_bends import wide_bends
 from eitskin_training.samples.batches import TrainingData
 
 pytestmark = [pytest.mark.slow, pytest.mark.heavy]

@@ -14,8 +14,8 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire.scan_rows import table_rows
 from eitskin_sim.scene.parts import Bend
 from eitskin_training.gate import fit, idle, material, rates, touches, untouched
+from eitskin_training.gate.touches import wide_bends
 from eitskin_training.gate.untouched import Bends, bends_of
-from eitskin_training.gate.wide_bends import wide_bends
 from eitskin_training.network.mirror import mirrors
 from eitskin_training.samples.batches import TrainingData
 

@@ -5,7 +5,7 @@ Where a data set has presses, faint presses are learned from and measured (:mod:
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
@@ -17,11 +17,36 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
-from eitskin_sim.scene.family import draw
+from eitskin_sim.scene.family import FLAT, SCALED, bounds, draw, scaled
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import DISC, RECTANGLE, TouchTable, gather
 from eitskin_training.gate.presses import drawn_presses, probe_presses
-from eitskin_training.gate.wide_bends import wide_bends
+
+DENTED: Final = 0.7
+MOST_DENTS: Final = 4
+DENT_MM: Final = 7.5
+DENT_SIGMA_MM: Final = (10.0, 30.0)
+"""Share of the wider family that has dents, how many at most, their greatest height and their width."""
+
+
+def wide_bends(count: int, seed: int, skin: Skin) -> list[Bend]:
+    """Return bends of the wider family. Some fold through themselves, which changes no voltage and is let pass."""
+    rng = np.random.default_rng([seed, 0x71DE])
+    found = []
+    for _ in range(count):
+        bend = Bend(**{name: float(rng.uniform(*one)) for name, one in bounds(skin.deformations).items()})  # type: ignore[arg-type]
+        if rng.random() < DENTED:
+            bend = replace(bend, bumps_mm=tuple(_dent(rng, skin) for _ in range(int(rng.integers(1, MOST_DENTS + 1)))))
+        kind, amplitude = rng.random(2)
+        found.append(Bend() if kind < FLAT else scaled(bend, float(amplitude)) if kind < FLAT + SCALED else bend)
+    return found
+
+
+def _dent(rng: np.random.Generator, skin: Skin) -> tuple[float, float, float, float]:
+    length, width = skin.outline.size_mm
+    x, y = rng.uniform((5.0, 5.0), (length - 5.0, width - 5.0))
+    return float(x), float(y), float(rng.uniform(-DENT_MM, DENT_MM)), float(rng.uniform(*DENT_SIGMA_MM))
+
 
 PROBE_SEED: Final = 703
 TOUCH_SEED: Final = 704

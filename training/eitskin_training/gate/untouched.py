@@ -29,8 +29,7 @@ from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_electrodes, nominal_scene, nominal_sheet
 from eitskin_sim.scene.parts import Bend
 from eitskin_training.gate.moments import COARSE_MM, drawn_moments, moments
-from eitskin_training.gate.touches import PROBE_SEED, Probe, probes, small_touches
-from eitskin_training.gate.wide_bends import wide_bends
+from eitskin_training.gate.touches import PROBE_SEED, Probe, probes, small_touches, wide_bends
 from eitskin_training.samples.batches import TrainingData
 
 TRAIN_SEED: Final = 701

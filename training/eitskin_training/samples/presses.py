@@ -71,14 +71,14 @@ def check(recording: Recording) -> None:
         cosine, away = float(alike[one, other]), float(apart[one, other])
         if (away <= NEAR and cosine < UNLIKE) or (away >= FAR and cosine > LIKE):
             read = "unlike" if away <= NEAR else "the same"
-            both = f"{told(recording, int(one))} and {told(recording, int(other))}"
+            both = f"{press_name(recording, int(one))} and {press_name(recording, int(other))}"
             raise SkinError(
                 f"{both} contradict each other: they read {read} (cosine {cosine:.2f}); leave out the one that was "
                 "elsewhere"
             )
 
 
-def told(recording: Recording, number: int) -> str:
+def press_name(recording: Recording, number: int) -> str:
     """Return a press as people read of it."""
     place = recording.presses[number].xy_mm
     assert place is not None
@@ -234,9 +234,10 @@ def check_ways(recording: Recording, skin: Skin, known: TouchKind, who: str) -> 
     if lower and higher and skin.touch_kind != "both":
         fewer, more = sorted((lower, higher), key=len)
         one, other = ("lowers", "raises") if fewer is lower else ("raises", "lowers")
+        few, many = press_name(recording, fewer[0]), press_name(recording, more[0])
         raise SkinError(
-            f"{told(recording, fewer[0])} {one} conductance and {told(recording, more[0])} {other} it; leave out the "
-            f"one that is wrong, or say in the file of skin {skin.name} that touches do both: [touches] kind"
+            f"{few} {one} conductance and {many} {other} it; leave out the one that is wrong, or say in the file "
+            f"of skin {skin.name} that touches do both: [touches] kind"
         )
     knowing: list[tuple[TouchKind, str]] = [(known, f"as {who} knows")]
     if skin.touch_kind == "lower":
@@ -246,7 +247,7 @@ def check_ways(recording: Recording, skin: Skin, known: TouchKind, who: str) -> 
     for numbers, way in ways_of:
         for kind, source in knowing if numbers else ():
             if not knows(kind, way):
-                what = f"{told(recording, numbers[0])}: touches"
+                what = f"{press_name(recording, numbers[0])}: touches"
                 raise MismatchError(what, found=way, expected=f"{kind}, {source}", hint=hint)
 
 
