@@ -101,7 +101,7 @@ def made_here(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.heavy
+@pytest.mark.slow
 @pytest.mark.process
 def test_a_cluster_that_both_sides_vouch_for_makes_the_same_files(
     scheduler: str, ours: Certificates, made_here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -110,20 +110,6 @@ def test_a_cluster_that_both_sides_vouch_for_makes_the_same_files(
     assert "warning" not in capsys.readouterr().err
     for name in FILES:
         assert (tmp_path / "there" / name).read_bytes() == (made_here / name).read_bytes(), name
-
-
-@pytest.mark.heavy
-@pytest.mark.process
-def test_certificates_may_stand_in_dasks_own_configuration(
-    scheduler: str, ours: Certificates, made_here: Path, tmp_path: Path
-) -> None:
-    from dask import config
-
-    tls = "distributed.comm.tls"
-    values = {f"{tls}.ca-file": ours.ca, f"{tls}.client.cert": ours.cert, f"{tls}.client.key": ours.key}
-    with config.set({name: str(value) for name, value in values.items()}):
-        generate(PLAN, tmp_path / "there", scheduler=scheduler)
-    assert (tmp_path / "there" / "index.json").read_bytes() == (made_here / "index.json").read_bytes()
 
 
 @pytest.mark.heavy

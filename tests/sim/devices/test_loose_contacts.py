@@ -1,6 +1,7 @@
 """Contacts beside the mesh's lines: those on lines are as before, and others cover what they should."""
 
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +10,9 @@ from tests.sim.shared_system import shared_system
 from eitskin_proto.skin.parts import Map, Outline, Ring
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import named
+from eitskin_sim.dataset.plan import make_plan
+from eitskin_sim.dataset.shards import make_shard, shard_job
 from eitskin_sim.devices.device import IDEAL, Device, ideal
 from eitskin_sim.devices.loose_contacts import loose_contacts
 from eitskin_sim.devices.readings import readings, sheet_differences
@@ -26,9 +30,11 @@ MOVED = tuple((np.array(NOMINAL.arc_length_mm) + np.linspace(-2.0, 2.0, 16)[np.a
 LOOSE = Electrodes(size_mm=SIZES, contact_impedance_ohm_m2=tuple(np.geomspace(1e-5, 1e-3, 16)), arc_length_mm=MOVED)
 
 
-def test_contacts_on_lines_are_those_that_follow_them() -> None:
-    on_lines = shared_system(BEND).contacts
-    loose = loose_contacts(shared_mesh().mesh, Sheet(), NOMINAL, bend_metric(BEND, Sheet()))
+@pytest.mark.parametrize("contact", ["patch", "edge"])
+def test_contacts_on_lines_are_those_that_follow_them(contact: Any) -> None:
+    on_lines = shared_system(BEND, skin=replace(PAPER, electrodes=Ring(contact=contact))).contacts
+    mesh = shared_mesh(skin=replace(PAPER, electrodes=Ring(contact=contact))).mesh
+    loose = loose_contacts(mesh, Sheet(), Electrodes(contact), bend_metric(BEND, Sheet()))
     for name in (own.name for own in fields(loose)):
         expected, found = getattr(on_lines, name), getattr(loose, name)
         assert found == pytest.approx(expected, rel=1e-12, abs=1e-13 * np.abs(expected).max()), name
@@ -74,3 +80,36 @@ def test_electrodes_of_a_small_sheet_may_be_a_little_larger_than_stated() -> Non
 def test_the_ideal_device_has_the_contacts_of_the_lines() -> None:
     assert Device() == IDEAL
     assert np.array_equal(shared_system(BEND, device=Device()).contacts.mass_m2, shared_system(BEND).contacts.mass_m2)
+
+
+def test_a_contact_covers_its_length_wherever_it_lies_and_a_corner_is_one_piece() -> None:
+    moved = (np.array(NOMINAL.arc_length_mm) - 12.0 + np.linspace(-1.7, 1.7, 16)[np.arange(16) * 7 % 16]) % 500.0
+    loose = Electrodes("edge", size_mm=tuple(np.linspace(3.1, 5.7, 16).tolist()), arc_length_mm=tuple(moved.tolist()))
+    found = loose_contacts(shared_mesh().mesh, Sheet(), loose, flat_metric)
+    area = np.bincount(found.electrode, found.area_m2)
+    assert area == pytest.approx(1e-6 * loose.sizes_mm() * Sheet().thickness_mm, rel=1e-12)
+    assert found.mass_m2.sum(axis=(1, 2)) == pytest.approx(found.area_m2, rel=1e-12)
+    assert len(np.unique(found.element)) == len(found.element)
+    corner = found.load_m2[(found.electrode == 0) & (found.element == 0)]
+    assert len(corner) == 1
+    assert np.all(corner[0][[1, 3]] > 0.0)  # the middles of the sides on either side of the corner
+
+
+def test_two_electrodes_in_one_corner_are_refused() -> None:
+    arc = np.concatenate([[2.0], NOMINAL.arc_length_mm[1:15], [498.0]])  # they meet in the corner (0, 0)
+    close = replace(PAPER, electrodes=Ring(contact="edge", arc_length_mm=Quantity(tuple(arc.tolist()))))
+    with pytest.raises(ValueError, match="two electrodes meet one element; expected electrodes further apart"):
+        shared_mesh(skin=close)
+
+
+@pytest.mark.parametrize("set_name", ["free", "units"])
+def test_a_data_set_of_random_devices_takes_contacts_on_the_edge(set_name: str) -> None:
+    lab = named("lab")
+    plan = make_plan(
+        set_name, deformations=1, kept=0, per_deformation=20, touches="both", devices="random",
+        skin=replace(lab, electrodes=replace(lab.electrodes, contact="edge")),
+        touch_sets=None if set_name == "free" else 40,
+    )  # fmt: skip
+    voltages = make_shard(shard_job(plan, [0]))[0]["voltages"]
+    assert voltages.shape == (20, 104)
+    assert np.isfinite(voltages).all()
