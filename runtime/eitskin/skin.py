@@ -351,7 +351,7 @@ def serve(
         HandshakeError: The device fell silent and does not answer, or came back as another one.
     """
     next_join_ns = time.perf_counter_ns()
-    publisher.look()
+    publisher.update()
     with closing(skin.publish(publisher, until_ns)) as records:  # what is left of the last frame is done here, and now
         for record in records:
             if behind is not None:
@@ -361,6 +361,6 @@ def serve(
             now_ns = record.stamps[READ]
             if now_ns >= next_join_ns:  # behind a frame, not before it
                 next_join_ns = now_ns + JOIN_NS
-                publisher.look()
+                publisher.update()
                 if publisher.streams.joined:
                     skin.pipeline.maps.compute_next()

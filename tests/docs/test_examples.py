@@ -12,7 +12,7 @@ import pytest
 from eitskin.acquisition.serial_port import SerialPort
 from eitskin.errors import TransportError
 from eitskin.messaging.publish import Publisher
-from eitskin.messaging.streams.verified import VerifiedTouch, head, rest
+from eitskin.messaging.streams.verified import VerifiedTouch, pack_head, pack_verdict
 from eitskin_proto.skin.cloud import align_cloud
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.bend import surface
@@ -88,13 +88,13 @@ def test_a_robot_acts_on_verified_touches_alone(example, tmp_path):
     try:
         with example("verified.py", publisher.endpoint) as robot:
             while not publisher.verified:
-                publisher.look()
+                publisher.update()
                 time.sleep(0.01)
             for number, (state, verdict, touches, expected) in enumerate(said, 1):
                 why = whys.get(number, "")
                 counts = {"checked": 0, "flagged": 0, "skipped": 0}
-                told = rest(number, 0, 0, state, why, (1, 2, 3, 4), verdict, touches)
-                publisher.send_beside(head(number, "run", counts) + told)
+                told = pack_verdict(number, 0, 0, state, why, (1, 2, 3, 4), verdict, touches)
+                publisher.send_beside(pack_head(number, "run", counts) + told)
                 robot.until(expected)
     finally:
         publisher.close()

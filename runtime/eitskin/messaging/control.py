@@ -121,15 +121,15 @@ class ControlServer:
                 listener = self._listener
                 zmq.select([self._socket, self._slow.wake, *listener.waits_on], [], [], listener.pause_s)
                 self._answer_finished()
-                listener.look()
+                listener.admit()
                 if self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
-                    self._take(self._socket.recv_multipart(copy=False))
+                    self._receive(self._socket.recv_multipart(copy=False))
             except zmq.ContextTerminated:
                 return
             except zmq.ZMQError:
                 continue  # a client that vanished between request and answer
 
-    def _take(self, frames: list[Any]) -> None:
+    def _receive(self, frames: list[Any]) -> None:
         """Answer a message, or have it answered later."""
         parts = [frame.bytes for frame in frames]
         asker = sender_of(frames[-1])

@@ -187,7 +187,7 @@ class Listener:
 
     @property
     def waits_on(self) -> list[int]:
-        """Descriptors to wait on: one that can be read means that ``look`` has something to do."""
+        """Descriptors to wait on: one that can be read means that ``admit`` has something to do."""
         return [self._waiting.fileno()] if self._waiting is not None and self.pause_s is None else []
 
     @property
@@ -195,7 +195,7 @@ class Listener:
         """How long to wait on them at most; None for ever."""
         return PAUSE_S if time.monotonic() < self._next_s else None
 
-    def look(self) -> None:
+    def admit(self) -> None:
         """Let in who waits at an ipc address, if there is room; takes microseconds while nobody waits."""
         if self._waiting is None or not can_be_read(self._waiting.fileno()) or self.pause_s is not None:
             return

@@ -56,7 +56,7 @@ QUEUE_SUBSCRIPTIONS: Final = 2
 handshake does not end (libzmq 4.3.5)."""
 
 MOST_AT_ONCE: Final = 256
-"""Subscription messages that are taken in one look; a crowd of 128 that comes at once has 400, for two."""
+"""Subscription messages that are taken in one update; a crowd of 128 that comes at once has 400, for two."""
 
 MOST_TOPICS: Final = 512
 """Topics that are remembered; beyond it everything counts as asked for."""
@@ -90,7 +90,7 @@ class Publisher:
         """Frames that the socket did not take."""
         self._authenticator = CurveAuthenticator(self._context, keys) if keys is not None else None
         self.wanted = False
-        """Whether anybody subscribes, as of the last ``look``."""
+        """Whether anybody subscribes, as of the last ``update``."""
         self.asked = Demand()
         """What else is asked for."""
         self.verified = False
@@ -119,9 +119,9 @@ class Publisher:
         self.endpoint = self._listener.endpoint
         """Where frames are published, with the port that a ``*`` became."""
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Take note of who came and went since the last time; never waits."""
-        self._listener.look()
+        self._listener.admit()
         changed, left = False, MOST_AT_ONCE
         waits = self._socket.getsockopt(_EVENTS) & _POLLIN  # libzmq takes in more whenever it is asked
         while waits and left:
@@ -130,14 +130,14 @@ class Publisher:
             except zmq.Again:
                 break
             left -= 1
-            changed |= self._take(message)
+            changed |= self._receive(message)
         if self._topics and self._listener.empty and time.monotonic() - self._asked_s > DESERTED_S:
             self._topics.clear()
             changed = True
         if changed:
-            self._judge()
+            self._update_demand()
 
-    def _take(self, message: Any) -> bool:
+    def _receive(self, message: Any) -> bool:
         """Take one message of the socket; return whether somebody came or went."""
         said = message.bytes
         kind, topic = said[:1], said[1:]
@@ -154,7 +154,7 @@ class Publisher:
             return True
         return False
 
-    def _judge(self) -> None:
+    def _update_demand(self) -> None:
         """Make of the topics what the loop must know."""
         topics = self._topics
         plain = len(topics) >= MOST_TOPICS or any(
@@ -171,7 +171,7 @@ class Publisher:
 
     @property
     def topics(self) -> frozenset[bytes]:
-        """What is subscribed to, as of the last ``look``."""
+        """What is subscribed to, as of the last ``update``."""
         return frozenset(self._topics)
 
     @property

@@ -15,7 +15,7 @@ import eitskin
 from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.streams.envelope import FIRST_BYTE, WIRE
 from eitskin.messaging.streams.envelope import packed as enveloped
-from eitskin.messaging.streams.verified import COUNTS, TOPIC, head, rest
+from eitskin.messaging.streams.verified import COUNTS, TOPIC, pack_head, pack_verdict
 from eitskin_proto.skin.skin import PAPER
 
 from ..outcome import Effort, Outcome
@@ -43,7 +43,7 @@ def _kinds() -> list[Kind]:
     packer.put_texts("vd2t", (), ())
     frame = bytes(packer.message())
     wire = eitskin.WireFrame(payload=b"\x80", seq=1, read_ns=1, device_us=1).body()
-    verdict = head(1, "r", dict.fromkeys(COUNTS, 0)) + rest(1, 1, 0, "ready", "", (1, 1, 0, 0))
+    verdict = pack_head(1, "r", dict.fromkeys(COUNTS, 0)) + pack_verdict(1, 1, 0, "ready", "", (1, 1, 0, 0))
     only = partial(eitskin.subscribe_verified, frames=False)
     return [
         Kind("latest", partial(eitskin.subscribe, mode="latest"), FRAMES, frame, counts=False),

@@ -12,7 +12,7 @@ def send(publisher, packer, number, age_us=100):
     packer.put("seq", number)
     packer.put("age_us", age_us)
     packer.put("publish", time.perf_counter_ns())
-    publisher.look()
+    publisher.update()
     publisher.send(packer.message())
 
 
@@ -20,7 +20,7 @@ def wait_until_wanted(publisher, subscribers=1):
     """Wait for subscribers to every frame."""
     end = time.perf_counter() + 60
     while (EVERY_FRAME not in publisher.topics or publisher.subscribers < subscribers) and time.perf_counter() < end:
-        publisher.look()
+        publisher.update()
         time.sleep(0.005)
     assert publisher.wanted
     assert publisher.subscribers >= subscribers
@@ -30,7 +30,7 @@ def wait_for(publisher, condition):
     """Wait until a condition holds, while the publisher looks who subscribes."""
     end = time.perf_counter() + 60
     while not condition() and time.perf_counter() < end:
-        publisher.look()
+        publisher.update()
         time.sleep(0.002)
     assert condition()
 

@@ -112,7 +112,7 @@ publisher = Publisher(f"ipc://{sys.argv[1]}")
 number, sent_s = 0, 0.0
 print("ready", flush=True)
 while True:
-    publisher.look()
+    publisher.update()
     if publisher.wanted and time.perf_counter() - sent_s > 0.002:
         number, sent_s = number + 1, time.perf_counter()
         publisher.send(memoryview(b"\\xde\\x00" + number.to_bytes(4, "big") + bytes(6000)))
@@ -197,7 +197,7 @@ def test_a_socket_is_its_owners_alone_whatever_the_umask(tmp_path, recorder, mak
         with connect(tmp_path / "s"):
             while (tmp_path / "s").stat().st_ino == first:  # another listener takes its place
                 if make is publish.Publisher:
-                    made.look()
+                    made.update()
         assert stat.S_IMODE((tmp_path / "s").stat().st_mode) == 0o600
 
 

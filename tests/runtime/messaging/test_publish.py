@@ -21,7 +21,7 @@ def test_frames_reach_a_subscriber_and_the_publisher_knows_that_it_is_wanted(pub
         assert next(frames).number == 1
     end = time.perf_counter() + 60
     while publisher.wanted and time.perf_counter() < end:
-        publisher.look()
+        publisher.update()
     assert not publisher.wanted
 
 
@@ -137,8 +137,8 @@ def test_an_oversized_subscription_never_reaches_the_publisher(publisher):
             client.send(b"\x01" + bytes(1000))
             end = time.perf_counter() + 20  # below libzmq's own patience of 30 s with who never greets
             while not ended.poll(10):  # it is not read, and who sent it is cut off
-                publisher.look()
+                publisher.update()
                 assert time.perf_counter() < end
             client.disable_monitor()
-        publisher.look()
+        publisher.update()
         assert not publisher.wanted

@@ -159,7 +159,7 @@ def test_a_short_message_means_the_map_of_the_frame_that_it_names(packer):
 def wait_for(publisher, condition):
     end = time.perf_counter() + 60
     while not condition() and time.perf_counter() < end:
-        publisher.look()
+        publisher.update()
         time.sleep(0.002)
     assert condition()
 

@@ -37,7 +37,7 @@ class Published:
             for key, value in (("n", self.number), ("seq", self.number), ("age_us", age_us)):
                 self.packer.put(key, value)
             self.packer.put("publish", time.perf_counter_ns())
-            self.publisher.look()
+            self.publisher.update()
             self.publisher.send(self.packer.message())
 
 
@@ -59,7 +59,7 @@ def wait_for(skins, topic=EVERY_FRAME):
     end = time.monotonic() + PATIENCE_S
     while not all(topic in one.publisher.topics for one in skins.values()) and time.monotonic() < end:
         for one in skins.values():
-            one.publisher.look()
+            one.publisher.update()
         time.sleep(0.002)
     assert all(topic in one.publisher.topics for one in skins.values())
 

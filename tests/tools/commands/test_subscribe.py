@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import pytest
 
 from eitskin.messaging.publish import Publisher
-from eitskin.messaging.streams.verified import VerifiedTouch, head, rest
+from eitskin.messaging.streams.verified import VerifiedTouch, pack_head, pack_verdict
 from eitskin_tools import cli
 
 TOUCH = VerifiedTouch(
@@ -16,9 +16,9 @@ TOUCH = VerifiedTouch(
     strength_error_mm2=20.0, border_mm=0.0, place_mm=(40.0, 30.0, 5.0), normal=(0.0, 0.0, 1.0),
 )  # fmt: skip
 COUNTS = {"checked": 0, "flagged": 0, "skipped": 0}
-READY = rest(1, 0, 0, "ready", "", (1, 2, 0, 0))
-FLAGGED = rest(1, 0, 0, "ready", "time", (1, 2, 3, 4), (130.0, 104, 0.046, True), (TOUCH,))
-EXPLAINED = rest(1, 0, 0, "ready", "", (1, 2, 3, 4), (101.0, 104, 0.5, False), (TOUCH,))
+READY = pack_verdict(1, 0, 0, "ready", "", (1, 2, 0, 0))
+FLAGGED = pack_verdict(1, 0, 0, "ready", "time", (1, 2, 3, 4), (130.0, 104, 0.046, True), (TOUCH,))
+EXPLAINED = pack_verdict(1, 0, 0, "ready", "", (1, 2, 3, 4), (101.0, 104, 0.5, False), (TOUCH,))
 
 
 @contextmanager
@@ -29,10 +29,10 @@ def published(endpoint, *messages):
     def publish():
         publisher = Publisher(endpoint)
         while not publisher.verified and not left.is_set():
-            publisher.look()
+            publisher.update()
             time.sleep(0.01)
         for number, message in enumerate(messages, 1):
-            publisher.send_beside(head(number, "run", COUNTS) + message)
+            publisher.send_beside(pack_head(number, "run", COUNTS) + message)
         left.wait()
         publisher.close()
 

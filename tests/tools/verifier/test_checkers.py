@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from eitskin.messaging.streams.verified import head, unpack_verified
+from eitskin.messaging.streams.verified import pack_head, unpack_verified
 from eitskin_proto.sensor.row_gaussian import rows_of as rows_of_electrodes
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import to_toml
@@ -144,6 +144,6 @@ def test_the_process_refuses_another_skin_and_answers_frames_of_the_next(units):
         _, told, flagged, spent_ms = until(lambda one: one[0] != STATE)
     assert flagged is False
     assert spent_ms > 0
-    verdict = unpack_verified(head(1, "run", {"checked": 1, "flagged": 0, "skipped": 0}) + told)
+    verdict = unpack_verified(pack_head(1, "run", {"checked": 1, "flagged": 0, "skipped": 0}) + told)
     assert (verdict.sequence, verdict.cloud, verdict.device_us) == (9, 4, 1000)
     assert [touch.unit for touch in verdict.touches] == TOUCHED

@@ -85,7 +85,7 @@ class Runtime:
             while not self._left.wait(max(0.0, due_s - time.perf_counter())):
                 due_s = max(due_s + self._every_s, time.perf_counter())
                 scene = self.scene
-                publisher.look()
+                publisher.update()
                 self.topics, self.touches_asked = publisher.topics, publisher.asked.touches
                 self.sent += 1
                 if made_of is not scene.cloud_mm:

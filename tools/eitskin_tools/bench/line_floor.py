@@ -102,7 +102,7 @@ def relay(endpoint: str, path: str) -> None:
         print("ready", flush=True)
         while not publisher.wanted:
             time.sleep(0.01)
-            publisher.look()
+            publisher.update()
         print("wanted", flush=True)
         pending = b""
         while True:

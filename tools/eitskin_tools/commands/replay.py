@@ -107,7 +107,7 @@ def _wait(skin: Any, publisher: Any) -> None:
     """Return when somebody subscribed, and to nothing more for ``SETTLED_S``, or nobody waits for it any more."""
     found, since_s = publisher.topics, time.monotonic()
     while not skin.stopping:
-        publisher.look()
+        publisher.update()
         if (topics := publisher.topics) != found:
             found, since_s = topics, time.monotonic()
         if (publisher.wanted or publisher.streams.asked) and time.monotonic() - since_s >= SETTLED_S:

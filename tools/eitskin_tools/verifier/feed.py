@@ -16,7 +16,7 @@ import numpy as np
 
 from eitskin.frame_record import PUBLISH, READ, FrameRecord
 from eitskin.messaging.publish import Publisher
-from eitskin.messaging.streams.verified import FAILED, PREPARING, READY, STARTING, WAITING, head, rest
+from eitskin.messaging.streams.verified import FAILED, PREPARING, READY, STARTING, WAITING, pack_head, pack_verdict
 from eitskin.pipeline.stillness import Stillness
 from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
@@ -233,11 +233,11 @@ class VerifierFeed:
         if self._is_wanted and now_ns - self._reported_ns >= REPEAT_NS:
             self._reported_ns = now_ns
             stamps = record.stamps[READ], record.stamps[PUBLISH], 0, 0
-            self._publish(rest(record.sequence, record.device_us, record.cloud, *found, stamps))
+            self._publish(pack_verdict(record.sequence, record.device_us, record.cloud, *found, stamps))
 
     def _publish(self, told: bytes) -> None:
         self._number += 1
-        self._publisher.send_beside(head(self._number, self._skin.loop.run_id, self.counts) + told)
+        self._publisher.send_beside(pack_head(self._number, self._skin.loop.run_id, self.counts) + told)
 
     def status(self) -> dict[str, Any]:
         """Return how verifying goes; may be called from any thread."""

@@ -184,7 +184,7 @@ class Worker:
         self._line.send(state_answer(READY, self._setup, why))
 
     def _verify(self, *items: Any) -> None:
-        from eitskin.messaging.streams.verified import READY, rest
+        from eitskin.messaging.streams.verified import READY, pack_verdict
         from eitskin_tools.verifier.letters import FrameLetter, verdict_answer
 
         frame = FrameLetter.of(*items)
@@ -199,7 +199,7 @@ class Worker:
             why = reason(error)
         end = time.perf_counter_ns()
         stamps = frame.read_ns, frame.publish_ns, begin, end
-        told = rest(frame.seq, frame.device_us, frame.cloud, READY, why, stamps, verdict, touches)
+        told = pack_verdict(frame.seq, frame.device_us, frame.cloud, READY, why, stamps, verdict, touches)
         flagged = None if verdict is None else verdict[3]
         self._line.send(verdict_answer(told, flagged, 1e-6 * (end - begin)))
 

@@ -157,7 +157,7 @@ def asked_for(topic: bytes) -> bool:
     return topic[:1] == FIRST_BYTE and (TOPIC.startswith(topic) or topic.startswith(TOPIC))
 
 
-def head(number: int, run: str, counts: Mapping[str, int]) -> bytes:
+def pack_head(number: int, run: str, counts: Mapping[str, int]) -> bytes:
     """Return the runtime's part of a message.
 
     Args:
@@ -170,7 +170,7 @@ def head(number: int, run: str, counts: Mapping[str, int]) -> bytes:
                      pack({name: counts[name] for name in COUNTS})))  # fmt: skip
 
 
-def rest(
+def pack_verdict(
     seq: int,
     device_us: int,
     cloud: int,

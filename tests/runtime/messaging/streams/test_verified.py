@@ -13,8 +13,8 @@ from eitskin.messaging.streams.verified import (
     UNKNOWABLE,
     VerifiedTouch,
     asked_for,
-    head,
-    rest,
+    pack_head,
+    pack_verdict,
     unpack_verified,
 )
 from eitskin_tools.verifier.letters import LARGEST_PACKET, verdict_answer
@@ -27,9 +27,9 @@ TOUCH = VerifiedTouch(
 )  # fmt: skip
 UNIT = dataclasses.replace(TOUCH, shape="unit", unit=63, **dict.fromkeys(UNKNOWABLE))
 COUNTS = {"checked": 5, "flagged": 1, "skipped": 2}
-HEAD = head(9, "abcd1234", COUNTS)
-MESSAGE = HEAD + rest(7, 5000, 2, "ready", "", (10, 20, 30, 40_030), (104.5, 104, 0.47, False), (TOUCH, UNIT))
-STATE = HEAD + rest(7, 5000, 2, "preparing", "", (10, 20, 0, 0))
+HEAD = pack_head(9, "abcd1234", COUNTS)
+MESSAGE = HEAD + pack_verdict(7, 5000, 2, "ready", "", (10, 20, 30, 40_030), (104.5, 104, 0.47, False), (TOUCH, UNIT))
+STATE = HEAD + pack_verdict(7, 5000, 2, "preparing", "", (10, 20, 0, 0))
 
 
 def altered(**fields):
@@ -60,13 +60,15 @@ def test_a_line_says_how_far_the_area_may_go():
 
 
 def test_a_flagged_verdict_says_why():
-    told = rest(7, 5000, 2, "ready", "contested", (10, 20, 30, 40), (104.5, 104, 0.046, True), (TOUCH,))
+    told = pack_verdict(7, 5000, 2, "ready", "contested", (10, 20, 30, 40), (104.5, 104, 0.046, True), (TOUCH,))
     found = unpack_verified(HEAD + told)
     assert (found.flagged, found.why, found.trusted) == (True, "contested", False)
 
 
 def test_as_many_touches_as_there_may_be_fit_into_an_answer():
-    told = rest(2**63, 2**63, 2**31, "ready", "unexplained", (2**63,) * 4, (1e9, 104, 0.0, True), (TOUCH,) * 999)
+    told = pack_verdict(
+        2**63, 2**63, 2**31, "ready", "unexplained", (2**63,) * 4, (1e9, 104, 0.0, True), (TOUCH,) * 999
+    )
     assert len(verdict_answer(told, True, 1e9)) <= LARGEST_PACKET
 
 

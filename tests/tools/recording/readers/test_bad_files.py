@@ -201,7 +201,7 @@ def test_a_replay_onto_an_endpoint_in_use_is_one_line_and_who_has_it_is_still_fo
             end_s = time.monotonic() + PATIENCE_S
             while not publisher.streams.asked:
                 assert time.monotonic() < end_s, "nobody comes to where it publishes"
-                publisher.look()
+                publisher.update()
                 time.sleep(0.005)
     finally:
         publisher.close()
