@@ -28,11 +28,13 @@ from typing import Any, Final, cast
 
 from eitskin.errors import EndpointError, RobotError
 from eitskin.messaging.endpoints import CONTROL, FRAMES, needs_keys, runtime_folder
+from eitskin.model.bundle import shipped
 from eitskin.robot.pose import Pose
 from eitskin_proto.fields import Fields
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.files.reading import parse_toml, read_text
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_proto.skin.toml import NAMED
 from eitskin_proto.skin.touch_kind import TouchKind
 
 FORMAT: Final = "eitskin-robot"
@@ -63,10 +65,6 @@ TAKEN: Final = (FRAMES, CONTROL, "robot")
 
 RESTARTS: Final = ("never", "on-failure", "always")
 """When a skin's process that ended is started again."""
-
-SHIPPED_SKINS: Final = ("paper", "hydrogel", "lab")
-SHIPPED_BUNDLES: Final = ("free", "press", "units")
-"""Descriptions and bundles that are named and not looked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,8 +193,8 @@ def _skin(table: Fields, folder: Path, beside: Path) -> SkinSettings:
         ),
         port=table.text("port", what="a serial port's path or usb:SERIAL"),
         baud=table.whole("baud", None, low=300, high=1 << 30),
-        bundle=_named(table.text("bundle", None), SHIPPED_BUNDLES, beside),
-        description=_named(table.text("skin", None), SHIPPED_SKINS, beside),
+        bundle=_named(table.text("bundle", None), shipped(), beside),
+        description=_named(table.text("skin", None), NAMED, beside),
         touches=cast(TouchKind | None, table.choice("touches", ("lower", "raise"), None)),
         reference=reference,
         reference_frames=table.whole("reference_frames", None, low=2, high=10_000),

@@ -73,7 +73,7 @@ def _capture(arguments: argparse.Namespace) -> Any:
     from eitskin_proto.skin.cloud_file import load_surface
 
     bundle, skin = bundle_and_skin(arguments.bundle, arguments.skin)
-    yardstick = reference_checks(bundle, _older(arguments, skin))
+    checks = reference_checks(bundle, _older(arguments, skin))
     scan = None
     if arguments.surface is not None:
         scan = scan_of(load_surface(arguments.surface, skin), skin)
@@ -83,7 +83,7 @@ def _capture(arguments: argparse.Namespace) -> Any:
         arguments.port,
         arguments.frames,
         arguments.baud or DEFAULT_BAUD,
-        yardstick=yardstick,
+        checks=checks,
         force=arguments.force,
         skin=skin,
         scan=scan,

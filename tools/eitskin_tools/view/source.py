@@ -7,7 +7,7 @@ from pathlib import Path
 from eitskin.errors import RobotError
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.model.bundle import load_bundle
-from eitskin.robot.config import SHIPPED_SKINS, RobotSkin, SkinSettings, load_robot
+from eitskin.robot.config import RobotSkin, SkinSettings, load_robot
 from eitskin.robot.described import robot_skins
 from eitskin.robot.pose import Pose
 from eitskin_proto.errors import SkinError
@@ -65,7 +65,7 @@ def _skin_of(settings: SkinSettings, otherwise: Skin) -> Skin:
     """Return what a skin is, as far as the files that say so are on this machine."""
     try:
         if settings.description is not None and (
-            str(settings.description) in SHIPPED_SKINS or settings.description.exists()
+            str(settings.description) in toml.NAMED or settings.description.exists()
         ):
             return toml.load(settings.description)
         bundle = None if settings.bundle is None else files.named(settings.bundle, files.BUNDLE)
