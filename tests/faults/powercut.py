@@ -2,8 +2,8 @@
 
 ``python -m tests.faults.powercut [--seeds N] [--board-steps N] [--sequences N]`` first runs the host
 model, where the word that was being written may be torn in any way, then the real firmware under QEMU, which is killed;
-then random sequences of requests, boots and cuts on both (request_sequences). One JSON line comes last; exit status 1
-if a device was lost.
+between them random sequences of requests, boots and cuts on the model (tests/faults/requests). One JSON line comes
+last; exit status 1 if a device was lost.
 """
 
 import argparse
@@ -14,13 +14,13 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from tests.emulator.board import Board, new_storage
 from tests.emulator.device_core import HostDevice
 from tests.emulator.firmware import missing_tools
 from tests.emulator.patience import UntilStopped, patient
-from tests.faults.requests.lines import BoardLine, CoreLine
+from tests.faults.requests.lines import CoreLine
 from tests.faults.requests.search import Figures, search
 
 from eitskin.acquisition.serial_port import SerialPort
@@ -150,7 +150,7 @@ def _board_write(storage: Path, name: str, cut_at: int = 0, seed: int = 0) -> in
             port.close()
 
 
-def cut_board(steps: int) -> dict[str, object]:
+def cut_board(steps: int) -> dict[str, Any]:
     """Kill the emulated board at changes spread over a whole flash; return the figures.
 
     Args:
@@ -183,38 +183,27 @@ def cut_sequences(count: int, seed: int) -> Figures:
     return search(CoreLine, count, seed)
 
 
-def cut_board_sequences(count: int, seed: int) -> Figures:
-    """Play random sequences on the emulated board; return the figures."""
-    with tempfile.TemporaryDirectory() as folder:
-        storage = Path(folder) / "storage.bin"
-        return search(lambda _: BoardLine(storage), count, seed, waits=False)
-
-
 def main(argv: list[str] | None = None) -> int:
     """Run it and print the figures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=12, help="ways to tear each word; 0 and 1 cut before and after it")
     parser.add_argument("--board-steps", type=int, default=0, help="kills of the emulator; 0 for one at every change")
     parser.add_argument("--sequences", type=int, default=20_000, help="random sequences of requests on the host model")
-    parser.add_argument("--board-sequences", type=int, default=24, help="the same on the emulated board")
     parser.add_argument("--seed", type=int, default=0, help="of the sequences")
     parser.add_argument("--no-board", action="store_true", help="host model only")
     arguments = parser.parse_args(argv)
     report: dict[str, object] = {"model": cut_model(arguments.seeds)}
-    figures = [cut_sequences(arguments.sequences, arguments.seed)]
-    report["sequences"] = figures[0].as_dict()
+    figures = cut_sequences(arguments.sequences, arguments.seed)
+    report["sequences"] = figures.as_dict()
     missing = missing_tools("qemu")
     if arguments.no_board or missing:
         report["board"] = f"not run: {', '.join(missing)} not found" if missing else "not run"
-        report["board_sequences"] = report["board"]
     else:
         report["board"] = cut_board(arguments.board_steps)
-        figures.append(cut_board_sequences(arguments.board_sequences, arguments.seed))
-        report["board_sequences"] = figures[1].as_dict()
     lost = [line for part in report.values() if isinstance(part, dict) for line in part["lost"]]
     for line in lost:
         print(line, file=sys.stderr)
-    untold = sum(found.breaches + found.differing for found in figures) - sum(len(found.lost) for found in figures)
+    untold = figures.breaches + figures.differing - len(figures.lost)
     print(json.dumps({"powercut": report, "lost": len(lost) + untold}))
     return 1 if lost or untold else 0
 

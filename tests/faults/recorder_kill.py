@@ -1,17 +1,11 @@
-"""Kills the recorder, ``kill -9``, at random moments, and reads what it left: ``python -m ... ENDPOINT --kills 50``.
+"""Kills the recorder, ``kill -9``, and reads what it left.
 
-Beside it we subscribe ourselves, so that we know which frame had come when it died. Every file must be readable; all
-files of a recorder together must hold every frame from their first to their last, and end at most a second before that
-one. With --rotate-mb or --rotate-minutes the recorder goes on in new files meanwhile. Each other kill then waits for
-the next file and comes within 30 ms of it.
+Beside it we subscribe ourselves, so that we know which frame had come when it died. Every file must be readable, and
+all files of a recorder together must hold every frame from their first to their last.
 """
 
-import argparse
-import json
-import random
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -25,17 +19,8 @@ from eitskin_proto.errors import SkinError
 from eitskin_tools.recording.script import Script
 from eitskin_tools.recording.writer import others
 
-LONGEST_S: Final = 3.0
-"""Between the first bytes of a file and the kill, at most."""
-
 START_S: Final = 120.0
 """How long the recorder may take to begin."""
-
-ALLOWED_S: Final = 1.0
-"""What may be missing at the end."""
-
-ABOUT_S: Final = 0.03
-"""So long behind a new file a kill comes, at most, that is to fall on it."""
 
 
 class Witness:
@@ -79,36 +64,16 @@ class Left:
     """The last file has no frame, or is whole: it died while one was ended or begun."""
 
 
-def kill_one(
-    endpoint: str,
-    path: Path,
-    after_s: float,
-    witness: Witness,
-    options: Sequence[str] = (),
-    *,
-    at_next_file: bool = False,
-) -> Left:
-    """Start a recorder, kill it so long after its first bytes, and return what it left.
-
-    Args:
-        endpoint: Of a runtime.
-        path: Of a new file.
-        after_s: When to kill.
-        witness: Follows the same runtime.
-        options: Of the recorder.
-        at_next_file: Wait for the next file then, and kill within ``ABOUT_S`` of it.
+def kill_one(endpoint: str, path: Path, after_s: float, witness: Witness) -> Left:
+    """Start a recorder of a runtime into a new file, kill it so long after its first bytes, and return what it left.
 
     Raises:
-        SkinError: The recorder does not begin, or makes no further file.
+        SkinError: The recorder does not begin.
     """
-    command = [sys.executable, "-m", "eitskin_tools.cli", "record", endpoint, "--out", str(path), "--quiet", *options]
+    command = [sys.executable, "-m", "eitskin_tools.cli", "record", endpoint, "--out", str(path), "--quiet"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         _until(lambda: path.exists() and path.stat().st_size > 0, process, "did not begin")
         time.sleep(after_s)
-        if at_next_file:
-            before = len(others(path))
-            _until(lambda: len(others(path)) > before, process, "made no further file")
-            time.sleep(after_s % ABOUT_S)
         newest_ns = witness.read_ns
         process.kill()
         process.wait()
@@ -148,39 +113,3 @@ def left_in(paths: Sequence[Path], newest_ns: int, after_s: float = 0.0) -> Left
         return Left(0, after_s, 0, len(paths), unreadable, between)
     gaps = numbers[-1] - numbers[0] + 1 - len(numbers)
     return Left(len(numbers), max(newest_ns - last_ns, 0) * 1e-9, gaps, len(paths), unreadable, between)
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Kill recorders, say what they left, and return 0 if nothing is missing that should be there."""
-    parser = argparse.ArgumentParser(description="Kill the recorder at random moments and read what it left.")
-    parser.add_argument("endpoint", help="where a runtime publishes")
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--rotate-mb", metavar="MB", help="of the recorder; each other kill falls on a new file")
-    parser.add_argument("--rotate-minutes", metavar="M", help="the same")
-    arguments = parser.parse_args(argv)
-    named = {"--rotate-mb": arguments.rotate_mb, "--rotate-minutes": arguments.rotate_minutes}
-    options = [word for name, value in named.items() if value is not None for word in (name, value)]
-    rng, left = random.Random(arguments.seed), []
-    witness = Witness(arguments.endpoint)
-    with tempfile.TemporaryDirectory(prefix="eitskin-kill-") as folder:
-        for number in range(arguments.kills):
-            path = Path(folder) / f"{number}.mcap"
-            on_new = bool(options) and number % 2 == 1
-            left.append(
-                kill_one(arguments.endpoint, path, rng.uniform(0.0, LONGEST_S), witness, options, at_next_file=on_new)
-            )
-            print(f"{number + 1}: {left[-1]}", file=sys.stderr)
-    witness.close()
-    missing = [one.missing_s for one in left]
-    bad = sum(one.missing_s > ALLOWED_S or one.gaps > 0 or one.unreadable > 0 for one in left)
-    found = {"kills": len(left), "files": sum(one.files for one in left),
-             "unreadable": sum(one.unreadable for one in left), "between_files": sum(one.between for one in left),
-             "most_missing_s": round(max(missing), 3), "mean_missing_s": round(sum(missing) / len(missing), 3),
-             "bad": bad}  # fmt: skip
-    print(json.dumps(found))
-    return 1 if bad else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,14 +7,13 @@
                                                             IN FIFO of a device, OUT bytes, plug, stall, restart
 
     SUBMITURB ─> waiting ─┬─ bytes from the device ─> done: ends on a short packet, or when its buffer is full
-                          ├─ more bytes than a buffer of no whole packets takes ─> EOVERFLOW
-                          ├─ DISCARDURB ─> ENOENT        ├─ endpoint halted ─> EPIPE until CLEAR_HALT
+                          ├─ DISCARDURB ─> ENOENT
                           └─ unplugged ─> ENODEV                                     REAPURB gives them back
 
 :class:`BusPort` is a :class:`eitskin_tools.virtual_skin.server.Port`: the virtual skin's server and faults run behind
 it.
-Each plug gets a new device number, as on a real bus. What a URB is, how it ends on a short packet, overflows if its
-buffer is no whole number of packets, or is cut short by an unplug, follows the kernel's usbdevfs.
+Each plug gets a new device number, as on a real bus. What a URB is, how it ends on a short packet or is cut short by an
+unplug, follows the kernel's usbdevfs.
 """
 
 import errno
@@ -103,7 +102,6 @@ class Plugged:
         self.changed = threading.Condition()
         self.to_host = bytearray()
         self.to_device = bytearray()
-        self.halted = False
         self.gone = False
         self.urbs: list[_Urb] = []
         self._claimant: Any = None
@@ -132,9 +130,7 @@ class Plugged:
             self._claimant = client
         elif request == RELEASEINTERFACE:
             self._claimant = None
-        elif request == CLEAR_HALT:
-            self.halted = False
-        elif request != SETCONFIGURATION:
+        elif request not in (SETCONFIGURATION, CLEAR_HALT):
             return errno.ENOTTY
         return 0
 
@@ -206,12 +202,8 @@ class Plugged:
     def _arrived(self, urb: _Urb) -> tuple[int, bytes | None] | None:
         if self.gone:
             return -errno.ENODEV, None
-        if self.halted:
-            return -errno.EPIPE, None
         if not self.to_host:
             return None
-        if urb.length % PACKET and len(self.to_host) > urb.length:
-            return -errno.EOVERFLOW, None  # the last packet does not fit into what is left of the buffer
         data = bytes(self.to_host[: urb.length])
         del self.to_host[: len(data)]
         return 0, data
@@ -241,7 +233,6 @@ class BusPort:
         self._number = 1
         self._now: Plugged | None = None
         self._handlers: list[Any] = []
-        self._stalls = False
         self._bell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         threading.Thread(target=glib.MainLoop().run, daemon=True).start()
         self.plug()
@@ -290,10 +281,6 @@ class BusPort:
         self._bed.uevent("/sys/devices/1-1", "remove")
         self._bed.remove_device("/sys/devices/1-1")
 
-    def stall(self) -> None:
-        """Halt the IN endpoint at the next packet, which is lost with what the FIFO holds, until the host clears it."""
-        self._stalls = True
-
     def read(self) -> bytes:
         """Return what the host has written, without waiting."""
         try:
@@ -319,11 +306,7 @@ class BusPort:
         if self._now is None:
             return False
         with self._now.changed:
-            if self._stalls:
-                self._stalls, self._now.halted = False, True
-                self._now.to_host.clear()
-                self._now.changed.notify_all()
-            room = len(self._now.to_host) + len(data) <= FIFO_BYTES and not self._now.halted
+            room = len(self._now.to_host) + len(data) <= FIFO_BYTES
             if room:
                 self._now.to_host += data
                 self._now.changed.notify_all()

@@ -3,7 +3,7 @@
 ::
 
     host: pyusb, real libusb --(LD_PRELOAD, UMOCKDEV_DIR)--> umockdev --> this process: usb_bus, the skin's server
-      one line a command on its standard input: unplug SECONDS, stall          one JSON object at the start
+      one line a command on its standard input: unplug SECONDS          one JSON object at the start
 
 The host's programs need the bus's environment and nothing else: ``eitskin run --port usb:SERIAL`` is unchanged.
 """
@@ -49,7 +49,7 @@ class Steady:
 
 
 class Puller(FaultPlayer):
-    """Plays an unplug or a stall at the next scan after it was asked for."""
+    """Plays an unplug at the next scan after it was asked for."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -109,7 +109,7 @@ class MockedUsb:
         """Of a host process that is to see this bus instead of the machine's."""
 
     def tell(self, command: str) -> None:
-        """Send a command: ``unplug SECONDS``, ``stall``."""
+        """Send a command: ``unplug SECONDS``."""
         assert self._process.stdin is not None
         self._process.stdin.write(command + "\n")
         self._process.stdin.flush()
@@ -147,8 +147,6 @@ def main(serial_number: str, rate_hz: float) -> None:
         word, *rest = line.split()
         if word == "unplug":
             puller.ask("unplug", float(rest[0]))
-        elif word == "stall":
-            port.stall()
     port.close()
 
 

@@ -8,7 +8,7 @@ from ..outcome import Effort, Outcome
 
 
 def _outcome(name: str, found: Figures) -> Outcome:
-    outcome = Outcome(name, tried=found.sequences - found.late)
+    outcome = Outcome(name, tried=found.sequences)
     outcome.figures = {key: value for key, value in found.as_dict().items() if key not in ("lost", "sequences")}
     outcome.withstood = outcome.tried - max(found.breaches, found.differing)
     outcome.broken = found.lost
@@ -23,10 +23,14 @@ def requests(effort: Effort) -> Outcome:
 
 
 def board_requests(effort: Effort) -> Outcome:
-    """Play some on the firmware under QEMU, and kill it at changes of storage."""
-    return _lacking("firmware.board", "qemu") or _outcome(
-        "firmware.board", powercut.cut_board_sequences(effort.count(3, 60), effort.seed)
-    )
+    """Kill the firmware under QEMU at changes of storage, spread over a flash."""
+    lacking = _lacking("firmware.board", "qemu")
+    if lacking is not None:
+        return lacking
+    found = powercut.cut_board(effort.count(3, 60))
+    outcome = Outcome("firmware.board", tried=found["cuts"], figures={"cut_points": found["cut_points"]})
+    outcome.withstood, outcome.broken = outcome.tried - len(found["lost"]), found["lost"]
+    return outcome
 
 
 def _lacking(name: str, needs: str) -> Outcome | None:

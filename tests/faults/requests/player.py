@@ -68,7 +68,7 @@ class Player:
                 case ("wait", seconds):
                     self._wait(seconds)
                 case ("damaged",):
-                    self._expect(not self._line.ask(damaged(1), False), "a damaged packet was answered")
+                    self._expect(not self._line.ask(damaged(1)), "a damaged packet was answered")
                 case _:
                     self._request(resolve(step, self._known))
         self._line.cut(0, 0)

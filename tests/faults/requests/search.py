@@ -29,8 +29,6 @@ class Figures:
     """Sequences with a moment that left no bootable confirmed configuration."""
     differing: int = 0
     """Sequences with an answer or a boot that is not SPEC.md's."""
-    late: int = 0
-    """Sequences that count for nothing, since the machine was too busy to keep the device's times."""
     seconds: float = 0.0
     seed: int = 0
     lost: list[str] = field(default_factory=list)
@@ -41,9 +39,9 @@ class Figures:
         return {**self.__dict__, "seconds": round(self.seconds, 1)}
 
 
-def sequence(seed: int, number: int, waits: bool = True) -> list[Step]:
+def sequence(seed: int, number: int) -> list[Step]:
     """Return the sequence of this number."""
-    return draw(random.Random(seed * 1_000_003 + number), waits)
+    return draw(random.Random(seed * 1_000_003 + number))
 
 
 def play(fresh: Fresh, steps: list[Step], seed: int = 1) -> tuple[Verdict, Any]:
@@ -70,7 +68,7 @@ def shorten(fails: Callable[[list[Step]], bool], steps: list[Step]) -> list[Step
     return steps
 
 
-def search(fresh: Fresh, count: int, seed: int = 0, keep: int = 3, waits: bool = True) -> Figures:
+def search(fresh: Fresh, count: int, seed: int = 0, keep: int = 3) -> Figures:
     """Play sequences and return the figures.
 
     Args:
@@ -78,16 +76,12 @@ def search(fresh: Fresh, count: int, seed: int = 0, keep: int = 3, waits: bool =
         count: How many.
         seed: Of all of them; the same seed plays the same sequences.
         keep: How many failing ones are shortened and told.
-        waits: Whether time passes in them.
     """
     figures, began_s = Figures(seed=seed), time.perf_counter()
     for number in range(count):
-        steps = sequence(seed, number, waits)
+        steps = sequence(seed, number)
         verdict, line = play(fresh, steps, number)
         figures.sequences += 1
-        if not line.timely:
-            figures.late += 1
-            continue
         figures.with_confirmed += verdict.confirmed
         figures.requests += verdict.requests
         figures.cuts += verdict.cuts
@@ -103,8 +97,7 @@ def search(fresh: Fresh, count: int, seed: int = 0, keep: int = 3, waits: bool =
 
 def _described(fresh: Fresh, kind: str, steps: list[Step], seed: int, number: int) -> str:
     def what(part: list[Step]) -> str:
-        verdict, line = play(fresh, part, number)
-        return str(getattr(verdict, kind)) if line.timely else ""
+        return str(getattr(play(fresh, part, number)[0], kind))
 
     said = what(steps)
     if not said:

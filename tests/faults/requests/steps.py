@@ -38,13 +38,8 @@ class Known:
     """Bytes that the device said it has."""
 
 
-def draw(rng: random.Random, waits: bool = True) -> list[Step]:
-    """Return a random sequence: whole and broken flashes, single requests, power cuts, boots, waits.
-
-    Args:
-        rng: Where chance comes from.
-        waits: Whether time may pass: an emulated board has no clock to turn.
-    """
+def draw(rng: random.Random) -> list[Step]:
+    """Return a random sequence: whole and broken flashes, single requests, power cuts, boots, waits."""
     steps: list[Step] = []
     for _ in range(rng.randint(3, 12)):
         chance = rng.random()
@@ -57,7 +52,7 @@ def draw(rng: random.Random, waits: bool = True) -> list[Step]:
             steps += [("restart", _token(rng))] if rng.random() < 0.5 else []
         elif chance < 0.68:
             steps.append(("power",))
-        elif chance < 0.72 and waits:
+        elif chance < 0.72:
             steps.append(("wait", rng.choice((11, 31))))
         else:
             steps += [_single(rng) for _ in range(rng.randint(1, 3))]

@@ -16,7 +16,7 @@ from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import DISC, gather
 from eitskin_tools.build import adaptation, steps
-from eitskin_tools.build.adaptation import FEW_STEPS, Adaptation
+from eitskin_tools.build.adaptation import Adaptation
 from eitskin_tools.build.recipe import CardWork, GateWork
 from eitskin_tools.cli import main
 from eitskin_tools.command_line import files
@@ -64,23 +64,6 @@ def test_it_learns_the_presses_that_were_calibrated():
     assert touches(stamped, "raise") == "hard"  # the bundle knows other touches than the skin has
 
 
-@pytest.mark.parametrize(
-    ("said", "learned"),
-    [
-        ({"raising_contrast": (6.0, 50.0)}, "hard"),  # a stamp's: as hard as any
-        ({"raising_contrast": (2.0, 8.0)}, "skin"),
-        ({"raising_contrast": (6.0, 50.0), "size_mm": (8.0, 12.0)}, "skin"),
-        ({"raising_contrast": (6.0, 50.0), "kind": "both"}, "hard"),  # not of the bundle's kind
-    ],
-)
-def test_a_stamp_that_raises_by_much_is_learned_by_the_usual_touches(said, learned):
-    bundle = load_bundle(files.find("free", files.BUNDLE), lazily=True)
-    one_way = {"kind": "raise", "size_mm": bundle.skin.touches.size_mm}
-    stamped = replace(TWIN, touches=replace(TWIN.touches, **one_way | said))
-    found = adaptation.adapted(bundle.path, stamped, bundle.manifest, "raise", Adaptation(), bundle.skin)
-    assert found.data["touches"].touches == learned
-
-
 def test_a_sheet_of_another_map_is_refused_before_its_data_is_made(monkeypatch):
     fits = adapted("press")
     fits = replace(fits, data={name: replace(one, deformations=2) for name, one in fits.data.items()})
@@ -90,25 +73,6 @@ def test_a_sheet_of_another_map_is_refused_before_its_data_is_made(monkeypatch):
     with pytest.raises(MismatchError, match=r"network to start from: map: found 30 x 45 .*, expected 18 x 45 pixels"):
         steps.check(found)
     steps.check(fits)
-
-
-def test_of_a_bundle_with_two_networks_both_are_adapted():
-    bundle = load_bundle(files.find("press", files.BUNDLE), lazily=True)
-    facts = {name: value for name, value in bundle.manifest.items() if name != "small"}
-    alone = adaptation.adapted(bundle.path, TWIN, facts, bundle.touch_kind, Adaptation())
-    both = adaptation.adapted(
-        bundle.path, TWIN, {**facts, "small": {"recipe": {"name": "small"}}}, bundle.touch_kind, Adaptation()
-    )
-    assert alone.others() == {}
-    (small,) = both.others().values()
-    assert (small.network, small.skin, small.others()) == ("small", TWIN, {})
-    assert small.data["touches"] == replace(both.data["touches"], seed=both.data["touches"].seed + 1)
-    assert small.training == (replace(both.training[0], start_from=None),), "it begins with the adapted one, narrowed"
-    assert small.gate == GateWork(0, FEW_STEPS)
-    assert alone.digest not in {both.digest, small.digest}
-    assert json.loads(json.dumps(both.as_dict()))["networks"]["small"]["network"] == "small"
-    for damaged in (3, {}, {"recipe": 1}, {"recipe": {}}, {"recipe": {"name": "small-units"}}):
-        assert adaptation.adapted(bundle.path, TWIN, {**facts, "small": damaged}, "lower", Adaptation()) == alone
 
 
 def test_a_bundle_that_does_not_say_how_it_was_trained_is_refused():

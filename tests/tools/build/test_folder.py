@@ -1,7 +1,6 @@
 """The folder of a half-made bundle: it is that bundle's alone, and goes on with the sizes that it began with."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -34,22 +33,6 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path):
         (tmp_path / "b" / "build.json").write_text(text)
         with pytest.raises(OtherBuildError, match=r"build\.json is damaged; remove"):
             begun(tmp_path / "b", TINY, None)
-
-
-def test_whoever_is_killed_while_the_folder_s_first_file_is_written_begins_again(tmp_path):
-    class Killed(BaseException):
-        """No process is there to tidy up."""
-
-    def killed(*_):
-        raise Killed
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Path, "unlink", lambda _: None)
-        patch.setattr("os.fsync", killed)
-        with pytest.raises(Killed):
-            begin(tmp_path / "b", TINY, TINY, None)
-    assert len(list((tmp_path / "b").iterdir())) == 1
-    assert begun(tmp_path / "b", TINY, None) is None
 
 
 def test_two_builds_in_one_folder_are_one_too_many(tmp_path, capsys):

@@ -2,13 +2,11 @@
 
 import errno
 import os
-from pathlib import Path
 
 import pytest
 
 from eitskin_tools import cli
 from eitskin_tools.command_line import files
-from eitskin_tools.commands.bench import BENCHMARKS
 
 ABSENT = "nothere"
 """Name of a file that is not there."""
@@ -75,12 +73,6 @@ def test_shipped_files_are_found_by_name_and_listed_where_another_was_meant(kind
         assert files.find(name, kind).is_file()
     with pytest.raises(files.MissingFileError, match=f"{', '.join(names)}; did you mean {names[0]!r}"):
         files.find(names[0] + "x", kind)
-
-
-def test_a_file_of_ones_own_comes_before_a_shipped_one(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("sample").write_text("{}")
-    assert files.find("sample", files.SCENE) == Path("sample")
 
 
 @pytest.mark.parametrize(
@@ -200,21 +192,6 @@ def test_a_target_that_is_no_folder_is_named_before_any_work(command, node, tmp_
     before = identity(path)
     assert f"{path} is {node}, expected a folder" in said(capsys, [*taken(command), str(path)])
     assert identity(path) == before
-
-
-def test_every_command_that_writes_is_among_them():
-    tools = Path(cli.__file__).parent
-    places = {name: tools / "commands" / f"{module.replace('.', '/')}.py" for name, (module, _) in cli.COMMANDS.items()}
-    places |= {f"bench {name}": tools / "bench" / f"{name}.py" for name in BENCHMARKS}
-    declared = {
-        f"{name} {option}"
-        for name, path in places.items()
-        for option in WRITTEN
-        if f'"{option}"' in path.read_text(encoding="utf-8")
-    }
-    assert len(declared) > 15
-    tried = {" ".join([*words[: 1 + (words[0] == "bench")], words[-1]]) for words in EVERY_WRITING.values()}
-    assert declared - tried == set()
 
 
 NAMING = (

@@ -80,10 +80,6 @@ def test_a_file_is_known_by_what_it_holds(kind, tmp_path):
     assert kinds.kind_of_file(path) is kind
 
 
-def test_every_kind_is_among_them():
-    assert ALL.keys() - {None} == set(kinds.KINDS)
-
-
 @pytest.mark.parametrize(
     "command", sorted((WRITING | WRITING_WITH_TORCH).keys() - {"record"})
 )  # which replaces nothing at all
@@ -107,9 +103,3 @@ def test_a_reference_replaces_references_alone_and_what_is_empty(kind, tmp_path)
     path.write_bytes(FILES[kind])
     with pytest.raises(FileError, match="expected a reference to replace"):
         kinds.check_replaced(path, kinds.REFERENCE)
-
-
-def test_a_beginning_of_blank_lines_is_looked_at_in_no_time(tmp_path):
-    path = tmp_path / "blank"
-    path.write_bytes(b"\n" * (1 << 20))
-    assert kinds.kind_of_file(path) is None

@@ -1,6 +1,5 @@
 """What a command needs is checked before it starts, and nothing that it imports is left out of the table."""
 
-import argparse
 import ast
 import re
 import tomllib
@@ -8,19 +7,13 @@ from pathlib import Path
 
 import pytest
 
-import eitskin_tools
 from eitskin_tools import cli
 from eitskin_tools.command_line import needs
-from eitskin_tools.commands.bench import BENCHMARKS
 
 ROOT = Path(__file__).parents[3]
-BENCH = Path(eitskin_tools.__file__).parent / "bench"
 
 BROUGHT = {"eitskin_sim": "scipy", "eitskin_training": "torch", "eitskin_export": "scipy"}
 """What our own packages need when they are imported."""
-
-LEFT_OUT_WITH_A_REASON = {"frame": {"torch", "onnx"}, "dataset": {"pyeit"}}
-"""Benchmarks that go on without a module, and say so."""
 
 
 def imported(benchmark):
@@ -32,13 +25,6 @@ def imported(benchmark):
             names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
             found |= {BROUGHT.get(name.split(".")[0], name.split(".")[0]) for name in names}
     return found & set(needs.EXTRAS)
-
-
-@pytest.mark.parametrize("name", BENCHMARKS)
-def test_what_a_benchmark_imports_is_in_the_table(name):
-    who = f"bench {name}"
-    known = {*needs.NEEDS.get(who, ()), *LEFT_OUT_WITH_A_REASON.get(name, ())}
-    assert imported(BENCH / name) - known - {"matplotlib"} == set()  # which only --plot needs
 
 
 MODULES = {"scikit-fem": "skfem", "pyeit": "pyeit"}
@@ -109,14 +95,3 @@ def test_a_picture_is_refused_before_the_run_where_it_cannot_be_drawn(capsys, mo
     monkeypatch.setattr(needs, "find_spec", lambda name: None if name == "matplotlib" else name)
     assert cli.main(["demo", "--picture", "frame.png"]) == 1
     assert "--picture needs matplotlib: pip install 'eitskin[plot]'" in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("without")
-def test_a_part_that_is_left_out_needs_nothing():
-    needs.check(argparse.Namespace(command="doctor"))
-    given = argparse.Namespace(command="bench", benchmark="electrodes", only=[("cost",)])
-    with pytest.raises(needs.MissingExtraError, match="scipy"):
-        needs.check(given)
-    with pytest.raises(needs.MissingExtraError) as caught:
-        needs.check(given)
-    assert "torch" not in str(caught.value)

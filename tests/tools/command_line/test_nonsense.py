@@ -43,6 +43,10 @@ view --config robot.toml --endpoint ipc:///f | leave --endpoint out
 view --port 99999 | --port is 99999
 view --recordings /nowhere | --recordings is /nowhere
 status --timeout-s 0 | --timeout-s is 0
+subscribe --verified --touches | --verified takes no frames
+subscribe --verified --max-age-ms 5 | --verified takes no frames
+doctor --recorded f.npy | --recorded does nothing alone: say --electrodes or --drift
+doctor --bundle free | --bundle does nothing alone: say --electrodes or --drift
 status --server-key x | belong together
 flash write --port x | flash write needs a FILE
 flash show fast --port x | flash show takes no FILE

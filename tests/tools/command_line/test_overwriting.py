@@ -3,10 +3,8 @@
 from pathlib import Path
 
 import pytest
-from tests.tools.command_line import test_files
 
 from eitskin_tools import cli
-from eitskin_tools.command_line import files
 
 MINE = "mine"
 """Name of a file that is read, and must stay as it is."""
@@ -64,10 +62,6 @@ def test_two_things_are_not_written_to_one_file(words, tmp_path, monkeypatch, ca
     assert cli.main(words) == 2
     assert "name one file" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_every_option_that_names_what_is_written_is_looked_at():
-    assert {f"--{name.replace('_', '-')}" for name in files.WRITTEN} == set(test_files.WRITTEN)
 
 
 def test_a_bundle_takes_its_own_card(tmp_path, capsys):

@@ -1,12 +1,10 @@
 """``eitskin calibrate`` on a device that is known: electrodes and the instrument are found, and a misfit is refused."""
 
 import json
-import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.second_skin import SECOND
 
 from eitskin_proto.sensor.table import FULL_TABLE
 from eitskin_proto.skin.cloud import flat_cloud
@@ -14,7 +12,7 @@ from eitskin_proto.skin.cloud_file import Surface, save_surface
 from eitskin_proto.skin.parts import Instrument, Ring
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
-from eitskin_proto.skin.toml import load, named, to_toml
+from eitskin_proto.skin.toml import load, to_toml
 from eitskin_sim.calibration import model, solved
 from eitskin_sim.devices.device import Device
 from eitskin_sim.devices.readings import responses_of
@@ -79,27 +77,6 @@ def test_what_is_off_is_found_and_written(recorded, device, capsys):
     assert found.electrodes.arc_length_mm.spread == pytest.approx(error, rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("skin", "command"),
-    [
-        (PAPER.touched("raise"), "adapt-skin free --skin c.toml --out BUNDLE"),
-        (PAPER.touched("lower"), "adapt-skin press --skin c.toml --out BUNDLE"),
-        (named("lab"), "adapt-skin free --skin c.toml --out BUNDLE"),
-        (SECOND, "build c.toml --out BUNDLE"),
-    ],
-)
-def test_what_comes_next_is_of_a_bundle_that_fits(skin, command, monkeypatch, capsys, tmp_path):
-    from eitskin_sim.calibration import printed, recording, report
-
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(recording, "load_recording", lambda *_: None)
-    monkeypatch.setattr(report, "calibrate", lambda *_: (replace(skin, calibrated_from="feed"), {}))
-    monkeypatch.setattr(printed, "table", lambda _: "table")
-    np.savez("r.npz", reference_V=np.ones(104))
-    assert main(["calibrate", "r.npz", "--out", "c.toml"]) == 0
-    assert capsys.readouterr().out == f"table\nnext: eitskin {command}\n"
-
-
 def test_a_row_that_is_off_is_named_and_nothing_is_written(recorded, capsys):
     with np.load(recorded / "r.npz") as file:
         volts = file["reference_V"].copy()
@@ -113,35 +90,6 @@ def test_a_row_that_is_off_is_named_and_nothing_is_written(recorded, capsys):
     assert "the residual stays above noise" in said
     assert f"drive {drive} measure {measure} by " in said
     assert not out.exists()
-
-
-def test_a_search_that_does_not_settle_names_its_rows_and_nothing_is_written(recorded, monkeypatch, capsys):
-    from eitskin_sim.calibration import fit
-
-    monkeypatch.setattr(fit, "MOST_STEPS", 1)
-    out = recorded / "calibrated.toml"
-    assert main(["calibrate", str(recorded / "r.npz"), "--skin", str(recorded / "ours.toml"), "--out", str(out)]) == 1
-    said = capsys.readouterr().err.splitlines()[-1]
-    assert re.search(r"does not converge: after 1 steps .*; rows .* their noise: drive \d+ measure \d+ by \d", said)
-    assert said.endswith("the uncertainties that the skin states")
-    assert not out.exists()
-
-
-def test_a_search_or_a_press_that_fails_is_one_line_and_nothing_is_written(recorded, monkeypatch, capsys):
-    from eitskin_sim.calibration import report
-    from eitskin_sim.calibration.fit import CalibrationError
-
-    out = recorded / "calibrated.toml"
-    words = ["calibrate", str(recorded / "r.npz"), "--skin", str(recorded / "ours.toml"), "--out", str(out)]
-    for text in ("the calibration does not converge: x", "press 2 at (75, 70) mm contradicts the others: y"):
-
-        def fail(*_, text=text):
-            raise CalibrationError(text)
-
-        monkeypatch.setattr(report, "calibrate", fail)
-        assert main(words) == 1
-        assert capsys.readouterr().err == f"eitskin calibrate: {text}\n"
-        assert not out.exists()
 
 
 def test_a_scan_that_is_not_of_this_sheet_is_refused_before_anything_is_recorded(recorded, capsys):

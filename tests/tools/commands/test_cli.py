@@ -54,15 +54,6 @@ def test_version_prints_the_ids_that_artefacts_carry(capsys):
     assert {PROTOCOL_ID, PAPER.grid_id} <= set(said(capsys, "--version")[1].split())
 
 
-@pytest.mark.parametrize("columns", [50, 80, 120])
-def test_the_help_is_no_wider_than_the_terminal(monkeypatch, columns):
-    monkeypatch.setenv("COLUMNS", str(columns))
-    lines = cli._parser(None).format_help().splitlines()
-    assert max(map(len, lines)) <= columns
-    steps = lines[lines.index("first steps, without hardware:") :]
-    assert "  eitskin virtual-skin      a skin on a port" in "\n".join(steps)
-
-
 def test_ctrl_c_is_130_without_a_word(monkeypatch, capsys):
     from eitskin_tools.commands import doctor
 

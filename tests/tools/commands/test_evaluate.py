@@ -10,9 +10,7 @@ from eitskin.model.bundle import default_path, load_bundle
 from eitskin_sim.evaluation import harness
 from eitskin_sim.evaluation import report as reports
 from eitskin_sim.scene.scene import parse_phantoms
-from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_tools import cli
-from eitskin_tools.evaluation import solvers
 from eitskin_tools.evaluation.printed import PAPER_CC
 
 pytestmark = pytest.mark.heavy
@@ -65,36 +63,6 @@ def test_network_from_a_bundle_is_one_more_solver(tiny, file, capsys):
     found = json.loads(capsys.readouterr().out)
     assert (found["solver"], found["reference"], len(found["bundles"])) == ("vd2t", "pre", 1)
     assert found["prediction"] == "scan"
-
-
-@pytest.mark.parametrize("prediction", ["scan", "none", "true"])
-def test_head_is_fed_the_prediction_from_each_scan_against_the_models_own_flat_sheet(
-    tiny, phantoms, monkeypatch, prediction
-):
-    from eitskin.model.geometry import GeometryGraph
-
-    fed, clouds = [], []
-    geometry = GeometryGraph.geometry
-
-    def watched(graph, cloud, log_predicted, revision):
-        fed.append(log_predicted)
-        clouds.append(cloud)
-        return geometry(graph, cloud, log_predicted, revision)
-
-    monkeypatch.setattr(GeometryGraph, "geometry", watched)
-    request = solvers.Request("vd2t", bundle=tiny, prediction=prediction)
-    solvers.evaluate_requests(phantoms[:1], [request], harness.Conditions(seeds=2))
-    assert len(fed) == 2
-    assert not np.array_equal(clouds[0], clouds[1])  # each cloud has its own noise
-    flat, bent = (harness.voltages_of(scene) for scene in (harness.Scene(), phantoms[0].scene.untouched()))
-    for cloud, ratio in zip(clouds, fed, strict=True):
-        if prediction == "scan":
-            assert np.allclose(ratio, np.log(predict(cloud) / flat_voltages()), atol=1e-6)
-            assert np.sqrt(np.mean((ratio - np.log(bent / flat)) ** 2)) < 0.02  # noise of the cloud: 0.8 % a row
-        elif prediction == "true":
-            assert np.allclose(ratio, np.log(bent / flat), atol=1e-6)
-        else:
-            assert ratio is None
 
 
 @pytest.mark.parametrize(

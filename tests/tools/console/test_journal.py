@@ -5,7 +5,6 @@ import os
 import pytest
 
 from eitskin_tools.console.run_log import RunLog
-from eitskin_tools.console.terminal import prefix
 
 
 @pytest.fixture
@@ -43,9 +42,3 @@ def test_a_redirected_stream_gets_plain_lines(stream, tmp_path, monkeypatch):
     monkeypatch.setenv("JOURNAL_STREAM", f"{other.st_dev}:{other.st_ino}")
     RunLog(stream).say("a port")
     assert lines(stream) == ["eitskin run: a port"]
-
-
-def test_levels_are_those_of_syslog():
-    assert [prefix(event) for event in ("error", "warning", "ready", "info", "anything")] == [
-        "<3>", "<4>", "<5>", "<6>", "<6>",
-    ]  # fmt: skip

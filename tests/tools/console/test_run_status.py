@@ -91,39 +91,6 @@ def test_json_is_one_object_a_line_with_rate_and_reasons():
     assert found["time_utc"].endswith("+00:00")
 
 
-def test_without_a_frame_that_can_be_used_electrodes_are_not_called_well():
-    stream = io.StringIO()
-    skin, status = looked_at(stream)
-    skin.pass_second(frames=0, trouble="frozen", withheld_by_reason={"frozen": 200})
-    status.look()
-    skin.pass_second(trouble="")
-    status.look()
-    lines = stream.getvalue().splitlines()
-    assert "200 withheld (frozen 200), no frame that can be used: frozen" in lines[0]
-    assert "well" not in lines[0]
-    assert "electrodes well" in lines[1]
-
-
-def test_a_verifier_is_told_of_and_its_state_is_worth_a_line_but_not_its_counts():
-    verifier = {
-        "mode": "always", "state": "ready", "why": "", "checked": 0, "flagged": 0, "skipped": 0, "frame_ms_p50": 0.0,
-        "frame_ms_p99": 0.0, "restarts": 0,
-    }  # fmt: skip
-    stream = io.StringIO()
-    skin, status = looked_at(stream)
-    skin.pass_second(verifier=verifier)
-    status.look()
-    assert "verify always: ready, 0 checked, 0 flagged, 0 skipped" in stream.getvalue().splitlines()[-1]
-    lines = len(stream.getvalue().splitlines())
-    skin.pass_second(verifier={**verifier, "checked": 9, "frame_ms_p50": 3.21, "frame_ms_p99": 7.0})
-    status.look()
-    assert len(stream.getvalue().splitlines()) == lines
-    skin.pass_second(verifier={**verifier, "checked": 9, "state": "waiting", "why": "it hung", "restarts": 1})
-    status.look()
-    assert "verify always: waiting (it hung), 9 checked" in stream.getvalue()
-    assert "started again 1 times" in stream.getvalue()
-
-
 def test_a_line_for_which_there_is_no_room_is_left_out_and_nobody_waits_for_it():
     """Whoever started the runtime reads its log no more: the pipe is full."""
     ours, theirs = os.pipe()

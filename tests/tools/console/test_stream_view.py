@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from eitskin_tools.console.stream_view import StreamView, describe
+from eitskin_tools.console.stream_view import StreamView
 
 
 class Terminal(io.StringIO):
@@ -44,13 +44,3 @@ def test_a_terminal_gets_one_line_ten_times_a_second():
     text = shown(Terminal())
     assert text.count("\n") == 1
     assert 28 <= text.count("\r") <= 32
-
-
-def test_how_far_the_sheet_is_from_its_reference_is_shown_once_it_is_known():
-    text = describe(frame(1, drift_percent=-1.26, drift_sd_percent=0.05), 200.0)
-    assert text.endswith("drift -1.3 +- 0.1 %")
-
-
-def test_failed_electrodes_and_events_are_named():
-    text = describe(frame(1, electrodes=("5:detached:imputed",), events=("cloud",)), 200.0)
-    assert text.endswith("electrodes 5:detached:imputed  [cloud]")

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from eitskin_tools.processes.children import Child, ChildDiedError, process_group
 from eitskin_tools.scripted_scene.script import demonstration, prepare
 
 pytestmark = pytest.mark.process
@@ -139,11 +138,3 @@ def test_ctrl_c_ends_it_early_with_its_summary(place, cache):
     assert json.loads(out)["frames"] > 0
     assert ours(place) == []
     assert left_in(place) == set()
-
-
-def test_the_last_words_of_a_dead_child_are_reported(tmp_path):
-    with process_group() as children:
-        child = Child("virtual-skin", "eitskin_tools.cli", ["virtual-skin", "--scene=/nowhere.json"], tmp_path)
-        children.append(child)
-        with pytest.raises(ChildDiedError, match=r"virtual-skin ended with status 1: .*nowhere\.json"):
-            child.line(child.out, "{", PATIENCE_S)

@@ -1,13 +1,11 @@
 """What a recorded demonstration is scored as and drawn as, without any process."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.demo.frame_picture import choose
-from eitskin_tools.demo.recorder import STAGES, Record
+from eitskin_tools.demo.recorder import Record
 from eitskin_tools.demo.score import accuracy, timing
 from eitskin_tools.scripted_scene.script import demonstration
 
@@ -60,51 +58,6 @@ def test_timing_counts_from_the_wire_and_sums_up_over_the_stages():
     assert spans["wire"] == 100.0
     assert spans["deliver"] == 50.0
     assert sum(spans.values()) == pytest.approx(found["latency_us"]["p50"])
-
-
-@pytest.mark.parametrize(
-    ("skipped", "ran"),
-    [
-        ((), True),
-        (("geometry:cloud_unchanged",), True),
-        (("map:untouched", "geometry:cloud_unchanged"), True),  # looked at in spite of the gate
-        (("inference:unchanged", "geometry:cloud_unchanged"), False),  # has an earlier frame's map and its solver
-        (("inference:untouched", "geometry:cloud_unchanged"), False),
-    ],
-)
-def test_a_frame_counts_as_inferred_only_if_a_solver_ran_for_it(skipped, ran):
-    record = Record.empty(1, PAPER.grid.shape)
-    frame = SimpleNamespace(
-        sequence=1, device_us=0, received_ns=300_000, host_ns=dict.fromkeys(STAGES, 200_000), touched=True,
-        solver="vd2t", skipped=skipped, cloud=0, map=np.zeros(PAPER.grid.shape), counts={"corrupt": 0, "withheld": 0},
-    )  # fmt: skip
-    record.note(0, frame)
-    assert record.inferred[0] == ran
-    wire = np.full(4, 100_000)
-    found = timing(record, wire)
-    assert found["inferred"] == int(ran)
-    assert found["latency_us"]["p50"] == 200.0
-    assert found["latency_inferred_us"] == ({"p50": 200.0, "p99": 200.0, "p999": 200.0, "max": 200.0} if ran else {})
-
-
-def test_an_empty_record_is_an_error_and_not_a_summary():
-    with pytest.raises(ValueError, match="not one frame"):
-        timing(Record.empty(0, PAPER.grid.shape), np.zeros(4, dtype=np.int64))
-
-
-def test_long_runs_keep_a_bounded_number_of_maps():
-    assert Record.empty(2000, PAPER.grid.shape).stride == 1
-    long = Record.empty(100_000, PAPER.grid.shape)
-    assert len(long.maps) <= 6000
-    assert long.maps.shape[1:] == PAPER.grid.shape
-
-
-def test_a_record_survives_its_file(tmp_path):
-    record = a_record(20)
-    record.save(tmp_path / "record.npz", 15)
-    again = Record.load(tmp_path / "record.npz")
-    assert np.array_equal(again.sequence, record.sequence[:15])
-    assert np.array_equal(again.maps, record.maps[:15])
 
 
 def test_the_picture_shows_a_bent_touched_frame():

@@ -3,13 +3,10 @@
 from pathlib import Path
 
 from eitskin.model import bundle as bundles
-from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.evaluation.harness import Conditions
 from eitskin_sim.evaluation.trials import TouchProfile, single, untouched
 from eitskin_sim.scene.scene import load_phantoms
 from eitskin_tools.command_line import files
-from eitskin_tools.evaluation import solvers
-from eitskin_tools.evaluation.solvers import Request, bundle_for, evaluate_named, named
+from eitskin_tools.evaluation.solvers import Request, bundle_for
 
 TINY = Path(__file__).parents[2] / "golden" / "tiny.eitskin"
 
@@ -33,23 +30,3 @@ def test_the_bundle_is_the_one_for_labels_and_touches(monkeypatch, tmp_path):
     assert bundle_for(request, "units").path.stem == "units"
     assert bundle_for(request, "units", "lower").path.stem == "units", "there is none for presses on units"
     assert bundle_for(Request("vd2t", bundle=TINY), "area", "lower").path == TINY
-
-
-def test_presses_and_touches_of_one_list_have_a_bundle_each(monkeypatch):
-    asked, numbered = [], []
-
-    def noted(request, labels, skin=PAPER, touches="raise", conditions=None):
-        asked.append((labels, touches))
-        return named(Request("tikhonov"), labels, skin, touches)
-
-    def evaluated(group, runs, conditions, step, numbers):
-        numbered.append(numbers)
-        return [[(one, ()) for one in group]]
-
-    monkeypatch.setattr(solvers, "named", noted)
-    monkeypatch.setattr(solvers, "evaluate_all", evaluated)
-    phantoms = [*single(10.0, 1, 1), *single(16.0, 1, 1, "A", TouchProfile(0.4, 4.0)), *single(8.0, 1, 1)]
-    ((by_group, results),) = evaluate_named(phantoms, [Request("vd2t")], Conditions("none"))
-    assert asked == list(by_group) == [("area", "raise"), ("area", "lower")]
-    assert [phantom for phantom, _ in results] == phantoms
-    assert numbered == [[0, 2], [1]], "each has the noise of its own place in the file"

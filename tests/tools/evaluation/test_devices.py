@@ -9,9 +9,7 @@ from eitskin_sim.evaluation import device_runs as runs
 from eitskin_sim.evaluation.mismatch import load_rows
 from eitskin_tools import cli
 from eitskin_tools.command_line import files
-from eitskin_tools.evaluation import devices
 from eitskin_tools.evaluation.devices import KINDS, table
-from eitskin_tools.evaluation.solvers import named
 
 
 @pytest.fixture(autouse=True)
@@ -62,26 +60,6 @@ def test_what_goes_by_a_bundle_wants_one_of_the_sheet(tmp_path, capsys, more, ex
     error = capsys.readouterr().err
     assert expected in error
     assert len(error.splitlines()) == 1
-
-
-def test_a_verifier_looks_for_the_touches_of_each_trial(tmp_path, capsys, monkeypatch):
-    asked = []
-
-    def seen(request, labels, skin, touches, conditions):
-        asked.append((labels, touches))
-        return named(request, labels, skin, touches, conditions)
-
-    monkeypatch.setattr(devices, "named", seen)
-    assert cli.main(words(tmp_path, "--trials", "single,press04", "--solver", "tikhonov", "--json")) == 0
-    capsys.readouterr()
-    assert asked == [("area", "raise"), ("area", "lower")]
-
-
-def test_classical_solvers_find_presses(tmp_path, capsys):
-    assert cli.main(words(tmp_path, "--trials", "press04", "--solver", "tikhonov", "--json")) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["reference"] == "predicted"
-    assert found["rows"][0]["press04"]["missed"] == 0.0
 
 
 def test_drift_is_taken_out_as_the_runtime_does(tmp_path, capsys):

@@ -50,15 +50,6 @@ def test_every_solver_finds_either_sign_and_common_drift_changes_nothing(tmp_pat
         assert abs(alike["percent"] - 100.0 * float(row["name"].split("_")[0])) < 4.0 * alike["sd_percent"]
 
 
-def test_a_large_common_factor_is_taken_out_and_told(tmp_path, capsys):
-    name, array = tank.frame(SETS[1], 0, 0.1)
-    np.savez(tmp_path / "tank.npz", **{name: array})
-    assert cli.main(["evaluate", "--tank", str(tmp_path / "tank.npz")]) == 0
-    said = capsys.readouterr().out
-    assert ": taken out, the same objects found" in said
-    assert "taken out of 1 of 1 frames; left in, 1 of 1 are right" in said
-
-
 def test_what_is_no_tank_is_one_line(tmp_path, capsys):
     np.savez(tmp_path / "tank.npz", electrode01_metal=np.zeros((3, 4)))
     assert cli.main(["evaluate", "--tank", str(tmp_path / "tank.npz")]) == 1

@@ -7,19 +7,17 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.evaluation.harness import Case, Conditions, Run, Sheet, evaluate_all, truth_map
+from eitskin_sim.evaluation.harness import Conditions, Run, evaluate_all, truth_map
 from eitskin_sim.evaluation.metrics import score
-from eitskin_sim.evaluation.trials import random, single
-from eitskin_sim.fem.solve import solve_scene
-from eitskin_sim.scene.parts import Bend, LaterChanges, Phantom, Scene
-from eitskin_sim.surface.measured_cloud import measured_cloud
+from eitskin_sim.evaluation.trials import random
+from eitskin_sim.scene.parts import Phantom, Scene
 from eitskin_sim.verification.network_map import map_of
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.shape_verdict import ShapeTouch, ShapeVerdict
 from eitskin_sim.verification.snapped_units import UnitTouch, UnitVerdict, unit_shares
 from eitskin_tools.cli import main
-from eitskin_tools.evaluation.verified.share import MIN_NETWORK_SHARE, map_error, network_share
-from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork, add_verdicts, shape_of
+from eitskin_tools.evaluation.verified.share import MIN_NETWORK_SHARE, network_share
+from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork, add_verdicts
 
 
 def checked(p: float, extra_ms: float, setup_ms: float = 0.0) -> MapVerdict:
@@ -83,33 +81,6 @@ def test_sheets_are_seen_at_rest_by_physics_alone(
     assert says in capsys.readouterr().err
 
 
-def test_sheets_that_one_scan_shows_alike_are_shapes_of_their_own() -> None:
-    late = replace(Scene().sheet, late=LaterChanges(1.08))
-    scenes = [replace(Scene(element_size_mm=6.0), sheet=sheet, bend=Bend(60.0)) for sheet in (Scene().sheet, late)]
-    scan, flat = measured_cloud(Bend(60.0)).astype(np.float64), solve_scene(scenes[1].reference()).voltages
-    sheets = [Sheet(scan, solve_scene(one).voltages) for one in (*scenes, scenes[0])]
-    first, drifted, again = (shape_of(Case(one.untouched, flat, flat, one, "area")) for one in sheets)
-    assert first == again
-    assert first != drifted, "what was seen of one at rest is not of the other"
-
-
-@pytest.mark.slow
-@pytest.mark.heavy
-def test_a_shape_is_seen_at_rest_once_before_its_first_touch() -> None:
-    phantoms = single(10.0, 1, 2)
-    truths = iter([truth_map(one) for one in phantoms])
-    verified = VerifiedNetwork(Run(lambda _: next(truths), "pre"), Noise("N2"), "area", "raise", PAPER, at_rest=50)
-    (results,) = evaluate_all(phantoms, [verified.run], Conditions("N2"))
-    assert verified._shape is not None
-    rest = verified._shape[1].shapes.deformation.model.rest
-    assert rest is not None
-    assert verified.checked[0].setup_ms > 0.0
-    assert verified.checked[1].setup_ms == 0.0, "no model is made for the frames after it"
-    for (_, (found,)), checked_one in zip(results, verified.checked, strict=True):
-        assert not checked_one.verdict.flagged
-        assert found.localisation_mm < 1.0
-
-
 @pytest.mark.slow
 @pytest.mark.heavy
 def test_units_of_an_independent_mesh_are_explained_and_wrong_ones_flagged() -> None:
@@ -124,22 +95,6 @@ def test_units_of_an_independent_mesh_are_explained_and_wrong_ones_flagged() -> 
     said, of_wrong = (one.verdict for one in verified.checked)
     assert (right.exact, said.flagged) == (1.0, False)
     assert wrong.exact == 1.0 or (of_wrong.flagged and of_wrong.p_value < 1e-6)
-
-
-def test_more_than_six_shown_units_are_not_verified_and_the_network_s_map_stays() -> None:
-    dense = np.asarray(PAPER.grid.map_from_units((np.arange(126) < 7).astype(float)))
-    flat = solve_scene(Scene(element_size_mm=6.0)).voltages
-    sheet = Sheet(measured_cloud(Bend()).astype(np.float64), np.full(104, np.nan))
-    verified = VerifiedNetwork(Run(lambda _: dense, "pre"), Noise("N2"), "units", "raise", PAPER)
-    assert np.array_equal(verified.solve(Case(flat, flat, flat, sheet, "units")), dense)
-    (said,) = verified.checked
-    assert said.not_verified == "7 units are shown, and at most 6 are verified"
-    assert (said.verdict.flagged, said.verdict.p_value, said.verdict.touches) == (True, 0.0, ())
-    found: dict[str, Any] = {"phantoms": [{"name": "1"}]}
-    one = phantom("1")
-    add_verdicts(found, [(one, [score(dense, dense)])], {id(one): [said]})
-    assert found["phantoms"][0]["not_verified"] == said.not_verified
-    assert (found["verified"]["not_verified"], found["verified"]["right_flagged"]) == (1, 1)
 
 
 def sure_to(scatter_mm: float, p_value: float = 0.5) -> ShapeVerdict:
@@ -174,23 +129,3 @@ def test_the_less_surely_physics_draws_touches_the_more_is_the_network_s() -> No
     assert network_share(sure_to(0.3, p_value=1e-4), shown(0.02), 1, grid) == 1.0
     assert network_share(replace(sure_to(0.3), pieces=SQUARE[:0], touches=()), shown(0.0), 0, grid) == MIN_NETWORK_SHARE
     assert network_share(sure_to(3.0), np.zeros(grid.shape), 0, grid) == MIN_NETWORK_SHARE, "it shows no touch at all"
-
-
-def test_a_body_of_several_shapes_is_one_touch_that_a_network_shows() -> None:
-    grid, arm = PAPER.grid, np.array([[0.0, 65.0, 45.0, 10.0, 10.0, 0.0, 40.0, 0.0]])
-    ell = np.vstack([SQUARE, arm])
-    apart = replace(sure_to(3.0), pieces=ell, likely=((1.0, ell),), scatter=np.full((1, 2, 7), 3.0))
-    assert network_share(apart, map_of(ell), 1, grid) == MIN_NETWORK_SHARE, "it shows one of two"
-    assert network_share(replace(apart, joints=((1, 0),)), map_of(ell), 1, grid) > MIN_NETWORK_SHARE
-
-
-def test_the_error_of_a_map_is_that_of_its_borders_and_alike_for_ellipses() -> None:
-    grid = PAPER.grid
-    one, two = (map_error(SQUARE, sure_to(error).scatter, grid) for error in (0.5, 1.0))
-    # A border of a square of 20 mm that is off by s changes its map's square by at most s / 20, less in cut pixels.
-    assert 0.0 < one < np.sqrt(0.5 / 20.0)
-    assert 1.3 < two / one < 2.1
-    disc = SQUARE.copy()
-    disc[:, 0] = 1.0
-    assert 0.3 < map_error(disc, sure_to(1.0).scatter, grid) / two < 2.0
-    assert map_error(SQUARE, np.zeros((0, 1, 7)), grid) == 0.0

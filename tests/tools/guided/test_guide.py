@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.cloud import flat_cloud
-from eitskin_tools.errors import UsageError
 from eitskin_tools.guided import WINDOW, Guide, GuideError, Plan, Watch
 
 ROWS = np.arange(104)
@@ -121,19 +120,6 @@ def test_a_scan_that_cannot_be_read_is_asked_for_again():
     assert asked == ["none.npz", "bent.npz"]
 
 
-def test_both_readings_of_a_full_scan_are_kept():
-    gain = np.where(np.arange(208) % 2, 1.01, 0.99)
-
-    class Full(Sheet):
-        def frames(self, most=20_000):
-            for frame in super().frames(most):
-                yield gain * frame[np.arange(208) % 104]
-
-    found = guided(Full([SCAN]))
-    assert found["press_V"].shape == (2, 208)
-    assert np.abs(found["reference_V"] / (gain * FLAT[np.arange(208) % 104]) - 1.0).max() < 5.0 * NOISE / np.sqrt(40)
-
-
 def test_a_sheet_that_moves_is_not_at_rest_and_noise_alone_is():
     rng = np.random.default_rng(3)
     still = moving = 0
@@ -148,12 +134,3 @@ def test_a_sheet_that_moves_is_not_at_rest_and_noise_alone_is():
     assert still == 200
     assert moving == 0
     assert not Watch().steady
-
-
-@pytest.mark.parametrize("text", ["", "a", "16x", "1", "20x10x3", "nan", "61"])
-def test_a_stamp_that_is_none_is_refused(text):
-    from eitskin_tools.commands.calibrate import _stamp
-
-    with pytest.raises(UsageError, match="expected a diameter, as 16, or length x width"):
-        _stamp(text)
-    assert _stamp("20x10") == (20.0, 10.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.skin import PAPER
-from eitskin_tools.pictures import Painter, arrange, fitted
+from eitskin_tools.pictures import Painter, fitted
 
 TITLE = "eitskin demo    12.3 s   the sheet is bent by 156 deg, its axis at +30, stretched 13.1 %; 3 touches"
 FOOTER = [
@@ -36,13 +36,6 @@ def test_both_maps_and_every_word_are_shown(size, monkeypatch):
     text = " ".join(" ".join(lines).split())
     for said in (*TITLE.split(), *FOOTER[0].split(), *FOOTER[1].split(), "streamed", "truth"):
         assert said in text
-
-
-def test_a_usual_terminal_has_smaller_maps_side_by_side_and_a_large_one_larger_ones():
-    usual, large = arrange(80, 20, (30, 45), truth=True), arrange(200, 46, (30, 45), truth=True)
-    assert (usual.columns, usual.lines, usual.arrangement) == (38, 13, "beside")
-    assert (large.columns, large.lines, large.arrangement) == (90, 30, "beside")
-    assert arrange(50, 60, (30, 45), truth=True).arrangement == "below"
 
 
 def test_a_smaller_map_keeps_the_mean_so_that_no_touch_falls_between_pixels():

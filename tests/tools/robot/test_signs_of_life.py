@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from eitskin_tools.robot.child import PAUSE_S, SILENT_S, SignsOfLife
+from eitskin_tools.robot.child import SILENT_S, SignsOfLife
 
 from .conftest import gone
 
@@ -41,15 +41,6 @@ def heard():
     yield found
     found.life.close()
     found.mouth.close()
-
-
-def test_who_gives_none_is_ended_by_stronger_and_stronger_signals(heard):
-    heard.tell(b"READY=1")
-    sent = heard.after(SILENT_S + 4.5 * PAUSE_S)
-    assert list(sent.values())[:4] == [signal.SIGTERM, signal.SIGABRT, signal.SIGKILL, signal.SIGKILL]
-    assert SILENT_S <= next(iter(sent)) <= SILENT_S * 1.2
-    assert heard.life.forced
-    assert heard.life.why.startswith("no sign of life for 10 s: its frame loop stands still")
 
 
 @pytest.mark.process
@@ -88,12 +79,3 @@ def test_one_whose_c_code_keeps_the_interpreter_is_ended_and_started_again(famil
         assert gone(before["a"].pid)
         assert (now["b"].pid, now["c"].pid) == (before["b"].pid, before["c"].pid)  # one lives, one only starts
         assert (now["b"].restarts, now["c"].restarts) == (0, 0)
-
-
-@pytest.mark.process
-def test_where_no_new_start_is_asked_for_it_has_failed(family, tmp_path):
-    with family(silent_s=0.5, a="hangs") as found:
-        found.ready()
-        (tmp_path / "hang").touch()
-        assert found.ended() == 1
-        assert "no sign of life for 0.5 s" in found.heard[-1]["text"]

@@ -11,7 +11,7 @@ from eitskin.robot.described import FILE
 from eitskin_tools.processes.children import Backoff
 from eitskin_tools.processes.signals import met_by
 
-from .conftest import HERE, PATIENCE_S, Family, gone
+from .conftest import HERE, PATIENCE_S, gone
 
 pytestmark = pytest.mark.process
 
@@ -64,16 +64,6 @@ def test_pauses_between_starts_double_up_to_the_longest(family):
             text = found.until(lambda event: event["event"] == "error" and "again in" in event["text"])["text"]
             said.append(float(text.split("again in ")[1].split(" s")[0]))
     assert said == pytest.approx([0.05, 0.1, 0.2, 0.4, 0.4], rel=0.02)
-
-
-def test_a_skin_that_cannot_even_be_started_keeps_nobody_waiting_and_is_tried_again(tmp_path):
-    (tmp_path / "ref.json").touch()
-    found = Family(tmp_path, [{"name": "a", "port": "/dev/none", "reference": "ref.json"}], 1.0, 1.0, "/none")
-    assert (found.ready()["skins"], found.states()["a"].state) == ([], "waiting")
-    assert "cannot be started: No such file" in found.states()["a"].why
-    found.process.terminate()
-    with found.process.stderr:
-        assert found.ended() == 0
 
 
 def test_when_nobody_is_left_it_ends_and_fails(family):

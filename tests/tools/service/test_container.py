@@ -79,11 +79,3 @@ def test_the_container_is_built_and_runs(tmp_path):
         assert wanted in found.stdout + found.stderr
     who = ran(program, "run", "--rm", "--entrypoint", "id", "eitskin-test", "-u", timeout_s=300)
     assert who.stdout.strip() == "10001"
-
-
-IMAGE = "docker.io/library/python:3.12-slim-bookworm"
-
-
-def test_the_images_that_a_recipe_builds_on_are_those_behind_from():
-    assert bases(text_of("Containerfile", "robot", "/usr/bin/eitskin")) == [IMAGE]
-    assert bases("FROM a AS one\nFROM one\nFROM b:2 AS two\nFROM a\n") == ["a", "b:2"]

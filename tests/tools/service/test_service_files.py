@@ -1,11 +1,9 @@
 """Units, rule and recipe as they are shipped: their own grammar, and systemd's and udev's word."""
 
-import fnmatch
 import re
 import shutil
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -127,25 +125,6 @@ def test_the_recipe_runs_as_nobody_in_particular_and_looks_at_its_health():
     assert '["eitskin", "status", "--all"]' in last["HEALTHCHECK"]
     assert cli._parser("status").parse_args(["status", "--all"]).all
     assert cli._parser("run").parse_args(["run", "--config", "/etc/eitskin/robot.toml"]).config
-
-
-def test_all_that_the_recipe_builds_from_is_in_the_source_and_copied():
-    source = Path(__file__).parents[3]
-    text = text_of("Containerfile", "robot", "/usr/bin/eitskin")
-    assert "COPY . /source" in text
-    named = {word.removeprefix("/source/") for word in text.split() if word.startswith("/source/")}
-    project = tomllib.loads((source / "pyproject.toml").read_text())
-    packages = project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
-    head = project["project"]
-    needed = {*named, "pyproject.toml", head["readme"], *head["license-files"], *packages}
-    assert "constraints.txt" in needed
-    ignored = [line for line in (source / ".dockerignore").read_text().splitlines() if line and line[0] != "#"]
-    for path in needed:
-        assert (source / path).exists(), path
-        top = path.split("/")[0]
-        assert not any(fnmatch.fnmatch(path, each) or top == each for each in ignored), path
-    base = re.search(r"python:(\d+\.\d+)-", text)[1]
-    assert f"Programming Language :: Python :: {base}" in head["classifiers"]
 
 
 MDWE = """

@@ -72,21 +72,6 @@ def test_a_loop_without_a_beat_ends_the_process_with_the_reason_and_what_it_does
     assert not socket.exists()
 
 
-def test_every_read_and_write_is_a_beat(make, ended):
-    dog, _ = make()
-    line = Line()
-    line.let.set()
-    watched = WatchedLine(line)
-    dog.watch("the frame loop", watched)
-    for look in range(5 * LOOKS):
-        if look % LOOKS == 0:
-            assert watched.read(1.0) == b"frame"
-        elif look % LOOKS == LOOKS // 2:
-            watched.write(b"request")
-        dog.look()
-    assert ended == []
-
-
 def test_waiting_for_a_silent_device_is_not_standing_still_and_is_a_sign_of_life(make, ended):
     dog, supervisor = make(interval_s=2.0)
     line = Line()
@@ -101,30 +86,3 @@ def test_waiting_for_a_silent_device_is_not_standing_still_and_is_a_sign_of_life
     line.let.set()
     waiting.join()
     assert ended == []
-
-
-def test_what_must_end_ends_the_process_if_it_does_not(make, ended):
-    dog, _ = make()
-    dog.watch("closing everything", limit_s=1.0)
-    for _ in range(round(1.0 / LOOK_S)):
-        dog.look()
-    assert ended == []
-    dog.look()
-    assert ended[0][0].startswith("closing everything has stood still for 1 s")
-
-
-def test_a_watched_line_can_be_opened_anew_where_the_line_can():
-    class Patient(Line):
-        patience_s, gone, opened = 60.0, False, 0
-
-        def reopen(self):
-            assert watched.waits
-            self.opened += 1
-
-    line = Patient()
-    watched = WatchedLine(line)
-    assert (watched.patience_s, watched.gone) == (60.0, False)
-    watched.reopen()
-    assert (line.opened, watched.beats, watched.waits) == (1, 1, False)
-    plain = WatchedLine(Line())
-    assert all(getattr(plain, name, None) is None for name in ("patience_s", "gone", "reopen"))

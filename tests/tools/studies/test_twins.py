@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.table import ROW_IN_FULL
 from eitskin_proto.skin.toml import named
 from eitskin_sim.calibration.report import calibrate
 from eitskin_sim.evaluation.device import draw_device
-from eitskin_sim.evaluation.device_runs import voltages_of
 from eitskin_sim.evaluation.mismatch import LAB
 
 from .study import study
@@ -16,25 +14,6 @@ twins = study("twins")
 FRAMES, STAMP_MM, recorded = twins.FRAMES, twins.STAMP_MM, twins.recorded
 
 SNR_DB = 50.0
-
-
-@pytest.mark.heavy
-def test_a_recording_is_of_that_device_and_noisy_as_it_says():
-    device = draw_device(LAB, 0, 1)
-    found = recorded(device, 1, SNR_DB, 2, 2, "lower")
-    again = recorded(device, 1, SNR_DB, 2, 2, "raise")
-    true = voltages_of(device.reference(), device.front_end)
-    off = found.reference_V[ROW_IN_FULL] / true - 1.0
-    assert found.reference_V.shape == (208,)
-    assert found.frames == FRAMES
-    assert 1e-4 < np.std(off) < 1e-3  # noise of 3e-4, and another mesh
-    for one in found.bents:
-        assert one.cloud_mm.shape == (3, 30, 45)
-        assert np.std(one.voltages_V / true - 1.0) > 0.02
-    assert len({tuple(one.xy_mm) for one in found.presses}) == len(found.presses) == 2
-    for lower, higher in zip(found.presses, again.presses, strict=True):
-        assert lower.stamp_mm == (STAMP_MM,)
-        assert np.median(lower.voltages_V / true) > 1.0 > np.median(higher.voltages_V / true)
 
 
 @pytest.mark.slow

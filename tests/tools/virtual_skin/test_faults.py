@@ -203,15 +203,6 @@ def test_answers_may_fail_to_come_come_twice_or_late():
         assert len(host.others) == 1
 
 
-def test_a_restart_is_announced_before_it_happens():
-    with skin() as host:
-        host.tell(m.Restart(tag=4))
-        host.listen(0.15)
-        assert [type(answer) for answer in host.others] == [m.Ack]
-        assert [event.text for event in host.events][-2:] == ["RESTARTING", "CONFIGURATION_CHANGED"]
-        assert host.server.device.boots == 2
-
-
 @pytest.mark.parametrize("kind", ["frozen", "stuck", "failing"])
 def test_a_front_end_may_hang_for_a_while(kind):
     with skin(f"{kind}@0.1:0.2") as host:
