@@ -10,8 +10,6 @@ from tests.faults import powercut
 from tests.faults.requests.lines import UNASKED, CoreLine
 from tests.faults.requests.search import search
 
-from eitskin_proto.wire import framing
-
 from .asked import VirtualAsked
 
 SEED = int(os.environ.get("EITSKIN_SEED", "0"))
@@ -124,8 +122,3 @@ def test_the_emulated_board_that_is_killed_at_writes_boots_what_was_confirmed():
 def test_the_same_seed_plays_the_same_sequences(core):
     first, second = (search(CoreLine, 20, 3).as_dict() for _ in range(2))
     assert {**first, "seconds": 0} == {**second, "seconds": 0}
-
-
-def test_a_damaged_packet_is_not_answered(core):
-    line = CoreLine()
-    assert line.ask(framing.encode(b"\x01\x07EITS\x01\x00")[:-2] + b"\x01\0") == []

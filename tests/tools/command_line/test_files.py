@@ -141,9 +141,6 @@ FILLING_WITH_TORCH = {
 NEEDING_TORCH = WRITING_WITH_TORCH | FILLING_WITH_TORCH
 EVERY_WRITING = WRITING | FILLING | NEEDING_TORCH
 
-WRITTEN = ("--out", "--plot", "--picture", "--record", "--log", "--wire-times")
-"""Options that name what is written."""
-
 
 def identity(path):
     """Return what would differ if something else stood there."""

@@ -1,6 +1,5 @@
 """What a command needs is checked before it starts, and nothing that it imports is left out of the table."""
 
-import ast
 import re
 import tomllib
 from pathlib import Path
@@ -11,21 +10,6 @@ from eitskin_tools import cli
 from eitskin_tools.command_line import needs
 
 ROOT = Path(__file__).parents[3]
-
-BROUGHT = {"eitskin_sim": "scipy", "eitskin_training": "torch", "eitskin_export": "scipy"}
-"""What our own packages need when they are imported."""
-
-
-def imported(benchmark):
-    """Return the modules of ``EXTRAS`` that a benchmark imports anywhere, its helpers of the same name too."""
-    found = set()
-    for path in benchmark.parent.glob(f"{benchmark.name}*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
-            found |= {BROUGHT.get(name.split(".")[0], name.split(".")[0]) for name in names}
-    return found & set(needs.EXTRAS)
-
 
 MODULES = {"scikit-fem": "skfem", "pyeit": "pyeit"}
 """Name of a package -> the module that it brings, where they differ or only some of an extra's are imported."""

@@ -9,16 +9,10 @@ from tests.sim.evaluation.two_phantoms import FILE
 from eitskin.model.bundle import default_path, load_bundle
 from eitskin_sim.evaluation import harness
 from eitskin_sim.evaluation import report as reports
-from eitskin_sim.scene.scene import parse_phantoms
 from eitskin_tools import cli
 from eitskin_tools.evaluation.printed import PAPER_CC
 
 pytestmark = pytest.mark.heavy
-
-
-@pytest.fixture(scope="module")
-def phantoms():
-    return parse_phantoms(FILE)
 
 
 @pytest.fixture(autouse=True)

@@ -70,9 +70,6 @@ elif kind == "starts":  # for ever
 elif kind == "deaf":
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     serve()
-elif kind == "babbles":
-    os.write(2, b"\xff\xfe no json\n" + b"x" * 300_000 + b"\n[1]\n{\n")
-    serve()
 elif kind == "environment":
     say("info", text=" ".join(os.environ.get(name, "none") for name in ("NOTIFY_SOCKET", "JOURNAL_STREAM")))
     serve()

@@ -5,8 +5,7 @@ import socket
 import pytest
 
 import eitskin
-from eitskin.messaging.frame import FIRST_BYTE, patient_topics, unpack_frame
-from eitskin.messaging.frame_message import FramePacker
+from eitskin.messaging.frame import FIRST_BYTE, patient_topics
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.feed import Feed
@@ -77,16 +76,6 @@ def test_a_page_has_the_runtime_list_no_touches_and_shows_those_that_others_ask_
         feed.close()
     assert shown["centre"] == own["centre"] == pytest.approx(touch.centre_mm, abs=0.01)
     assert shown["place"] == pytest.approx(touch.place_mm, abs=0.01)
-
-
-def frame(values, cloud=0, number=1, run="r"):
-    """Return a frame of a map, as a subscriber without touches gets it."""
-    packer = FramePacker(configuration="p/1", bundle="b", serial_number="S", run=run, shape=PAPER.grid.shape)
-    packer.put_map(memoryview(values.astype("<f4").tobytes()))
-    packer.put_texts("vd2t", (), ())
-    for name, value in (("n", number), ("map_seq", number), ("cloud", cloud), ("device_us", 5000 * number)):
-        packer.put(name, value)
-    return unpack_frame(bytes(packer.message()), 0)
 
 
 def test_silence_is_told_with_its_reason(endpoint):
