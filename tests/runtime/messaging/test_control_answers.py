@@ -9,7 +9,6 @@ import zmq
 
 import eitskin
 from eitskin.errors import ControlError
-from eitskin.messaging.control import ControlServer
 from eitskin.messaging.control_client import request
 
 
@@ -49,12 +48,6 @@ def test_a_message_without_a_delimiter_is_answered_and_costs_nobody_an_answer(se
     assert answer(rude)[1]["error"] == "a message of 0 parts; expected one"
 
 
-def test_an_answer_goes_back_through_the_proxies_that_its_request_came_through(dealer):
-    client = dealer()
-    client.send_multipart([b"proxy", b"another", b"", msgpack.packb({"command": "status"})])
-    assert answer(client) == ([b"proxy", b"another", b""], {"ok": True, "frames": 5})
-
-
 class Slow:
     """Frames that do not come until they are let through, or the runtime is stopped."""
 
@@ -79,34 +72,6 @@ def test_everything_else_is_answered_while_a_reference_is_captured(recorder, raw
     assert raw(msgpack.packb({"command": "stop"}))["ok"] is True
     assert answer(asking)[1] == {"ok": True, "frames": 9, "weak_rows": []}
     assert raw(msgpack.packb({"command": "reference", "frames": 8}))["frames"] == 8
-
-
-def test_who_waits_for_a_reference_is_told_when_the_server_closes(tmp_path, recorder):
-    slow, server = Slow(recorder), ControlServer(f"ipc://{tmp_path}/closing", recorder)
-    context = zmq.Context()
-    asking = context.socket(zmq.REQ)
-    asking.linger = 0
-    asking.connect(server.endpoint)
-    asking.send(msgpack.packb({"command": "reference", "frames": 9}))
-    assert slow.begun.wait(60)
-    server.close()  # and not: wait until the frames are in, which is never
-    assert "takes no more requests" in answer(asking)[1]["error"]
-    slow.release.set()
-    asking.close()
-    context.term()
-
-
-def test_a_client_that_does_not_wait_for_its_reference_disturbs_nobody(server, recorder, raw, dealer):
-    slow, asking = Slow(recorder), dealer()
-    asking.send_multipart([b"", msgpack.packb({"command": "reference", "frames": 9})])
-    assert slow.begun.wait(60)
-    asking.close()
-    slow.release.set()
-    end = time.perf_counter() + 60
-    while not (last := raw(msgpack.packb({"command": "reference", "frames": 8})))["ok"]:  # the first one ends
-        assert "captured already" in last["error"]
-        assert time.perf_counter() < end
-    assert last["frames"] == 8
 
 
 def test_stop_ends_a_reference_that_is_being_captured_at_once(virtual_skin, running, tmp_path):

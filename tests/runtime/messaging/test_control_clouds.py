@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 
 import eitskin
-from eitskin.messaging.control import ControlServer
 from eitskin.messaging.control_client import request
-from eitskin.messaging.endpoints import default_control
 from eitskin_proto.skin import cloud_file
 from eitskin_proto.skin.cloud import flat_cloud
 
@@ -75,28 +73,3 @@ def test_a_cloud_file_brings_its_prediction_along(server, recorder, tmp_path):
     assert recorder.clouds[2][1:] == (None, None)
     with pytest.raises(cloud_file.CloudFileError, match=r"nobody\.npz cannot be read: No such file"):
         eitskin.send_cloud(server.endpoint, tmp_path / "nobody.npz")
-
-
-def test_a_cloud_file_is_sent_in_the_frame_in_which_its_points_were_measured(server, recorder, tmp_path):
-    turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    surface = cloud_file.Surface(flat_cloud(), None, None, turn, np.array([10.0, 20.0, 3000.0]))
-    cloud_file.save_surface(tmp_path / "cloud.npz", surface)
-    eitskin.send_cloud(server.endpoint, tmp_path / "cloud.npz")
-    got = recorder.clouds[0][0]
-    laid = np.einsum("ij,jrc->irc", turn, got) + np.array([10.0, 20.0, 3000.0])[:, None, None]
-    assert np.abs(laid - flat_cloud()).max() < 1e-3
-    assert np.abs(got[1]).min() > 2900.0  # z of the laid cloud came from y
-
-
-def test_without_an_endpoint_the_default_control_is_asked(recorder, tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    server = ControlServer(default_control(), recorder)
-    try:
-        assert eitskin.send_cloud(flat_cloud()) == 1
-        assert request(None, "status") == {"frames": 5}
-    finally:
-        server.close()
-    with pytest.raises(ValueError, match="the endpoint ipc:///tmp/control and no cloud"):
-        eitskin.send_cloud("ipc:///tmp/control")
-    with pytest.raises(ValueError, match="endpoint is a ndarray, expected the text of the runtime's control endpoint"):
-        eitskin.send_cloud(flat_cloud(), np.ones(104))

@@ -8,19 +8,16 @@ import sys
 import time
 from contextlib import ExitStack, closing, suppress
 
-import msgpack
 import pytest
 import zmq
 
 import eitskin
 from eitskin.errors import EndpointError
 from eitskin.messaging import control, listener, publish
-from eitskin.messaging.control_client import request
 from eitskin.messaging.curve_keys import load_client_keys, load_server_keys
 from eitskin.messaging.frame import EVERY_FRAME
 
 from .publishing import Peer, send, wait_for, wait_until_wanted
-from .test_control_answers import Slow
 
 
 def connect(path):
@@ -160,28 +157,6 @@ def test_who_comes_by_tcp_without_a_key_is_ended_and_who_has_one_loses_nothing(k
             number += 1
             send(publisher, packer, number)
         assert [next(honest).number for _ in range(number)] == list(range(1, number + 1))
-
-
-def test_who_waits_for_a_slow_answer_gets_it_whatever_crowd_comes(tmp_path, recorder, monkeypatch):
-    monkeypatch.setattr(control, "MOST_CONNECTIONS", 4)
-    monkeypatch.setattr(listener, "GRACE_S", 0.0)
-    slow = Slow(recorder)
-    with ExitStack() as stack, zmq.Context() as context, context.socket(zmq.REQ) as asking:
-        server = stack.enter_context(closing(control.ControlServer(f"ipc://{tmp_path}/control", recorder)))
-        asking.linger = 0
-        asking.connect(server.endpoint)
-        asking.send(msgpack.packb({"command": "reference", "frames": 9}))
-        assert slow.begun.wait(60)
-        end = time.perf_counter() + 60
-        while server.ended < 8:
-            assert time.perf_counter() < end
-            if (held := connect(tmp_path / "control")) is not None:
-                stack.enter_context(held)
-            time.sleep(0.002)
-        assert request(server.endpoint, "status", timeout_s=60) == {"frames": 5}
-        slow.release.set()
-        assert asking.poll(60_000)
-        assert msgpack.unpackb(asking.recv())["frames"] == 9
 
 
 @pytest.mark.parametrize("make", [publish.Publisher, control.ControlServer])

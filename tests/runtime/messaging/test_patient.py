@@ -3,18 +3,15 @@
 import select
 import time
 
-import pytest
-
 import eitskin
-from eitskin.messaging.frame import EVERY_FRAME, FIRST_BYTE, KEYS, TOUCH_FIRST_BYTE, patient_topics
-from eitskin.messaging.regions import ALWAYS, UNCHANGED, WHOLE, Region
+from eitskin.messaging.frame import EVERY_FRAME, FIRST_BYTE, patient_topics
+from eitskin.messaging.regions import ALWAYS, UNCHANGED, WHOLE
 from eitskin_proto.skin.skin import PAPER
 
 from .publishing import Peer, send, wait_for
 
 ROUNDS = 40
 PATIENT = patient_topics(FIRST_BYTE)
-TOUCHED = b"", b"", 0
 
 
 def test_robots_are_served_before_those_who_look_on_whoever_came_first(publisher, packer):
@@ -42,43 +39,6 @@ def test_robots_are_served_before_those_who_look_on_whoever_came_first(publisher
         for one in here.values():
             one.close()
     assert orders.count(["region", "robot", "patient"]) > 0.75 * ROUNDS  # its thread may still be at the one before
-
-
-@pytest.mark.parametrize("touched", [False, True])
-def test_every_message_that_is_packed_is_one_that_the_patient_get(packer, touched):
-    packer.put_touches(TOUCHED if touched else None)
-    assert bytes(packer.message()[:3]) in PATIENT
-    assert bytes(packer.short_message()[:3]) in PATIENT
-    alone = patient_topics(TOUCH_FIRST_BYTE)
-    assert packer.touch_message().startswith(alone)
-    assert len(PATIENT) == len(alone) == len(KEYS)
-
-
-def test_the_patient_say_what_they_need_as_others_do(publisher):
-    region = {"region_mm": (0.0, 0.0, 10.0, 10.0), "skip_unchanged": True}
-    with eitskin.subscribe(publisher.endpoint, patient=True, **region) as looking_on:
-        wait_for(publisher, lambda: set(PATIENT) <= set(publisher.topics))
-        assert publisher.wanted
-        assert looking_on.region == Region(0, 3, 0, 3)
-        assert publisher.takes_short
-        with eitskin.subscribe(publisher.endpoint, patient=True) as everything:
-            wait_for(publisher, lambda: publisher.subscribers == 2)
-            assert not publisher.takes_short
-            assert everything.region.slices[0].stop >= PAPER.grid.shape[0]
-        wait_for(publisher, lambda: publisher.takes_short)
-        with eitskin.subscribe(publisher.endpoint):  # a robot as ever
-            wait_for(publisher, lambda: EVERY_FRAME in publisher.topics)
-            assert not publisher.takes_short
-    wait_for(publisher, lambda: not publisher.wanted)
-
-
-def test_of_touches_alone_the_patient_come_last_too(publisher, packer):
-    packer.put_touches(TOUCHED)
-    with eitskin.subscribe(publisher.endpoint, maps=False, patient=True, timeout_s=60) as touches:
-        wait_for(publisher, lambda: publisher.topics == set(patient_topics(TOUCH_FIRST_BYTE)))
-        assert (publisher.asked.frames, publisher.asked.alone) == (False, True)
-        publisher.send(memoryview(packer.touch_message()))
-        assert next(touches).touches == ()
 
 
 def test_unchanged_maps_come_from_frames_that_were_passed_over(publisher, packer):

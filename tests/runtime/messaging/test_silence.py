@@ -1,16 +1,13 @@
 """A subscriber to whom nothing comes: where it waited, who is there, what to do; the endpoint it takes unasked."""
 
-import os
 import socket
-from contextlib import closing
 
 import pytest
 import zmq
 
 import eitskin
-from eitskin.errors import ControlError, EndpointError, NoFrame
-from eitskin.messaging import endpoints, subscriber
-from eitskin.messaging.control_client import request
+from eitskin.errors import EndpointError, NoFrame
+from eitskin.messaging import endpoints
 from eitskin.messaging.publish import Publisher
 from eitskin.messaging.reachability import explain_silence
 from eitskin.messaging.streams.envelope import packed
@@ -38,20 +35,6 @@ def test_publisher_and_subscriber_take_the_same_endpoint_by_default(session):
         assert frames.endpoint == endpoints.default_publish()
 
 
-def test_without_a_session_both_fall_back_to_the_same_folder(monkeypatch, session):
-    monkeypatch.delenv("XDG_RUNTIME_DIR")
-    assert endpoints.runtime_folders()[0].name == f"eitskin-{os.getuid()}"
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(session / "gone"))
-    assert endpoints.runtime_folders()[0].name == f"eitskin-{os.getuid()}"
-
-
-def test_the_first_frame_is_waited_for_five_seconds_and_later_ones_for_ever(session, monkeypatch):
-    assert subscriber.FIRST_S == 5.0
-    monkeypatch.setattr(subscriber, "FIRST_S", 0.05)
-    with eitskin.subscribe() as frames, pytest.raises(NoFrame, match=r"within 0\.05 s"):
-        next(frames)
-
-
 def test_an_endpoint_where_nobody_ever_was_is_named_with_what_to_do(session):
     text = said_to(None)
     assert f"no frame from ipc://{session}/eitskin/frames within 0.05 s: nobody listens there" in text
@@ -71,32 +54,6 @@ def test_somebody_who_says_nothing_is_told_from_nobody(session):
     publisher = Publisher(f"ipc://{session}/frames")
     try:
         assert "somebody listens there, but sends no frame" in said_to(publisher.endpoint)
-    finally:
-        publisher.close()
-
-
-@pytest.mark.parametrize("frames", [True, False])
-def test_who_waits_for_verdicts_is_told_how_to_start_a_verifier(session, frames):
-    def said():
-        verdicts = subscribe_verified(f"ipc://{session}/f", frames=frames, timeout_s=0.1)
-        with verdicts, pytest.raises(NoFrame) as caught:
-            next(verdicts)
-        return str(caught.value)
-
-    assert "nobody listens there" in said()
-    with closing(Publisher(f"ipc://{session}/f")):
-        assert "sends no verdict: nobody verifies its frames (start it as 'eitskin run --verify always')" in said()
-
-
-def test_a_runtime_that_publishes_in_the_other_default_folder_is_named(session, monkeypatch):
-    other = session / "other"
-    other.mkdir()
-    monkeypatch.setattr(
-        "eitskin.messaging.reachability.runtime_folders", lambda: [endpoints.runtime_folders()[0], other]
-    )
-    publisher = Publisher(f"ipc://{other}/frames")
-    try:
-        assert f"a runtime publishes on {publisher.endpoint}: name that endpoint" in said_to(None)
     finally:
         publisher.close()
 
@@ -126,27 +83,6 @@ def test_skins_of_a_robot_are_named_with_what_shows_one_and_all(alone):
         "'eitskin status --all'"
     ) in text
     assert "--port" not in text
-
-
-def test_whoever_asks_a_robot_as_one_runtime_is_told_of_its_skins(alone):
-    (alone / "left").mkdir()
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as control:
-        control.bind(f"{alone}/left/control")
-        control.listen()
-        with pytest.raises(ControlError, match=f"skins run: left; see one with 'eitskin status ipc://{alone}/left/con"):
-            request(f"ipc://{alone}/control", "status", timeout_s=0.05)
-
-
-def test_skins_whose_sockets_lie_elsewhere_are_not_forgotten(alone):
-    (alone / "robot.json").touch()
-    assert "'eitskin run --config' runs skins: 'eitskin status --all' says which" in said_to(None)
-
-
-def test_a_skin_of_a_robot_that_is_gone_is_started_with_the_robot(session, monkeypatch):
-    monkeypatch.setattr("eitskin.messaging.reachability.runtime_folders", list)
-    (session / "robot.json").touch()
-    with pytest.raises(ControlError, match=r"Start it with: eitskin run --config ROBOT\.toml"):
-        request(f"ipc://{session}/left/control", "status", timeout_s=0.05)
 
 
 def test_a_port_where_nobody_listens_is_told_from_one_with_a_listener(session):

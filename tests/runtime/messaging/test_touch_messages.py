@@ -9,7 +9,6 @@ import pytest
 import eitskin
 from eitskin.errors import FrameError, NoFrame
 from eitskin.messaging.frame import unpack_frame
-from eitskin.messaging.frame_message import LastMessage
 from eitskin.touches.surface import Surface
 from eitskin.touches.watch import TouchWatch
 from eitskin_proto.skin.skin import PAPER
@@ -65,16 +64,6 @@ def test_a_touch_message_is_the_frame_without_its_map(packer, packed):
         unpack_frame(alone.replace(b"\xa1v\x02", b"\xa1v\x01"), 0)
 
 
-def test_without_touches_a_message_is_what_it_was_and_says_so(packer, packed):
-    before = bytes(packer.message())
-    packer.put_touches(packed)
-    packer.put_touches(None)
-    assert bytes(packer.message()) == before
-    with pytest.raises(FrameError, match=r"no touches: ask for them by subscribe\(\.\.\., touches=True\)"):
-        _ = unpack_frame(before, 0).touches
-    assert LastMessage().asked == (True, False, False)
-
-
 def test_each_gets_what_it_asked_for_and_nobody_else_is_disturbed(publisher, packer, packed):
     assert not publisher.asked.touches
     with eitskin.subscribe(publisher.endpoint, mode="all", timeout_s=60) as plain:
@@ -100,21 +89,9 @@ def test_each_gets_what_it_asked_for_and_nobody_else_is_disturbed(publisher, pac
         wait_for(publisher, lambda: not publisher.asked.touches)
 
 
-def test_only_touches_need_no_frames(publisher):
-    with eitskin.subscribe(publisher.endpoint, maps=False):
-        wait_for(publisher, lambda: publisher.wanted)
-        assert publisher.asked == (False, True, True)
-
-
 def test_an_older_runtime_is_named(publisher, packer):
     with eitskin.subscribe(publisher.endpoint, mode="all", touches=True, timeout_s=1.0) as frames:
         wait_for(publisher, lambda: publisher.wanted)
         send(publisher, packer, 1)
         with pytest.raises(NoFrame, match="1 came without touches: the runtime is older"):
             frames.next_frame()
-
-
-def test_maps_that_are_not_wanted_cannot_be_cut():
-    for more in ({"region_mm": (0, 0, 10, 10)}, {"skip_unchanged": True}):
-        with pytest.raises(ValueError, match="maps=False takes no maps at all"):
-            eitskin.subscribe("ipc:///tmp/none", maps=False, **more)

@@ -1,17 +1,10 @@
 """No number that is slow to compute reaches the arithmetic, whatever a cloud, a prediction or a bundle holds."""
 
-from types import SimpleNamespace
-
 import numpy as np
-import pytest
 
-from eitskin.model.buffers import Buffers
-from eitskin.model.bundle import load_bundle
-from eitskin.model.denormals import SMALLEST, flushed, is_small
-from eitskin.model.engine import ProjectionEngine
+from eitskin.model.denormals import SMALLEST, flushed
 from eitskin.model.gate import Gate
 from eitskin.model.onnx_graph import GRAPH, INITIALISER, content, fields_of, without_small_weights
-from eitskin_proto.skin.skin import PAPER
 
 DENORMAL = np.float32(1e-40)
 
@@ -46,42 +39,6 @@ def test_a_networks_denormal_weights_are_0_before_it_is_loaded(tiny):
     assert DENORMAL.tobytes() not in mended
     assert len(mended) == len(model)
     assert sum(a != b for a, b in zip(mended, damaged, strict=True)) <= 8
-
-
-@pytest.mark.parametrize("labels", ["area", "units"])
-def test_a_shipped_network_is_loaded_as_it_is(labels):
-    from eitskin.model.bundle import default_path
-
-    bundle = load_bundle(default_path(labels))
-    for name in (name for name in bundle.files if name.endswith(".onnx")):
-        model = bundle.files[name]
-        assert without_small_weights(model) is model
-    assert not is_small(bundle.tikhonov()).any()
-
-
-def test_what_is_no_network_is_left_for_onnx_runtime_to_refuse(tiny):
-    model = with_tiny_weights(tiny.files["head.onnx"])
-    for length in range(0, len(model), 7):
-        assert len(without_small_weights(model[:length])) == length
-    rng = np.random.default_rng(0)
-    for _ in range(300):
-        noise = rng.bytes(int(rng.integers(0, 60)))
-        assert len(without_small_weights(noise)) == len(noise)
-
-
-def test_a_projections_denormals_are_0_also_after_rows_were_taken_out():
-    matrix = np.full((1350, 104), 0.5, dtype=np.float32)
-    matrix[::2] = DENORMAL
-    bundle = SimpleNamespace(tikhonov=lambda: matrix, bias_width=8, beside={}, skin=PAPER)
-    buffers = Buffers(bundle)
-    engine = ProjectionEngine(bundle, buffers)
-    buffers.change[0] = 1e6
-    for change in (lambda whole: whole, lambda whole: whole - whole + DENORMAL):
-        engine.change_matrix(change)
-        engine.infer()
-        assert not is_small(buffers.map).any()
-        assert not buffers.map[0, ::2].any()
-    assert not buffers.map.any()
 
 
 def test_a_gates_denormal_weights_count_as_0(tiny):

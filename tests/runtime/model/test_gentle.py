@@ -12,7 +12,7 @@ from eitskin.model import gentle
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import graphs_of, load_bundle
 from eitskin.model.engine import engines, solvers
-from eitskin.model.gentle import EDGES_PX, FIRM, RAMP, SURE, VERY_WIDE, WINDOW_MM, GentleEngine, edges_px
+from eitskin.model.gentle import EDGES_PX, SURE, GentleEngine, edges_px
 from eitskin.model.geometry import GeometryGraph
 from eitskin_proto.skin.skin import PAPER
 
@@ -67,21 +67,6 @@ def test_between_the_bounds_either_map_has_its_share_without_a_jump():
         np.testing.assert_allclose(whole, expected.ravel(), atol=1e-3)
 
 
-@pytest.mark.parametrize("skin_shape", [(30, 45), (1, 45), (7, 3)])
-def test_what_is_shown_is_the_most_in_any_window(skin_shape):
-    rng = np.random.default_rng(3)
-    values = rng.random(skin_shape, dtype=np.float32)
-    skin = SimpleNamespace(grid=SimpleNamespace(shape=skin_shape, size_mm=(150.0, 100.0)))
-    one = GentleEngine(SimpleNamespace(name="own"), SimpleNamespace(), values.reshape(1, -1), skin)
-    down, across = (
-        min(max(1, round(WINDOW_MM * count / side)), count)
-        for count, side in zip(skin_shape, (100.0, 150.0), strict=True)
-    )
-    windows = np.lib.stride_tricks.sliding_window_view(values, (down, across))
-    expected = windows.sum(axis=(2, 3)).max() * 15000.0 / values.size
-    assert one.shown_mm2() == pytest.approx(float(expected), rel=1e-5)
-
-
 def blob(side_px, width_px, at=(15.0, 22.0)):
     """A map of a square touch whose edges are logistic."""
     found = 1.0
@@ -99,15 +84,6 @@ def test_a_straight_edge_is_as_wide_as_it_is(width_px, axis):
     assert edges_px(edge) == pytest.approx(width_px, rel=0.06), "0.3 is less than pixels resolve"
 
 
-def test_a_firm_touch_with_sharp_edges_asks_nobody():
-    sharp = blob(4.0, 0.1)
-    assert edges_px(sharp) < EDGES_PX[0]
-    one, whole, ran = engine(sharp, blob(6.0, 0.1))
-    one.infer()
-    assert ran == ["own"]
-    assert np.array_equal(whole, sharp.ravel())
-
-
 def test_a_firm_touch_with_wide_edges_is_drawn_by_the_network_that_shows_it_much_larger():
     own, other = blob(4.0, 0.5), blob(6.0, 0.3)
     assert edges_px(own) > EDGES_PX[1]
@@ -116,46 +92,6 @@ def test_a_firm_touch_with_wide_edges_is_drawn_by_the_network_that_shows_it_much
     assert one.shown_mm2() > SURE[1], "it is firm"
     assert ran == ["own", "gentle"]
     np.testing.assert_allclose(whole, other.ravel(), atol=1e-6)
-
-
-def test_it_stays_as_it_is_where_the_other_network_shows_no_more():
-    own = blob(4.0, 0.5)
-    one, whole, ran = engine(own, blob(4.0, 0.4))
-    one.infer()
-    assert ran == ["own", "gentle"]
-    np.testing.assert_allclose(whole, own.ravel(), atol=1e-6)
-
-
-def test_a_map_that_is_not_finite_is_not_hidden_behind_the_other_network_s():
-    own = np.where(blob(4.0, 0.5) > 0.9, np.nan, blob(4.0, 0.5)).astype(np.float32)
-    one, whole, ran = engine(own, blob(6.0, 0.3))
-    one.infer()
-    assert ran == ["own"]
-    assert np.isnan(whole).any()
-
-
-def test_a_head_that_is_there_for_its_speed_does_not_ask():
-    own = blob(4.0, 0.5)
-    one, whole, ran = engine(own, blob(6.0, 0.3), asks=False)
-    one.infer()
-    assert ran == ["own"]
-    assert np.array_equal(whole, own.ravel())
-
-
-@pytest.mark.parametrize(("touches", "width_px"), [(1, 0.4), (2, 0.4), (1, 0.6), (1, 0.9)])
-def test_how_much_larger_decides_by_degrees_and_sooner_the_wider_the_edges(touches, width_px):
-    own = np.maximum.reduce([blob(4.0, width_px, at) for at in ((15.0, 12.0), (15.0, 34.0))[:touches]])
-    ratios, shares = np.linspace(1.0, 3.0, 201), []
-    for more in ratios:
-        other = (float(more) * own.sum() / own.size) * np.ones_like(own)
-        one, whole, _ = engine(own, other)
-        one.infer()
-        shares.append(float((whole[0] - own[0, 0]) / (other[0, 0] - own[0, 0])))
-    one.own.infer()
-    (narrow, broad), least = VERY_WIDE
-    likely = np.interp(one.shown_mm2(), *FIRM)
-    likely += (least - likely) * np.clip((edges_px(own) - narrow) / (broad - narrow), 0.0, 1.0)
-    np.testing.assert_allclose(shares, np.clip((ratios - likely) / RAMP + 0.5, 0.0, 1.0), atol=1e-3)
 
 
 @pytest.fixture

@@ -45,17 +45,6 @@ def test_the_shipped_gates_say_what_they_are_made_of(arrays):
     assert Filters.of(turned) is None
 
 
-def test_filters_of_presses_know_one_sign():
-    arrays = load_bundle(default_path(touches="lower")).gate_arrays()
-    assert arrays is None or Filters.of(arrays).one_sign
-
-
-def test_without_no_row_a_gate_is_what_it_was(arrays, first):
-    same, filters = Filters.of(arrays).without(first, np.zeros(N_ROWS, dtype=np.bool_))
-    assert filters.still == pytest.approx(Filters.of(arrays).still)
-    np.testing.assert_allclose(same, first, rtol=0, atol=1e-5 * np.abs(first).max())
-
-
 def test_without_rows_it_says_what_it_would_of_the_rows_that_its_own_gaussian_expects(arrays, first, drawn):
     filters = Filters.of(arrays)
     size, (weights, _) = filters.whitened, filters.without(first, LOST)
@@ -115,17 +104,3 @@ def test_a_gate_of_matched_filters_judges_as_the_layers_that_are_stored(arrays):
         assert gate.logit == pytest.approx(float(hidden @ stored["w3"] + stored["b3"]), rel=1e-4, abs=1e-3)
         assert touched == (gate.logit > gate.threshold)
         assert gate.logits(change[None])[0] == pytest.approx(gate.logit, rel=1e-5, abs=1e-4)
-
-
-def test_without_any_row_a_gate_has_nothing_to_say(arrays, first):
-    weights, fewer = Filters.of(arrays).without(first, np.ones(N_ROWS, dtype=np.bool_))
-    assert np.abs(weights).max() < 1e-3
-    assert 0.0 <= fewer.still < 1e-3
-
-
-def test_a_gate_of_another_kind_leaves_rows_to_who_fills_them_in():
-    arrays = {
-        "mean": np.zeros(2 * N_ROWS), "scale": np.ones(2 * N_ROWS), "w1": np.ones((2 * N_ROWS, 3)), "b1": np.zeros(3),
-        "w2": np.ones(3), "b2": np.zeros(1), "threshold": np.zeros(1),
-    }  # fmt: skip
-    assert not Gate(arrays).leave_out(LOST)

@@ -8,10 +8,9 @@ import pytest
 from eitskin.errors import BundleError, MismatchError
 from eitskin.model import skin_in_use
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.skin_in_use import bundle_and_skin, knowing
-from eitskin_proto.skin.skin import PAPER
+from eitskin.model.skin_in_use import bundle_and_skin
 from eitskin_proto.skin.toml import named
-from eitskin_proto.skin.touch_kind import TOUCH_KINDS, knows, together
+from eitskin_proto.skin.touch_kind import TOUCH_KINDS
 
 
 def saying(source, path, touches):
@@ -57,16 +56,6 @@ def test_shipped_bundles_are_found_by_labels_and_touches():
         default_path("area", "press")
 
 
-def test_the_skin_s_touches_choose_the_shipped_bundle(shipped):
-    with pytest.raises(BundleError, match=r"no shipped bundle knows touches that lower conductance: .*build"):
-        bundle_and_skin(None, named("hydrogel"))
-    press = shipped("press.eitskin", "lower")
-    for skin, expected in ((named("hydrogel"), "press"), (named("lab"), "free"), (PAPER, "free"), (None, "free")):
-        bundle, used = bundle_and_skin(None, skin)
-        assert (bundle.path.stem, used.grid_id) == (expected, PAPER.grid_id)
-    assert bundle_and_skin(press, PAPER)[1] is PAPER  # a bundle that was named is taken
-
-
 def test_a_named_bundle_that_would_miss_the_skin_s_presses_is_refused(shipped, tmp_path):
     shipped("press.eitskin", "lower")
     with pytest.raises(MismatchError, match=r"free\.eitskin: touches: found raise, expected lower, as .* hydrogel"):
@@ -77,11 +66,6 @@ def test_a_named_bundle_that_would_miss_the_skin_s_presses_is_refused(shipped, t
     assert bundle_and_skin(tmp_path / "free.eitskin", both)[1] is both
     shipped("free.eitskin", "both")
     assert bundle_and_skin(tmp_path / "free.eitskin", named("hydrogel"))[0].touch_kind == "both"
-
-
-def test_one_bundle_that_knows_both_serves_presses_too(shipped):
-    shipped("free.eitskin", "both")
-    assert knowing("lower").path.name == "free.eitskin"
 
 
 def test_touches_that_are_asked_for_choose_the_bundle_or_are_held_against_it(shipped):
@@ -108,18 +92,3 @@ def test_a_shipped_bundle_is_found_by_its_name_unless_a_file_has_it(tmp_path, mo
 @pytest.mark.parametrize(("word", "kind"), [("raising", "raise"), ("lowering", "lower")])
 def test_the_words_of_earlier_releases_are_read(tiny_path, tmp_path, word, kind):
     assert load_bundle(saying(tiny_path, tmp_path / "b.eitskin", word)).touch_kind == kind
-
-
-def test_a_named_bundle_that_knows_other_touches_is_refused(shipped, tiny_path):
-    with pytest.raises(MismatchError, match=r"tiny\.eitskin: touches: found raise, expected lower; name another"):
-        knowing("lower", tiny_path)
-    press = shipped("press.eitskin", "lower")
-    assert knowing("lower", press).path == press
-    with pytest.raises(MismatchError, match=r"touches: found lower, expected raise"):
-        knowing("raise", press)
-
-
-def test_touches_of_several_kinds():
-    assert together(["raise", "raise"]) == "raise"
-    assert together(["raise", "lower"]) == together(["both", "raise"]) == "both"
-    assert [knows(known, "lower") for known in TOUCH_KINDS] == [True, False, True]

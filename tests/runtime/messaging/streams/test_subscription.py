@@ -1,14 +1,12 @@
 """Streams from a publisher to subscribers: only what is asked for, numbered, and nothing taken from anybody else."""
 
-import itertools
-
 import msgpack
 import pytest
 import zmq
 
 import eitskin
-from eitskin.errors import EndpointError, NoFrame
-from eitskin.messaging.streams.envelope import FIRST_BYTE, NAMES, TOPICS
+from eitskin.errors import NoFrame
+from eitskin.messaging.streams.envelope import NAMES, TOPICS
 
 from ..publishing import send, wait_for
 from .test_bodies import CLOUD, CONDITIONS, STATE, WIRE
@@ -91,25 +89,6 @@ def test_a_subscriber_that_does_not_read_loses_messages_and_sees_how_many(publis
         assert streams.lost["wire"] == numbers[-1] - len(numbers) > 0
 
 
-def test_frames_go_on_and_who_takes_them_gets_nothing_of_a_stream(publisher, sending, packer):
-    with (
-        eitskin.subscribe(publisher.endpoint, timeout_s=60) as newest,
-        eitskin.subscribe(publisher.endpoint, "all", timeout_s=60) as frames,
-        eitskin.subscribe_streams(publisher.endpoint, timeout_s=60) as streams,
-    ):
-        wait_for(publisher, lambda: publisher.subscribers == 3 and sending.state)
-        for number in range(1, 31):
-            sending.send("wire", WIRE.body())
-            sending.send("cloud", CLOUD.body())
-            send(publisher, packer, number)
-        assert not sending.first
-        assert [next(frames).number for _ in range(30)] == list(range(1, 31))
-        assert frames.lost == frames.rejected == 0
-        assert newest.next_frame().number <= 30
-        items = list(itertools.islice(streams, 60))
-        assert [item.n for item in items[::2]] == list(range(1, 31))
-
-
 def test_one_message_that_is_kept_is_the_frame(publisher, sending, packer):
     context = zmq.Context()
     try:
@@ -146,33 +125,9 @@ def test_messages_that_are_none_are_counted_and_left(publisher, sending):
         assert streams.rejected == 2
 
 
-def test_all_streams_are_asked_for_at_once(tmp_path):
-    """Else a frame may come before its conditions are asked for, and they may have changed by then."""
-    context = zmq.Context()
-    server = context.socket(zmq.XPUB)
-    try:
-        server.bind(endpoint := f"ipc://{tmp_path}/f")
-        with eitskin.subscribe_streams(endpoint, timeout_s=60):
-            assert server.poll(60_000)
-            assert server.recv() == b"\x01" + FIRST_BYTE
-            assert not server.poll(0)
-    finally:
-        server.close(0)
-        context.term()
-
-
 def test_who_comes_later_makes_all_be_told_again(publisher, sending):
     with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60):
         wait_until_asked(publisher, NAMES)
         sending.joined = False
         with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60):
             wait_for(publisher, lambda: sending.joined)
-
-
-def test_senseless_wishes_are_refused():
-    with pytest.raises(ValueError, match="no stream"):
-        eitskin.subscribe_streams("ipc:///tmp/x", wire=False, clouds=False, state=False)
-    with pytest.raises(ValueError, match="timeout_s"):
-        eitskin.subscribe_streams("ipc:///tmp/x", timeout_s=0)
-    with pytest.raises(EndpointError):
-        eitskin.subscribe_streams("nonsense")
