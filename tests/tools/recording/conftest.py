@@ -12,7 +12,7 @@ from eitskin.messaging.streams import envelope
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
 from eitskin.messaging.streams.publisher import StreamPublisher
 from eitskin.messaging.streams.state import SkinState
-from eitskin.model.bundle import Bundle, load_bundle
+from eitskin.model.bundle import load_bundle
 from eitskin.reference.captured import Reference
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire.frames import Frame as WireScan
@@ -81,10 +81,10 @@ class Taker:
             self.items.append(STREAMS[found.name].of(body, n=found.number, run=found.run))
 
 
-def play(path: Path, bundle: Bundle, **options: Any) -> list[Any]:
+def play(path: Path, bundle: Path = TINY, **options: Any) -> list[Any]:
     """Return what a program gets of a recording that is played."""
     taker = Taker()
-    with Player(Script(path), ReplayOptions(paced=False, **options), bundle=bundle.path) as player:
+    with Player(Script(path), ReplayOptions(paced=False, **options), bundle=bundle) as player:
         for _ in player.skin.publish(taker):
             pass
     return taker.items

@@ -8,17 +8,15 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from eitskin import WireFrame
 from eitskin.messaging.curve_keys import make_keys
 from eitskin_tools import cli
 from eitskin_tools.recording.reader import Recording
 from eitskin_tools.recording.script import Script
 
-from .conftest import TINY, recorded
+from .conftest import TINY
 
 Capture = pytest.CaptureFixture[str]
 
@@ -72,25 +70,6 @@ def test_replay_names_a_damaged_client_key_before_all_else(tmp_path: Path, capsy
     named, ended = capsys.readouterr().err.splitlines()
     assert named.startswith(f"eitskin replay: {damaged} is left out: it holds no public key; copy the client's .key")
     assert "none.mcap" in ended
-
-
-def test_a_cut_recording_is_computed_to_where_it_ends_and_says_so(file: Path, capsys: Capture) -> None:
-    data = file.read_bytes()
-    file.write_bytes(data[:-200])
-    assert cli.main(["reinfer", str(file), "--bundle", str(TINY), "--json", "--quiet"]) == 0
-    out, err = capsys.readouterr()
-    assert "cut off" in err
-    assert err.count("\n") == 1
-    found = json.loads(out)
-    assert found["equal"] == found["published"] > 0
-    assert found["frames_per_s"] > 0
-
-
-def test_doctor_and_evaluate_read_a_recording(file: Path, capsys: Capture) -> None:
-    assert cli.main(["doctor", "--electrodes", "--recorded", str(file), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["frames"] > 14
-    assert len(found["electrodes"]) == 16
 
 
 @contextmanager
@@ -152,24 +131,6 @@ def test_killed_at_any_moment_it_leaves_a_file_that_lacks_no_frame_but_the_last_
     assert left[-1].frames > 0
     for number in range(3):
         assert Recording(tmp_path / f"k{number}.mcap").head
-
-
-def test_what_a_killed_recorder_left_is_told(tmp_path: Path, items: list[Any]) -> None:
-    """Files that cannot be read, and frames that are missing in the middle of a series, are found."""
-    from tests.faults.recorder_kill import left_in
-
-    wire = [one for one in items if isinstance(one, WireFrame)]
-    gone = {one.n for one in wire[70:73]}
-    recorder = recorded(
-        tmp_path / "a.mcap", [one for one in items if not (isinstance(one, WireFrame) and one.n in gone)], most_s=0.0
-    )
-    assert recorder.series is not None
-    newest_ns = wire[-1].read_ns + 500_000_000
-    left = left_in(recorder.series.files, newest_ns)
-    assert (left.frames, left.gaps, left.unreadable, left.between) == (len(wire) - 3, 3, 0, True)
-    assert left.missing_s == pytest.approx(0.5, abs=1e-6)
-    recorder.series.files[-1].write_bytes(b"")
-    assert left_in(recorder.series.files, newest_ns).unreadable == 1
 
 
 @pytest.mark.process

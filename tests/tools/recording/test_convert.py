@@ -16,7 +16,7 @@ from eitskin.messaging.streams.measured import WireFrame
 from eitskin.messaging.streams.state import SkinState
 from eitskin.reference.captured import stored
 from eitskin_tools import cli
-from eitskin_tools.recording.convert import Table, table_of, write_npz, write_parquet
+from eitskin_tools.recording.convert import table_of, write_npz, write_parquet
 from eitskin_tools.recording.layout import CLOUD as CLOUDS
 from eitskin_tools.recording.layout import MAP, STATE
 from eitskin_tools.recording.recorder import RecorderOptions
@@ -102,22 +102,6 @@ def test_parquet_has_the_same(with_maps: Path, tmp_path: Path) -> None:
     assert np.array([clouds[k] for k in sorted(clouds)], np.float32).tobytes() == table.clouds_mm.tobytes()
     assert found["cloud_mm"].null_count == 150 - len(table.clouds_mm)
     assert found.schema.metadata[b"serial"] == b"TEST-1"
-
-
-@pytest.mark.slow  # the same
-def test_parquet_of_very_many_clouds_can_be_read(with_maps: Path, tmp_path: Path) -> None:
-    pq = pytest.importorskip("pyarrow.parquet", reason="extra: parquet")
-    script = Script(with_maps)
-    table, count = table_of(script), 1500
-    columns = {name: np.resize(values, count) for name, values in table.columns.items()}
-    columns["cloud_index"] = np.arange(count)
-    clouds = np.random.default_rng(0).random((count, 3, 30, 45), np.float32)
-    many, volts = np.full((count, 104), np.nan), np.zeros((count, 104))
-    write_parquet(
-        tmp_path / "a.parquet", Table(columns, volts, volts[0], volts[:, 0] > 0, clouds, many, many, None, 0), script
-    )
-    found = pq.read_table(tmp_path / "a.parquet", columns=["cloud_mm"])["cloud_mm"]
-    assert found[count - 1].values.to_numpy().tobytes() == clouds[-1].tobytes()
 
 
 @pytest.mark.slow  # the same

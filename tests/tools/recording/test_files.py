@@ -202,53 +202,6 @@ def test_where_the_disk_is_full_the_file_is_ended_whole(tmp_path: Path, monkeypa
         assert summary.statistics.message_count == len(contents)
 
 
-def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path) -> None:
-    (tmp_path / "a.mcap").write_bytes(b"precious")
-    with pytest.raises(RecordingError, match="exists already"):
-        RecordingWriter(tmp_path / "a.mcap", HEAD)
-    assert (tmp_path / "a.mcap").read_bytes() == b"precious"
-
-
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [(b"", "is empty"), (b"PK\x03\x04 and more", "no MCAP file"), (b"\x89MCAP0\r\n", "before it says what it is")],
-)
-def test_what_is_no_recording_is_said_in_a_line(tmp_path: Path, content: bytes, says: str) -> None:
-    path = tmp_path / "a.mcap"
-    path.write_bytes(content)
-    with pytest.raises(RecordingError, match=says) as caught:
-        Recording(path)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_newer_version_and_another_programs_file_are_refused(tmp_path: Path) -> None:
-    from mcap.writer import Writer
-
-    for name, head, says in (
-        ("newer", {"format": "eitskin-recording", "version": "2"}, "version 2, this release reads up to 1"),
-        ("other", None, "another program's MCAP file"),
-    ):
-        path = tmp_path / f"{name}.mcap"
-        with path.open("wb") as stream:
-            writer = Writer(stream)
-            writer.start()
-            if head is not None:
-                writer.add_metadata("eitskin", head)
-            writer.finish()
-        with pytest.raises(RecordingError, match=says):
-            Recording(path)
-
-
-def test_a_chunk_that_claims_to_be_huge_is_left_out_and_not_unpacked(tmp_path: Path) -> None:
-    from mcap.records import Chunk
-
-    from eitskin_tools.recording.reader import LARGEST_CHUNK, _bytes_of
-
-    chunk = Chunk("zstd", b"", 0, 0, 0, LARGEST_CHUNK + 1)
-    with pytest.raises(ValueError, match="a chunk of"):
-        _bytes_of(chunk)
-
-
 @pytest.mark.parametrize("claimed", [1 << 40, (1 << 63) - 1, (1 << 64) - 1, 4000, 300])
 def test_a_length_within_a_chunk_that_is_beyond_it_ends_the_reading(tmp_path: Path, claimed: int) -> None:
     """Lengths stand in records as well as before them; the first ones are beyond any memory."""

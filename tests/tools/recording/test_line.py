@@ -1,10 +1,8 @@
 """A recording behind a line: the runtime greets it as it greets a device, and reads what was recorded."""
 
-import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -14,10 +12,10 @@ import eitskin
 from eitskin import Frame, WireFrame
 from eitskin.acquisition.device import Device
 from eitskin_proto.wire.frames import HEADER
-from eitskin_tools.recording.replay import Player, RecordedLine, ReplayOptions
+from eitskin_tools.recording.replay import RecordedLine
 from eitskin_tools.recording.script import Script
 
-from .conftest import TINY, Taker, hello, recorded, reference, scans
+from .conftest import TINY, Taker, hello, play, recorded, reference, scans
 
 
 def test_it_answers_the_handshake_and_sends_what_was_recorded_in_order() -> None:
@@ -76,45 +74,6 @@ def test_a_read_that_waits_is_woken_by_cancel() -> None:
     assert found == [b""]
 
 
-def test_a_signal_amid_a_read_leaves_nobody_waiting_for_ever() -> None:
-    """A signal's handler runs between any two instructions of the thread that reads, and calls ``cancel`` there."""
-    for number in range(10_000):
-        line = RecordedLine("it", hello(), lambda: iter(()))
-        line.write(b"")  # wakes the first wait: one more is to come
-        met: list[str] = []
-
-        def read(line: RecordedLine = line, at: int = number, met: list[str] = met) -> None:
-            left = at
-
-            def between(frame: FrameType, event: str, _: object) -> Any:
-                nonlocal left
-                frame.f_trace_opcodes = True
-                if event == "opcode" and (left := left - 1) == -1:
-                    sys.settrace(None)
-                    met.append(frame.f_code.co_name)
-                    line.cancel()
-                return between
-
-            sys.settrace(between)
-            assert line.read(0.002) == b""
-
-        thread = threading.Thread(target=read, daemon=True)
-        thread.start()
-        thread.join(30)
-        assert not thread.is_alive(), f"it hangs when cancelled amid {met}, instruction {number}"
-        if not met:  # it was over before
-            break
-    assert number > 100
-
-
-def play(path: Path, **options: Any) -> list[Any]:
-    taker = Taker()
-    with Player(Script(path), ReplayOptions(paced=False, **options), bundle=TINY) as player:
-        for _ in player.skin.publish(taker):
-            pass
-    return taker.items
-
-
 def test_a_program_sees_what_it_saw_then(file: Path, items: list[Any]) -> None:
     again = [item for item in play(file) if isinstance(item, Frame)]
     then = [item for item in items if isinstance(item, Frame)]
@@ -143,8 +102,3 @@ def test_what_is_played_can_be_recorded_and_is_the_same(file: Path, tmp_path: Pa
     assert [step.cloud and step.cloud.cloud.tobytes() for step in one] == [
         step.cloud and step.cloud.cloud.tobytes() for step in two
     ]
-
-
-def test_a_bundle_that_is_not_there_is_asked_for(file: Path) -> None:
-    with pytest.raises(eitskin.SkinError, match="name it with --bundle FILE"):
-        Player(Script(file))

@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from eitskin_proto.errors import MismatchError
-from eitskin_tools.recording.layout import CLOUD, WIRE, RecordingError
+from eitskin_tools.recording.layout import CLOUD, WIRE
 from eitskin_tools.recording.script import Script, Step
 from eitskin_tools.recording.seek import ChunkIndex, SeekableRecording
 
@@ -89,17 +88,3 @@ def test_the_index_says_which_chunks_have_clouds(chunked: Path) -> None:
     clouds = places.having(CLOUD.topic)
     assert 0 < len(clouds) < len(places.having(WIRE.topic))
     assert all(any(entry.topic == CLOUD.topic for entry in places.read(number)) for number in clouds)
-
-
-def test_without_frames_or_of_another_protocol_it_is_refused(tmp_path: Path, items: list[Any]) -> None:
-    from dataclasses import replace
-
-    from eitskin import SkinState
-
-    states = [item for item in items if isinstance(item, SkinState)]
-    recorded(tmp_path / "none.mcap", states)
-    with pytest.raises(RecordingError, match="holds no frame of the wire"):
-        SeekableRecording(tmp_path / "none.mcap")
-    recorded(tmp_path / "other.mcap", [replace(one, protocol_id="0123456789abcdef") for one in states])
-    with pytest.raises(MismatchError, match="protocol_id"):
-        SeekableRecording(tmp_path / "other.mcap")

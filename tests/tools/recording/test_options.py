@@ -89,14 +89,6 @@ def test_reinfer_compares_another_bundle_with_the_one_that_is_named_as_running(s
     assert said.startswith("against what was running, 45 frames: ")
 
 
-def test_reinfer_of_the_named_bundle_that_ran_is_held_against_what_was_published(short: Path, capsys: Capture) -> None:
-    assert cli.main(["reinfer", str(short), "--recorded-bundle", str(TINY), "--json", "--quiet"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["equal"] == found["published"] == 45
-    assert found["as_recorded"] is True
-    assert "other_bundle" not in found
-
-
 def test_reinfer_without_the_bundle_that_ran_says_that_it_compares_with_nothing(short: Path, capsys: Capture) -> None:
     words = ["reinfer", str(short), "--bundle", str(default_path()), "--quiet"]
     assert cli.main([*words, "--json"]) == 0
@@ -106,16 +98,6 @@ def test_reinfer_without_the_bundle_that_ran_says_that_it_compares_with_nothing(
     assert cli.main(words) == 0
     (said,) = capsys.readouterr().out.splitlines()[1:]
     assert said == "compared with nothing: name the bundle that was running with --recorded-bundle"
-
-
-def test_reinfer_draws_what_it_computed(file: Path, tmp_path: Path, capsys: Capture) -> None:
-    pytest.importorskip("matplotlib")
-    picture = tmp_path / "maps.png"
-    words = ["reinfer", str(file), "--bundle", str(TINY), "--plot", str(picture), "--quiet", "--json"]
-    assert cli.main(words) == 0
-    assert picture.read_bytes()[:4] == b"\x89PNG"
-    found = json.loads(capsys.readouterr().out)
-    assert found["equal"] == found["published"] > 0
 
 
 def test_a_picture_that_cannot_be_written_is_said_before_anything_is_computed(

@@ -78,7 +78,7 @@ def test_the_recording_has_drift_a_lost_electrode_and_touches(drifted: list[Any]
 
 def test_a_program_sees_the_same_maps_drift_and_electrodes(tmp_path: Path, bundle: Bundle, drifted: list[Any]) -> None:
     recorded(tmp_path / "a.mcap", drifted)
-    items = play(tmp_path / "a.mcap", bundle)
+    items = play(tmp_path / "a.mcap", bundle.path)
     then, again = of(drifted, Frame), of(items, Frame)
     assert len(then) == FRAMES - REFERENCE
     assert [told(one) for one in again] == [told(one) for one in then]
@@ -96,7 +96,7 @@ def test_without_what_was_published_states_tell_of_drift_and_events(
     tmp_path: Path, bundle: Bundle, drifted: list[Any]
 ) -> None:
     recorded(tmp_path / "w.mcap", [item for item in drifted if not isinstance(item, Frame)])
-    then, again = of(drifted, Frame), of(play(tmp_path / "w.mcap", bundle), Frame)
+    then, again = of(drifted, Frame), of(play(tmp_path / "w.mcap", bundle.path), Frame)
     assert all(one.map.tobytes() == other.map.tobytes() for one, other in zip(again, then, strict=True))
     assert [one.electrodes for one in again] == [one.electrodes for one in then]
     events = {event for item in of(drifted, SkinState) for event in item.events}
@@ -112,7 +112,7 @@ def test_a_part_begins_with_the_drift_and_the_electrodes_of_then(
     recorded(tmp_path / "a.mcap", drifted)
     script = Script(tmp_path / "a.mcap")
     begin_s = 1e-9 * (list(script.steps())[220].log_ns - script.first_ns)
-    again = of(play(tmp_path / "a.mcap", bundle, from_s=begin_s), Frame)
+    again = of(play(tmp_path / "a.mcap", bundle.path, from_s=begin_s), Frame)
     then = {frame.sequence: frame for frame in of(drifted, Frame)}
     assert 0 < len(again) <= 61
     for frame in again:

@@ -113,22 +113,6 @@ def test_the_file_is_whole_the_line_is_one_and_the_stream_loses_nothing(
     assert other.numbers == list(range(other.numbers[0], other.numbers[0] + len(other.numbers)))
 
 
-def test_a_disk_that_fills_up_over_many_files_leaves_them_all_whole(stream: tuple[str, Other], tmp_path: Path) -> None:
-    """One reserve serves them all."""
-    endpoint, other = stream
-    status, said, left = recorded_on(RESERVE_BYTES + 600_000, endpoint, tmp_path, "--maps", "--rotate-mb", "0.1")
-    assert status == 1
-    assert len(said) == 1, said
-    assert "the disk is full" in said[0]
-    paths = sorted(left.iterdir())
-    assert len(paths) > 2
-    assert all(is_whole(path) for path in paths)
-    numbers = sorted(step.frame.n for path in paths for step in Script(path).steps())
-    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-    other.takes_more(MORE)
-    assert other.numbers == list(range(other.numbers[0], other.numbers[0] + len(other.numbers)))
-
-
 def test_a_disk_without_room_for_the_reserve_is_said_at_once_and_left_empty(
     stream: tuple[str, Other], tmp_path: Path
 ) -> None:
