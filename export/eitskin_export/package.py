@@ -17,9 +17,7 @@ import onnx
 from eitskin.pipeline.frame_pipeline import STRONG_VALUE
 from eitskin_export import consistency, graphs, parity
 from eitskin_export.bundle import projection_bytes, write
-from eitskin_export.bundle import read as read_bundle
 from eitskin_export.fold import split
-from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.cloud import network_input
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import Skin
@@ -234,42 +232,6 @@ def export(
         "gate": touch_gate.facts(),
         "held_out": metrics["held_out"],
     }
-
-
-def refit_gate(
-    found: Trained,
-    data: TrainingData,
-    path: Path,
-    *,
-    tell: Callable[[str], None] = lambda _: None,
-    bends: GiveBends | None = None,
-    gate_steps: int | None = None,
-) -> dict[str, Any]:
-    """Fit a bundle's gate once more, leave all else as it is, and return its new id and the gate's facts.
-
-    Args:
-        found: The run that the bundle was made from; its stored gate is replaced too.
-        data: Its data set.
-        path: The bundle; replaced in one rename.
-        tell: Told what is being done.
-        bends: Gives the untouched sheets for a gate that must be made up; None solves them.
-        gate_steps: Steps that such a gate is fitted for; None takes the usual ones.
-
-    Raises:
-        MismatchError: The bundle is of another data set.
-        SkinError: It is no whole bundle.
-    """
-    files, facts, skin = read_bundle(path)
-    if facts["data_digest"] != data.digest:
-        raise MismatchError(
-            f"{path}: data set", found=facts["data_digest"], expected=data.digest, hint="name the run it was made from"
-        )
-    own = gate_of_run(found.folder, data, found.seed, tell=tell, anew=True, bends=bends, steps=gate_steps)
-    tell("auditing the gate")
-    pixels = audit_pixels(files["geometry.onnx"], files["head.onnx"], own.bends.measure, data.reference, skin.grid)
-    touch_gate = own.gate.audited(pixels)
-    identity = write(path, {**files, "gate.npz": touch_gate.to_npz()}, {**facts, "gate": touch_gate.facts()}, skin)
-    return {"bundle": identity, "path": str(path), "gate": touch_gate.facts()}
 
 
 def held_out_inputs(data: TrainingData) -> tuple[parity.Array, parity.Array, parity.Array]:

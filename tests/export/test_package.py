@@ -149,22 +149,6 @@ def test_a_card_grows_without_touching_the_graphs(exported: tuple[Path, dict[str
     assert after.manifest["metrics"] == {**before.manifest["metrics"], "phantoms": {"one": 1.0}}
 
 
-def test_a_gate_is_fitted_again_and_all_else_stays(
-    run: Path, exported: tuple[Path, dict[str, Any]], data: TrainingData, tmp_path: Path
-) -> None:
-    copy = tmp_path / "copy.eitskin"
-    copy.write_bytes(exported[0].read_bytes())
-    found = run_files.trained(run)
-    result = package.refit_gate(found, data, copy, bends=bends_of, gate_steps=20)
-    before, after = load_bundle(exported[0]), load_bundle(copy)
-    assert after.id == result["bundle"] != before.id
-    assert after.manifest["gate"] == result["gate"] != before.manifest["gate"]
-    changed = {name for name in before.files if before.files[name] != after.files[name]}
-    assert changed == {"gate.npz"}
-    with pytest.raises(MismatchError, match="data set: found toy, expected other"):
-        package.refit_gate(found, replace(data, digest="other"), copy, bends=bends_of, gate_steps=20)
-
-
 def test_a_changed_bundle_is_not_amended(exported: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     files, facts, skin = bundle.read(exported[0])
     broken = tmp_path / "broken.eitskin"

@@ -17,7 +17,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--phantoms", action="append", default=[], metavar="FILE", help="score these too and write it on the card"
     )
     parser.add_argument("--seeds", type=int, default=3, help="noise draws of each phantom (default 3)")
-    parser.add_argument("--gate-only", action="store_true", help="fit the gate of the bundle FILE again, and no more")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -38,10 +37,6 @@ def run(arguments: argparse.Namespace) -> int:
         files.find(path, files.PHANTOMS)
     found = trained(Path(arguments.run_folder))
     data = data_of(found, arguments.data)
-    if arguments.gate_only:
-        with Stages() as tell:
-            refitted = package.refit_gate(found, data, out, tell=tell)
-        return _report_gate(refitted, as_json=arguments.json)
     with Stages() as tell:
         result = package.export(found, data, out, tell=tell)
     if arguments.phantoms:
@@ -64,14 +59,6 @@ def run(arguments: argparse.Namespace) -> int:
     for name, noises in result.get("phantoms", {}).items():
         scores = ", ".join(f"{noise} CC {entry['mean']['cc']:.4f}" for noise, entry in noises["vd2t"].items())
         print(f"phantoms of {name}: {scores}")
-    return 0
-
-
-def _report_gate(result: dict[str, Any], *, as_json: bool) -> int:
-    if as_json:
-        print(json.dumps(result))
-    else:
-        print(f"{result['path']}: bundle {result['bundle']}\n{_gate_line(result['gate'])}")
     return 0
 
 

@@ -28,13 +28,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--snr-db", type=float, default=50.0, metavar="DB", help="signal to noise ratio (default 50)")
     parser.add_argument(
         "--fault", action="append", default=[], metavar="KIND[@START][/EVERY][:AMOUNT]",
-        help="repeatable; KIND: flip drop garbage zeros stall burst unplug reset saturate foreign mute late twice "
+        help="repeatable; KIND: flip drop garbage stall unplug reset saturate foreign mute late twice "
         "frozen stuck failing",
     )  # fmt: skip
     parser.add_argument("--serial-number", default="VIRTUAL-0001", help="what HELLO says (default VIRTUAL-0001)")
-    parser.add_argument(
-        "--clock-us", type=int, default=0, metavar="US", help="device clock at boot; near 2^32 it wraps soon"
-    )
     parser.add_argument("--log", type=Path, metavar="FILE", help="write what happens there, one JSON object a line")
     parser.add_argument("--wire-times", type=Path, metavar="FILE.npy", help="write the host time of every frame there")
     parser.add_argument("--json", action="store_true", help="say port and clock as one JSON object")
@@ -49,8 +46,6 @@ def run(arguments: argparse.Namespace) -> int:
     if not 0.0 < arguments.rate <= 1e5:
         raise UsageError(f"--rate is {arguments.rate:g}; expected above 0 frames/s")
     options.check_positive(arguments, "seconds")
-    if not 0 <= arguments.clock_us < 1 << 32:
-        raise UsageError(f"--clock-us is {arguments.clock_us}; expected 0 to {(1 << 32) - 1}")
     if arguments.scene is not None and arguments.touches is not None:
         raise UsageError("--touches is what the script's touches do; those of --scene are as it says: leave it out")
     options.check_snr(arguments.snr_db)
@@ -77,7 +72,6 @@ def run(arguments: argparse.Namespace) -> int:
             snr_db=arguments.snr_db,
             faults=faults,
             serial_number=arguments.serial_number,
-            first_us=arguments.clock_us,
             json=arguments.json,
             log=arguments.log,
             wire_times=arguments.wire_times,

@@ -3,8 +3,7 @@
 A fault is written ``KIND[@START][/EVERY][:AMOUNT]``, times in seconds since the first START::
 
     flip@2:3        three bits of the packet after 2 s          garbage@2:500   500 random bytes before a packet
-    drop@2/0.1:10   ten bytes lost, every 0.1 s from 2 s on     zeros@2:3       three delimiters between packets
-    stall@2:0.5     no scan for 0.5 s                           burst@2:0.2     holds 0.2 s back, then sends it
+    drop@2/0.1:10   ten bytes lost, every 0.1 s from 2 s on     stall@2:0.5     no scan for 0.5 s
     unplug@2:0.5    the cable is out for 0.5 s                  reset@2         reboots in the middle of a packet
     saturate@2:5    five rows at full scale for one scan        twice@2:1       every answer comes twice for 1 s
     frozen@2:5      the same samples again for 5 s              failing@2:5     FRONT_END_FAILED instead of scans, 5 s
@@ -22,7 +21,7 @@ from typing import Final
 import numpy as np
 
 AMOUNTS: Final[dict[str, float]] = {
-    "flip": 1, "drop": 1, "garbage": 64, "zeros": 2, "stall": 0.5, "burst": 0.1, "unplug": 0.5, "reset": 0,
+    "flip": 1, "drop": 1, "garbage": 64, "stall": 0.5, "unplug": 0.5, "reset": 0,
     "saturate": 1, "foreign": 0, "mute": 1.0, "late": 0.2, "twice": 1.0, "frozen": 1.0,
     "stuck": 1.0, "failing": 1.0,
 }  # fmt: skip
@@ -127,7 +126,7 @@ class FaultPlayer:
         self.injected.append(Injected(fault.kind, time_s, detail))
 
     def damage(self, packet: bytes, fault: Fault, time_s: float) -> bytes:
-        """Return what a line makes of a packet: its bytes after a fault of kind flip, drop, garbage or zeros."""
+        """Return what a line makes of a packet: its bytes after a fault of kind flip, drop or garbage."""
         amount = max(int(fault.amount), 1)
         match fault.kind:
             case "flip":
@@ -138,8 +137,6 @@ class FaultPlayer:
             case "garbage":
                 noise = self._rng.integers(0, 256, amount, dtype=np.uint8).tobytes()
                 damaged, detail = noise + packet, f"{amount} bytes before"
-            case "zeros":
-                damaged, detail = bytes(amount) + packet, f"{amount} delimiters before"
             case _:
                 return packet
         self.note(fault, time_s, detail)

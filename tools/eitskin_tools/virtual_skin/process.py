@@ -119,8 +119,6 @@ class Options:
     snr_db: float = 50.0
     faults: tuple[Fault, ...] = ()
     serial_number: str = "VIRTUAL-0001"
-    first_us: int = 0
-    """What the device clock shows at boot."""
     json: bool = False
     log: Path | None = None
     wire_times: Path | None = None
@@ -155,7 +153,7 @@ def _build(options: Options, stack: ExitStack) -> SkinServer:
     log = stack.enter_context(options.log.open("w", buffering=1)) if options.log else None
     times = wire_times(options.wire_times, WIRE_CAPACITY) if options.wire_times else None
     port = stack.enter_context(PtyPort())
-    identity = Identity(options.serial_number, FOREIGN_ID if player.foreign else PROTOCOL_ID, options.first_us)
+    identity = Identity(options.serial_number, FOREIGN_ID if player.foreign else PROTOCOL_ID)
     device = VirtualDevice(ScriptSource(script, solved, noise), configuration, perf_counter_ns(), identity)
 
     def write(event: dict[str, Any]) -> None:

@@ -108,10 +108,8 @@ class SkinServer:
         self._log = log or (lambda _: None)
         self._clock = clock
         self._deadline_ns = 0.0
-        self._held: list[bytes] = []
         self._late: list[tuple[int, bytes]] = []
         self._resume_ns = 0
-        self._release_ns = 0
         self._replug_ns = 0
         self._logged = 0
         self._boots = device.boots
@@ -141,7 +139,7 @@ class SkinServer:
 
     def next_ns(self) -> int:
         """Return when :meth:`turn` has something to do, on the host's clock; 0 if only the host's bytes can tell."""
-        moments = [self._release_ns, self._replug_ns, self.device.next_ns]
+        moments = [self._replug_ns, self.device.next_ns]
         moments += [due for due, _ in self._late[:1]]
         if self.device.streaming:
             moments.append(max(math.ceil(self._deadline_ns), self._resume_ns))  # rounded down, it would be too early
@@ -162,10 +160,6 @@ class SkinServer:
             self._tell("plug", now)
         if self.port.unsent:
             self.port.flush()
-        if self._release_ns and now >= self._release_ns:
-            self._release_ns = 0
-            self.port.write_all(b"".join(self._held), ANSWER_TIMEOUT_S)
-            self._held.clear()
         while self._late and now >= self._late[0][0]:
             self.port.write_all(self._late.pop(0)[1], ANSWER_TIMEOUT_S)
         self._listen(now)
@@ -220,9 +214,6 @@ class SkinServer:
             packet = self._play(fault, packet, time_s)
         if not packet:
             return
-        if self._release_ns:
-            self._held.append(packet)
-            return
         before_ns = self._clock()
         self._note(sequence, before_ns)  # first: whoever has a frame finds its time, also if this process ends at once
         if self.port.write(packet):
@@ -242,8 +233,6 @@ class SkinServer:
             case "stall":
                 self._resume_ns = now + lasts_ns
                 self._deadline_ns = self._resume_ns + self.device.period_ns
-            case "burst":
-                self._release_ns = now + lasts_ns
             case "unplug":
                 self.port.unplug()
                 self._replug_ns = now + lasts_ns

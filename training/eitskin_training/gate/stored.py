@@ -70,7 +70,6 @@ def gate_of_run(
     seed: int,
     *,
     tell: Callable[[str], None] = lambda _: None,
-    anew: bool = False,
     bends: GiveBends | None = None,
     steps: int | None = None,
 ) -> RunGate:
@@ -81,7 +80,6 @@ def gate_of_run(
         data: Its data set.
         seed: Its seed.
         tell: Told what is being done, where there is something to do.
-        anew: Fit it even if there is one.
         bends: Gives the untouched sheets; None solves hundreds (:func:`eitskin_training.gate.untouched.solved_bends`).
         steps: Steps that it is fitted for; None takes ``fit.STEPS``.
 
@@ -89,7 +87,7 @@ def gate_of_run(
         SkinError: No bends are held out.
     """
     expected = made_of(data, seed)
-    stored = None if anew else _read(folder / NAME, expected)
+    stored = _read(folder / NAME, expected)
     if stored is not None:
         return stored
     tell("gate: solving untouched sheets")
