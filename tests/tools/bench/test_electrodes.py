@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.tools.studies.study import study
 
 from eitskin.diagnostics.electrode_checkup import ADVICE, UNKNOWN, Recording, check_up, load_recording
 from eitskin.errors import BadReference
@@ -22,7 +21,6 @@ from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Rect
 from eitskin_tools.bench import electrodes as bench
-from eitskin_tools.bench import skip
 from eitskin_tools.cli import main
 
 pytestmark = pytest.mark.heavy
@@ -171,32 +169,6 @@ def squares(bend: Bend) -> np.ndarray:
         scene = Scene(bend=bend, touches=(touch,), element_size_mm=bench.ELEMENT_MM)
         found.append(factorise_scene(scene).voltages())
     return np.log(np.array(found) / measure(flat(), table=TABLE))
-
-
-@pytest.mark.slow
-def test_the_gate_keeps_its_rate_without_electrodes_and_sees_more_than_with_the_networks_rows(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    gate_bench = study("gate_without_electrodes")
-    bent = skip.bends_of("A", 1)[0]
-    few = {gate_bench.UNTOUCHED: np.concatenate([skip.still("A", 5), skip.still("B", 5)])}
-    few |= dict.fromkeys(gate_bench.TOUCHES, np.concatenate([squares(Bend()), squares(bent)]))
-    monkeypatch.setattr(
-        gate_bench, "_logs", lambda bends, probed: few
-    )  # the bench's own touches take ten times as long
-    gate = load_bundle(default_path("area")).gate_arrays()
-    if gate is None:
-        pytest.skip("the shipped bundle has no gate; 'eitskin export' makes one")
-    rows = gate_bench.honest(dict(gate), consistency(), ("N2",), 50.0, most_sets=3)
-    assert [row["lost"] for row in rows] == [0, 1, 1, 2, 2, 3, 3]
-    runtime = [row for row in rows if row["lost"] and "runtime" in row["rows"]]
-    shared = [row for row in rows if row["lost"] and "runtime" not in row["rows"]]
-    # 480 frames of one electrode gone: at a true 1 % five trip it; frames of a bend trip it together, hence the room
-    assert all(row["false_alarms"] < 0.06 for row in runtime)
-    missed = [[row["missed 10 mm, middle"] for row in rows] for rows in (runtime, shared)]
-    assert rows[0]["missed 10 mm, middle"] == 0.0
-    assert all(one < 0.2 for one in missed[0])
-    assert sum(missed[0]) < 0.5 * sum(missed[1])
 
 
 @pytest.mark.parametrize("lost", [(), (3,), (0, 9), (2, 3), (1, 6, 11)])
