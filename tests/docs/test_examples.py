@@ -43,14 +43,6 @@ def test_touches_come_without_maps(example, runtime):
         assert "facing " in program.until("touch 1 at")
 
 
-def test_the_command_prints_touches(start, runtime):
-    words = ("-m", "eitskin_tools.cli", "subscribe", runtime.frames, "--touches", "--mode", "all")
-    with start(*words) as program:
-        _, touch, number, born = program.until(" born").split()
-        assert (touch, int(number) > 0, born) == ("touch", True, "born"), "numbers go on from subscriber to subscriber"
-        assert "facing" in program.until("mm2")
-
-
 def test_frames_are_read_without_eitskin_installed(example, runtime, tmp_path):
     (tmp_path / "eitskin.py").write_text("raise ModuleNotFoundError('eitskin is not installed here')\n")
     with example("without_eitskin.py", runtime.frames, PYTHONPATH=str(tmp_path)) as program:
@@ -62,12 +54,6 @@ def test_a_robot_goes_stops_where_it_is_touched_and_stops_when_it_is_blind(examp
         robot.until("go")
         robot.until("stop")
         assert "mm, y" in robot.until("touched at")
-
-
-def test_a_robot_without_a_runtime_is_blind_and_stops(example, tmp_path):
-    with example("react.py", f"ipc://{tmp_path}/nobody") as robot:
-        robot.until("blind")
-        robot.until("stop")
 
 
 def test_a_robot_acts_on_verified_touches_alone(example, tmp_path):
@@ -131,18 +117,6 @@ def robot(start, skin, tmp_path_factory):
         with start("-m", "eitskin_tools.cli", "run", "--config", folder / "robot.toml") as program:
             assert "forearm, hand" in program.until("ready 2 of 2 skins publish")
             yield folder / "robot.toml"
-
-
-def test_a_robot_s_file_is_looked_at_before_it_is_run(start, robot):
-    with start("-m", "eitskin_tools.cli", "run", "--config", robot, "--check") as program:
-        program.until("forearm: /")
-        assert "at 120 0 610 mm" in program.until("hand: /")
-
-
-def test_all_skins_say_how_they_are(start, robot):
-    with start("-m", "eitskin_tools.cli", "status", "--all", robot.parent / "sockets") as asked:
-        assert "frames/s" in asked.until("forearm: ")
-        assert "frames/s" in asked.until("hand: ")
 
 
 def test_all_skins_are_felt_in_one_loop(example, robot):

@@ -3,8 +3,6 @@
 Each sentence below is made of the code's own constants, and must stand in SPEC.md as it is made.
 """
 
-import os
-import stat
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +10,6 @@ import pytest
 
 from eitskin import frame_loop, frame_record, stream_source
 from eitskin.acquisition import greeting
-from eitskin.errors import EndpointError
 from eitskin.health import drift, electrodes
 from eitskin.messaging import control, control_commands, curve_keys, endpoints, frame, publish, regions
 from eitskin.messaging.control_commands import REFERENCE_FRAMES
@@ -187,23 +184,6 @@ def test_the_channels_are_numbered_in_the_order_of_their_table():
     assert list(layout.TOPICS) == list(range(1, len(layout.CHANNELS) + 1))
     at = [FLAT.index(f"| `{topic}` |") for topic in layout.TOPICS.values()]
     assert at == sorted(at)
-
-
-def test_the_folder_is_the_sessions_and_stands_in_tmp_without_one(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    assert endpoints.default_publish() == f"ipc://{tmp_path}/eitskin/frames"
-    assert endpoints.default_control() == f"ipc://{tmp_path}/eitskin/control"
-    assert stat.S_IMODE((tmp_path / "eitskin").stat().st_mode) == 0o700
-    fallback = f"/tmp/eitskin-{os.getuid()}"
-    for names_no_folder in ("", str(tmp_path / "nowhere")):
-        monkeypatch.setenv("XDG_RUNTIME_DIR", names_no_folder)
-        assert str(endpoints.runtime_folders()[0]) == fallback
-    monkeypatch.delenv("XDG_RUNTIME_DIR")
-    assert str(endpoints.runtime_folders()[0]) == fallback
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    (tmp_path / "eitskin").chmod(0o755)
-    with pytest.raises(EndpointError, match="no folder of ours alone"):
-        endpoints.default_publish()
 
 
 def test_the_files_of_keys_are_called_and_look_as_stated(tmp_path):

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.emulator.device_core import OK, CoreDeframer, FrameState, packet
+from tests.emulator.device_core import OK, CoreDeframer, packet
 
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.wire import config_toml, framing, messages
 from eitskin_proto.wire.config import Configuration
-from eitskin_proto.wire.frames import Frame, full_scale
-from eitskin_proto.wire.scan_rows import drive_count, row_count
+from eitskin_proto.wire.frames import full_scale
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "wire.json").read_text())
 CANARY = b"\xa5" * 16
@@ -117,26 +116,6 @@ def test_both_decoders_accept_the_same_messages(junk, name, data):
     for candidate in (junk, changed, bytes(payload) + junk, payload[:1] + junk):
         raw = bytes(candidate)
         assert (library().eit_message_check(raw, len(raw)) == OK) == python_accepts(raw)
-
-
-def test_rows_and_drives_are_counted_alike(core):
-    for drives in [*range(0, 0x10000, 97), 0xFFFF, 0xC000, 1]:
-        for full in (False, True):
-            assert core.eit_row_count(full, drives) == row_count(full, drives)
-            assert core.eit_drive_count(full, drives) == drive_count(full, drives)
-
-
-@pytest.mark.parametrize("name", [name for name in GOLDEN["messages"] if name.startswith("frame")])
-def test_frames_are_read_alike(core, name):
-    payload = bytes.fromhex(GOLDEN["messages"][name]["payload"])
-    frame, state = Frame.unpack(payload), FrameState()
-    assert core.eit_frame_get_header(payload, len(payload), ctypes.byref(state)) == OK
-    for field, _ in FrameState._fields_:
-        expected = len(frame.counts) if field == "rows" else getattr(frame, field)
-        assert getattr(state, field) == expected
-    assert [
-        core.eit_frame_get_sample(payload, frame.sample_bytes, r) for r in range(state.rows)
-    ] == frame.counts.tolist()
 
 
 @pytest.mark.parametrize("width", [2, 3, 4])

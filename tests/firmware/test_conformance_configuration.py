@@ -119,13 +119,6 @@ def test_a_rollback_ends_a_trial_for_good(asked):
     assert asked.restart(9).generation == 2
 
 
-def test_an_expired_session_no_longer_shows_what_it_wrote(clocked):
-    clocked.ask(begin(token=5))
-    assert clocked.ask(m.ConfigRead(slot=Slot.OTHER)).data[:4] == b"\xff\xff\xff\xff"
-    clocked.listen(10.1)
-    assert clocked.ask(m.ConfigRead(slot=Slot.OTHER)).code == Code.NO_PREVIOUS
-
-
 def test_nothing_is_changed_while_streaming(asked):
     asked.ask(m.Start(1))
     for request in (begin(), m.ConfigRollback(9, 0)):

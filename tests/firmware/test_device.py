@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.wire import framing, messages
@@ -116,26 +115,6 @@ def test_the_clock_may_wrap_while_it_streams(device):
     [answer] = [m for m in talk(device, messages.Stop(), messages.TimeRequest(tag=77)) if isinstance(m, messages.Time)]
     assert answer.tag == 77
     assert answer.device_us < 60_000
-
-
-@pytest.mark.parametrize(
-    ("payload", "code"),
-    [(b"\x7f\x05", Code.UNKNOWN_TYPE), (b"\x80\x05", Code.UNKNOWN_TYPE), (b"\x02\x05", Code.BAD_LENGTH),
-     (b"\x01\x05EITX\x01\x00", Code.BAD_VALUE)],
-)  # fmt: skip
-def test_a_bad_request_is_answered_with_what_is_wrong(device, payload, code):
-    device.write(framing.encode(payload))
-    device.run(100)
-    [answer] = [messages.unpack(p) for p in framing.Deframer().feed(device.take())]
-    assert (answer.request, answer.tag, answer.code) == (payload[0], 5, code)
-
-
-def test_garbage_is_not_answered_and_the_next_request_is(device):
-    rng = np.random.default_rng(0)
-    device.write(rng.integers(0, 256, 5000, dtype=np.uint8).tobytes())
-    device.run(1000)
-    assert device.take() == b""
-    assert isinstance(talk(device, messages.HelloRequest())[0], messages.Hello)
 
 
 def test_the_count_of_dropped_scans_wraps_as_the_specification_says(device):

@@ -7,7 +7,7 @@ import pytest
 
 from eitskin_proto.sensor.table import FULL_TABLE
 from eitskin_proto.wire import config_toml, messages
-from eitskin_proto.wire.codes import Code, FrameFlag, HelloFlag, Slot
+from eitskin_proto.wire.codes import Code, FrameFlag
 from eitskin_proto.wire.frames import Frame
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange, Refused, Silent
@@ -42,38 +42,6 @@ def test_streams_carry_the_generation_and_the_full_table_after_a_change(device):
     assert frames[0].counts.tolist() == [int(counts[k, m]) >> 8 for k, m in FULL_TABLE]
 
 
-def test_without_a_confirmation_the_next_boot_goes_back(device):
-    exchange = Exchange(device)
-    procedure.write(exchange, PAPER)
-    blob = FAST.to_blob()
-    for request in (begin(), messages.ConfigWrite(5, 0, blob[:32]), messages.ConfigWrite(5, 32, blob[32:]),
-                    messages.ConfigCommit(5, FAST.digest), messages.Restart(5)):  # fmt: skip
-        assert ack(device, request).code == Code.OK
-    device.run(30_000)
-    tried = exchange.hello()
-    assert (tried.configuration_name, tried.flags) == ("fast", HelloFlag.TRIAL)
-    frames = [m for m in talk(device, messages.Start(frames=1), run_us=9000) if isinstance(m, Frame)]
-    assert frames[0].flags & FrameFlag.TRIAL
-    device.boot()
-    back = exchange.hello()
-    assert (back.configuration_name, back.generation, back.flags) == ("paper", 1, HelloFlag.ROLLED_BACK)
-
-
-def test_a_trial_that_nobody_confirms_ends_by_itself_after_30_s(device):
-    exchange = Exchange(device)
-    blob = FAST.to_blob()
-    for request in (begin(), messages.ConfigWrite(5, 0, blob[:32]), messages.ConfigWrite(5, 32, blob[32:]),
-                    messages.ConfigCommit(5, FAST.digest), messages.Restart(5)):  # fmt: skip
-        assert ack(device, request).code == Code.OK
-    device.run(30_000)
-    assert exchange.hello().flags & HelloFlag.TRIAL
-    assert ack(device, begin(6)).code == Code.NOT_CONFIRMED
-    device.run(29_000_000, step_us=10_000)
-    assert exchange.hello().flags & HelloFlag.TRIAL
-    device.run(1_500_000, step_us=10_000)
-    assert exchange.hello().flags == HelloFlag.ROLLED_BACK | HelloFlag.FACTORY
-
-
 def test_rolling_back_returns_to_the_configuration_before(device):
     exchange = Exchange(device)
     with pytest.raises(procedure.FlashError, match="no earlier configuration"):
@@ -86,93 +54,11 @@ def test_rolling_back_returns_to_the_configuration_before(device):
     assert procedure.write(exchange, PAPER).generation == 3  # a number is not given twice
 
 
-def test_a_second_flasher_is_told_how_long_to_wait_until_the_lock_expires(device):
-    assert ack(device, begin(token=5)).code == Code.OK
-    refused = ack(device, begin(token=6))
-    assert refused.code == Code.BUSY
-    assert 9_900 <= refused.detail <= 10_000
-    for request in (messages.ConfigWrite(6, 0, b"1234"), messages.ConfigCommit(6, 1), messages.Restart(6),
-                    messages.ConfigAbort(6), messages.ConfigRollback(6, 0)):  # fmt: skip
-        assert ack(device, request).code == Code.BUSY
-    device.run(9_000_000, step_us=10_000)
-    assert ack(device, messages.ConfigWrite(5, 0, FAST.to_blob()[:32])).code == Code.OK  # speaking keeps the lock
-    device.run(9_000_000, step_us=10_000)
-    assert ack(device, begin(token=6)).code == Code.BUSY
-    device.run(1_100_000, step_us=10_000)
-    assert ack(device, messages.ConfigVerify(5)).code == Code.NO_SESSION
-    assert ack(device, begin(token=6)).code == Code.OK
-    assert ack(device, messages.ConfigAbort(6)).code == Code.OK
-    assert ack(device, begin(token=5)).code == Code.OK
-
-
 def test_a_lock_that_expired_stays_so_when_the_clock_has_come_round(device):
     assert ack(device, begin(token=5)).code == Code.OK
     for _ in range(43):  # 2^32 us are 71.6 minutes
         device.run(100_000_000, step_us=1_000_000)
     assert ack(device, begin(token=6)).code == Code.OK
-
-
-@pytest.mark.parametrize(
-    ("changes", "code", "detail"),
-    [
-        ({"hardware_id": 7}, Code.WRONG_HARDWARE, FAST.hardware_id),
-        ({"format": 2}, Code.BAD_FORMAT, 1),
-        ({"size": 65}, Code.TOO_LARGE, 64),
-        ({"token": 0}, Code.BAD_VALUE, 0),
-        ({"name": "paper", "revision": 0}, Code.DOWNGRADE, 1),
-        ({"name": "paper", "revision": 0, "allow_downgrade": 1}, Code.OK, 64),
-        ({"name": "other", "revision": 0}, Code.OK, 64),
-    ],
-)
-def test_begin_refuses_what_must_not_be_written(device, changes, code, detail):
-    answer = ack(device, begin(**changes))
-    assert (answer.code, answer.detail) == (code, detail)
-
-
-def test_begin_is_refused_while_streaming(device):
-    talk(device, messages.Start())
-    assert [m.code for m in talk(device, begin()) if isinstance(m, messages.Ack)] == [Code.STREAMING]
-
-
-def test_chunks_must_follow_each_other_and_may_be_repeated(device):
-    blob = FAST.to_blob()
-    assert ack(device, messages.ConfigWrite(5, 0, blob[:32])).code == Code.NO_SESSION
-    assert ack(device, begin()).code == Code.OK
-    assert ack(device, messages.ConfigWrite(5, 4, blob[4:8])).code == Code.BAD_OFFSET
-    assert ack(device, messages.ConfigWrite(5, 0, blob[:3])).code == Code.BAD_VALUE
-    assert ack(device, messages.ConfigWrite(5, 0, blob[:32])).detail == 32
-    assert ack(device, messages.ConfigWrite(5, 0, blob[:32])).detail == 32  # the answer was lost, say
-    assert ack(device, messages.ConfigWrite(5, 0, blob[32:])).code == Code.BAD_OFFSET
-    assert ack(device, messages.ConfigVerify(5)).code == Code.INCOMPLETE
-    assert ack(device, messages.ConfigCommit(5, FAST.digest)).code == Code.INCOMPLETE
-    assert ack(device, messages.ConfigWrite(5, 32, blob[32:])).code == Code.OK
-    assert ack(device, messages.ConfigWrite(5, 64, blob[:4])).code == Code.BAD_OFFSET
-    assert ack(device, messages.ConfigCommit(5, FAST.digest ^ 1)).code == Code.DIGEST_MISMATCH
-    verified = ack(device, messages.ConfigVerify(5))
-    assert (verified.code, verified.detail) == (Code.OK, FAST.digest)
-    first, second = (ack(device, messages.ConfigCommit(5, FAST.digest)) for _ in range(2))
-    assert (first.code, first.detail) == (second.code, second.detail) == (Code.OK, 1)
-
-
-def test_a_blob_that_means_nothing_is_not_committed(device):
-    for change, code in (({"hardware_id": 99}, Code.WRONG_HARDWARE), ({"rate_mHz": 900_000}, Code.RATE_TOO_HIGH),
-                         ({"gain": 5}, Code.INVALID_CONFIGURATION)):  # fmt: skip
-        wrong = replace(FAST, **change)
-        blob = wrong.to_blob()
-        assert ack(device, begin(digest=wrong.digest)).code == Code.OK
-        for at in (0, 32):
-            assert ack(device, messages.ConfigWrite(5, at, blob[at : at + 32])).code == Code.OK
-        assert ack(device, messages.ConfigCommit(5, wrong.digest)).code == code
-    device.boot()
-    assert Exchange(device).hello().flags == HelloFlag.FACTORY
-
-
-def test_a_configuration_is_only_read_where_there_is_one(device):
-    assert ack(device, messages.ConfigRead(slot=Slot.OTHER)).code == Code.NO_PREVIOUS
-    for wrong in (messages.ConfigRead(slot=2), messages.ConfigRead(offset=60, length=8), messages.ConfigRead(length=0)):
-        assert ack(device, wrong).code == Code.BAD_VALUE
-    [piece] = talk(device, messages.ConfigRead(tag=8, offset=60, length=4))
-    assert (piece.tag, piece.total, piece.data) == (8, 64, PAPER.digest.to_bytes(4, "little"))
 
 
 def test_confirming_another_generation_is_refused(device):

@@ -41,14 +41,6 @@ def test_a_deflated_member_that_is_longer_than_it_claims_is_damaged_and_takes_no
         members(lying)["bomb"].read(1000)
 
 
-def test_an_encrypted_member_is_refused():
-    stream = bytearray(archive())
-    for at in (stream.index(b"PK\3\4") + 6, stream.index(b"PK\1\2") + 8):
-        stream[at] |= 1  # the flag that says so
-    with pytest.raises(BadArchiveError, match=r"a\.txt is damaged: .*encrypted"):
-        members(bytes(stream))["a.txt"].read(100)
-
-
 def test_every_shortened_and_every_damaged_archive_is_an_error_of_this_kind_or_reads_the_same():
     whole = archive(zipfile.ZIP_DEFLATED)
     rng = np.random.default_rng(0)

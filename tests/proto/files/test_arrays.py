@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eitskin_proto.files.arrays import numbers, pack_arrays, parse_npy, parse_npz, read_npz, text
+from eitskin_proto.files.arrays import numbers, parse_npy, parse_npz, read_npz, text
 from eitskin_proto.files.reading import FileError
 
 
@@ -90,18 +90,6 @@ def test_a_directory_of_many_members_is_refused_before_it_is_read() -> None:
         parse_npz(out.getvalue(), 1 << 20)
 
 
-def test_arrays_of_objects_are_not_written():
-    with pytest.raises(ValueError, match="array 'a' holds objects"):
-        pack_arrays({"a": np.array([None])})
-
-
-@pytest.mark.parametrize("given", [np.ones((2, 3), np.float32), np.ones((2, 3), int), np.ones((2, 3), np.uint8)])
-def test_numbers_of_any_kind_become_float64(given):
-    found = numbers({"a": given}, "a", (None, 3))
-    assert found.dtype == np.float64
-    assert (found == given).all()
-
-
 @pytest.mark.parametrize(
     ("given", "shape", "message"),
     [
@@ -123,9 +111,3 @@ def test_what_is_no_such_array_is_named(given, shape, message):
 @pytest.mark.parametrize("given", [np.array("grün"), np.array(["grün"]), np.array("grün".encode())])
 def test_a_text_is_taken_as_it_was_saved(given):
     assert text({"a": given}, "a") == "grün"
-
-
-@pytest.mark.parametrize("given", [np.array(7), np.array(["a", "b"]), np.array([], "U1")])
-def test_what_is_no_single_text_is_named(given):
-    with pytest.raises(ValueError, match=r"a is .* of shape \(.*\), expected one text"):
-        text({"a": given}, "a")

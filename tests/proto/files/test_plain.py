@@ -29,15 +29,6 @@ def test_a_quoted_value_is_short_and_cannot_be_obeyed(value: object) -> None:
         assert len(text) < 100
 
 
-def test_a_number_of_thousands_of_digits_is_told_by_its_size() -> None:
-    assert quoted(10**5000) == "a number of 16610 bits"
-
-
-def test_a_text_is_stated_without_marks() -> None:
-    assert stated("feed") == "feed"
-    assert quoted("feed") == "'feed'"
-
-
 def test_a_device_with_escape_codes_in_its_name_is_refused_in_a_line_that_shows_them() -> None:
     hello = Hello((1, 0, 0), 1, "MARK-ONE", 7, 1, "paper", 200_000, 104, 3, 1e-7)
     payload = hello.pack().replace(b"MARK-ONE", b"\x1b[2Jskin")

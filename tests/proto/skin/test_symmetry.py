@@ -43,17 +43,6 @@ def test_two_images_or_one_are_left_where_electrodes_are_off():
     assert len(images(_with(alone))) == 1
 
 
-def test_sizes_and_impedances_count():
-    sizes = np.full(16, 4.0)
-    sizes[[0, 12]] = 5.0  # images in y
-    skin = replace(PAPER, electrodes=Ring(size_mm=Quantity(tuple(sizes))))
-    assert [(one.x, one.y) for one in images(skin)] == [(False, False), (False, True)]
-    impedances = np.full(16, 1e-4)
-    impedances[3] = 2e-4
-    skin = replace(PAPER, electrodes=Ring(contact_impedance_ohm_m2=Quantity(tuple(impedances))))
-    assert len(images(skin)) == 1
-
-
 def test_a_ring_that_is_off_by_millimetres_is_nearly_symmetric_and_has_the_images_of_the_even_one():
     off_mm = np.random.default_rng(5).uniform(-0.4, 0.4, 16) * NEAR_MM
     skin = _with(PAPER.arc_length_mm + off_mm)
@@ -62,13 +51,6 @@ def test_a_ring_that_is_off_by_millimetres_is_nearly_symmetric_and_has_the_image
     far = PAPER.arc_length_mm.copy()
     far[5] += 1.1 * NEAR_MM
     assert len(near_images(_with(far))) == 1
-
-
-@pytest.mark.parametrize("far", [(0, 8), (0, 12), (0, 4)])
-def test_two_near_mirrors_bring_the_third_which_lies_farther_off(far):
-    off_mm = np.zeros(16)  # the electrodes of one mirror's pair part by more, those of the others' by less
-    off_mm[list(far)] = (0.6 * NEAR_MM, -0.6 * NEAR_MM if far == (0, 8) else 0.6 * NEAR_MM)
-    assert near_images(_with(PAPER.arc_length_mm + off_mm)) == images(PAPER)
 
 
 def test_near_images_are_a_group_however_far_electrodes_are_off():

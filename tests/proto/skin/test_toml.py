@@ -64,12 +64,6 @@ def test_the_truth_values_of_earlier_releases_say_which_touches_there_are(lower,
     assert found.digest == parse(to_toml(found)).digest
 
 
-def test_an_error_names_the_file(tmp_path):
-    (tmp_path / "skin.toml").write_text(HEAD + "[layer]\nthickness_mm = 0\n")
-    with pytest.raises(ValueError, match=r"skin.toml: \[layer\] thickness_mm is 0"):
-        load(tmp_path / "skin.toml")
-
-
 def test_a_skin_that_does_not_come_with_the_package_is_refused():
     with pytest.raises(ValueError, match="skin 'gel' does not come with the package; paper, hydrogel, lab do"):
         named("gel")

@@ -1,4 +1,4 @@
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -6,10 +6,9 @@ from hypothesis import strategies as st
 
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.wire import config_toml, hardware
-from eitskin_proto.wire.config import BLOB_BYTES, Configuration, largest_line_rate_hz
-from eitskin_proto.wire.frames import frame_bytes
-from eitskin_proto.wire.framing import crc32c, wire_bytes
-from eitskin_proto.wire.scan_rows import drives_from_list, drives_to_list, row_count
+from eitskin_proto.wire.config import BLOB_BYTES, Configuration
+from eitskin_proto.wire.framing import crc32c
+from eitskin_proto.wire.scan_rows import row_count
 
 PAPER = config_toml.named("paper")
 BAUD_921600 = 92_160.0
@@ -76,25 +75,6 @@ def test_the_largest_rate_that_is_named_is_accepted_and_a_thousandth_more_is_not
     replace(quick, rate_mHz=largest).check(baud / 10)
     with pytest.raises(ValueError, match="reaches at most"):
         replace(quick, rate_mHz=largest + 1).check(baud / 10)
-
-
-def test_the_line_or_the_front_end_is_named_as_what_limits():
-    with pytest.raises(
-        ValueError, match=r"rate_Hz is 200\.0, but a line of 11520 bytes/s .* at most 31\.\d+ with 104 rows"
-    ):
-        PAPER.check(11_520)
-    with pytest.raises(ValueError, match=r"rate_Hz is 210\.0, but the front end reaches at most 203"):
-        replace(PAPER, rate_mHz=210_000).check()
-    with pytest.raises(ValueError, match=r"idle rate_Hz is 5000\.0"):
-        replace(PAPER, idle_rate_mHz=5_000_000).check(BAUD_921600)
-
-
-def test_a_line_carries_what_arithmetic_says():
-    # 104 rows of 32 bit: 20 + 416 + 13 bytes, 4 of check, 2 of stuffing, 1 delimiter = 456; ten bits a byte.
-    assert wire_bytes(frame_bytes(104, 4)) == 456
-    assert largest_line_rate_hz(104, 4, 11_520) == pytest.approx(0.95 * 11_520 / 456, rel=1e-12)
-    assert largest_line_rate_hz(104, 4, 0) == float("inf")
-    assert PAPER.scan_us() == 20 + 14 * (100 + 5 * 50)  # drives 14 and 15 have no row with drive < measure
 
 
 @pytest.mark.parametrize(
@@ -206,40 +186,3 @@ def test_a_mistake_in_a_file_is_named(tmp_path, old, new, text):
     file.write_text(TOML.replace(old, new))
     with pytest.raises(ValueError, match=rf"mine\.toml: .*{text}"):
         config_toml.load(file)
-
-
-def test_a_missing_table_is_named():
-    with pytest.raises(ValueError, match=r"\[drive\] lacks frequency_Hz, expected a whole number"):
-        config_toml.parse(TOML.replace("[drive]\nfrequency_Hz = 20000\ncurrent_uA = 1000\n", ""))
-
-
-def test_a_name_that_comes_with_the_package_needs_no_file(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert config_toml.load("paper") == PAPER
-    (tmp_path / "paper").write_text(TOML.replace("revision = 1", "revision = 5"))
-    assert config_toml.load("paper").revision == 5  # a file of that name comes first
-    with pytest.raises(OSError, match="nowhere"):
-        config_toml.load("nowhere.toml")
-    with pytest.raises(ValueError, match="'nowhere' does not come with the package"):
-        config_toml.named("nowhere")
-
-
-def test_drives_go_to_a_list_and_back():
-    for mask in (1, 0x8000, 0xFFFF, 0x0111):
-        assert drives_from_list(drives_to_list(mask)) == mask
-
-
-def test_json_keeps_the_names_of_fields_that_were_published() -> None:
-    found = PAPER.published()
-    assert (found["rate_millihertz"], found["idle_rate_millihertz"]) == (PAPER.rate_mHz, PAPER.idle_rate_mHz)
-    assert not {"rate_mHz", "idle_rate_mHz"} & set(found)
-    assert len(found) == len(fields(PAPER))
-
-
-def test_each_field_is_named_to_people_as_in_the_file_that_they_wrote():
-    text = config_toml.to_toml(config_toml.named("fast")).replace('"', "")
-    for field, value in config_toml.named("fast").published().items():
-        name, shown = config_toml.in_file(field, value)
-        assert f"{name.removeprefix('idle ')} = {shown}" in text or field == "skin", "which none is stated of"
-    assert config_toml.in_file("idle_rate_mHz", 20_000) == ("idle rate_Hz", 20.0)
-    assert config_toml.in_file("hardware_id", 7) == ("hardware", "0x00000007")
