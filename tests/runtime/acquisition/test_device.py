@@ -5,11 +5,11 @@ import pytest
 from eitskin.acquisition import device as devices
 from eitskin.acquisition.device import Device, check_usable
 from eitskin.acquisition.serial_port import SerialPort
-from eitskin.errors import HandshakeError, MismatchError, NotReady, ProtocolError
+from eitskin.errors import HandshakeError, MismatchError, NotReady
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.wire.codes import MessageType
 from eitskin_proto.wire.framing import Deframer, encode
-from eitskin_proto.wire.messages import Ack, Hello, Time
+from eitskin_proto.wire.messages import Ack, Time
 
 
 class Line:
@@ -68,13 +68,6 @@ def test_a_device_of_another_protocol_is_refused_with_found_expected_and_fix(vir
         line.close()
 
 
-def test_another_major_version_is_refused(hello):
-    packed = bytearray(hello.pack())
-    packed[6] = 9
-    with pytest.raises(ProtocolError, match=r"speaks protocol 9\.0, expected 1\.x"):
-        Device(Line(lambda _: [encode(bytes(packed))]))
-
-
 def test_silence_is_named(hasty):
     with pytest.raises(HandshakeError, match=r"did not answer within 0\.2 s"):
         Device(Line(lambda _: []))
@@ -83,19 +76,6 @@ def test_silence_is_named(hasty):
 def test_a_device_that_talks_nonsense_is_told_from_a_silent_one(hasty):
     with pytest.raises(HandshakeError, match=r"sends \d+ bytes that are no packets.*baud"):
         Device(Line(lambda _: [b"T: 23.5 C\r\n" * 3, b"\0more\0"]))
-
-
-def test_a_lost_request_is_repeated(hello, monkeypatch):
-    monkeypatch.setattr(devices, "RETRY_S", 0.01)
-    answers = iter([[], [], [encode(hello.pack())]])
-    line = Line(lambda _: next(answers))
-    assert Device(line).hello.serial_number == "TEST-1"
-    assert len(line.written) == 3
-
-
-def test_frames_of_an_older_stream_do_not_hide_the_hello(hello):
-    noise = [b"tail of a packet\0", encode(b"\x82" + bytes(40)), encode(hello.pack())]
-    assert Device(Line(lambda _: noise)).hello == hello
 
 
 @pytest.mark.parametrize(
@@ -121,14 +101,6 @@ def test_a_slow_line_of_ours_refuses_the_rate_and_says_the_largest(hello):
     with pytest.raises(HandshakeError, match="raise --baud"):
         check_usable(hello, 11520)
     check_usable(hello, 200_000)
-
-
-def test_every_shortened_hello_is_refused(hello, hasty):
-    whole = hello.pack()
-    for length in range(1, len(whole), 9):
-        with pytest.raises((ProtocolError, HandshakeError)):
-            Device(Line(lambda _, length=length: [encode(whole[:length])]))
-    assert Hello.unpack(whole) == hello
 
 
 class Changing(Line):
@@ -168,12 +140,6 @@ def test_every_hello_is_judged_like_the_first(hello, change, text):
     with pytest.raises(HandshakeError, match=text):
         device.recover()
     assert device.hello == hello
-
-
-def test_a_device_that_is_the_same_streams_on(hello):
-    line = Changing(hello)
-    Device(line).recover()
-    assert any(payload[0] == MessageType.START for data in line.written for payload in Deframer().feed(data))
 
 
 def test_who_leaves_waits_for_no_answer(hello):

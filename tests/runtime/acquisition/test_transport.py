@@ -1,10 +1,6 @@
 """A wrapped transport hides nothing of the one that it wraps."""
 
-import copy
-
-import pytest
-
-from eitskin.acquisition.transport import Transport, WrappedTransport
+from eitskin.acquisition.transport import WrappedTransport
 
 
 class Full:
@@ -47,27 +43,9 @@ def test_all_that_a_line_has_is_there_through_a_wrapped_one() -> None:
     assert line.done == [("read", 0.5), ("write", b"request"), ("cancel",), ("reopen",), ("close",)]
 
 
-def test_a_line_that_is_wrapped_twice_is_still_whole() -> None:
-    line = Full()
-    WrappedTransport(WrappedTransport(line)).reopen()
-    assert line.done == [("reopen",)]
-
-
 def test_what_the_line_does_not_have_is_not_there() -> None:
     class Plain:
         name, line_bytes_per_s = "plain", 0
 
     wrapped = WrappedTransport(Plain())  # type: ignore[arg-type]
     assert all(getattr(wrapped, name, None) is None for name in ("patience_s", "gone", "reopen", "_private"))
-
-
-def test_nothing_of_a_transport_is_left_to_chance() -> None:
-    """Its type checker would not see a member that only ``__getattr__`` passes on."""
-    members = {name for name in vars(Transport) if not name.startswith("_")}
-    assert members == {name for name in vars(WrappedTransport) if not name.startswith("_")}
-
-
-def test_one_that_is_not_made_yet_has_nothing_rather_than_no_end() -> None:
-    with pytest.raises(AttributeError, match="WrappedTransport has no _line"):
-        WrappedTransport.__new__(WrappedTransport).patience_s  # noqa: B018 -- asking is what is tested
-    assert copy.copy(WrappedTransport(Full())).name == "full"

@@ -54,15 +54,6 @@ def test_a_runtime_that_publishes_by_default_is_listed(machine, monkeypatch, tmp
         publisher.close()
 
 
-def test_ports_are_listed_with_their_usb_ids_and_a_healthy_one_needs_nothing(machine):
-    machine.ports = [serial("ttyUSB1", serial_number=None), serial("ttyACM0", vid=None)]
-    found = doctor.examine()
-    assert [(port["port"], port["id"], port["state"]) for port in found["ports"]] == [
-        ("/dev/ttyACM0", "", "usable"), ("/dev/ttyUSB1", "0403:6014", "usable"),
-    ]  # fmt: skip
-    assert not todo(found, "tty")
-
-
 def test_a_port_that_may_not_be_opened_names_the_group(machine):
     machine.ports, machine.denied = [serial("ttyUSB0")], {"/dev/ttyUSB0"}
     found = doctor.examine()
@@ -92,11 +83,6 @@ def test_usb_devices_are_listed_and_missing_permissions_name_the_rule(machine):
     assert not todo(found, "eitskin virtual-skin")
 
 
-def test_a_device_without_a_serial_number_cannot_be_told_from_another(machine):
-    machine.usb = [Found("", "/dev/bus/usb/001/005", True)]
-    assert todo(doctor.examine(), "two of them cannot be told apart")
-
-
 def test_a_machine_without_libusb_is_told_what_to_install(machine, monkeypatch):
     def none():
         raise TransportError("libusb is not installed: apt-get install libusb-1.0-0")
@@ -112,10 +98,3 @@ def test_a_device_is_greeted_and_what_it_lacks_is_said(virtual_skin):
     assert 0 < found["answer_ms"] < 1000
     assert any("exclusive" in line for line in found["line"])
     assert todo(found, f"'eitskin flash write paper --port {port}'")
-
-
-def test_a_device_that_answers_late_is_said_to(virtual_skin):
-    with virtual_skin(faults=["late@0:0.05"]) as port:
-        found = doctor.greet(port)
-    assert found["answer_ms"] >= 50
-    assert todo(found, "a latency timer")

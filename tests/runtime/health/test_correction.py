@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from eitskin.errors import BundleError
 from eitskin.health.correction import INPUTS, NAMES, Correction, Layers
 from eitskin.health.imputation import Imputation
 from eitskin_proto.sensor.row_gaussian import rows_of
@@ -79,13 +78,3 @@ def test_nothing_it_says_leaves_what_a_sheet_can_show(scale: float, value: float
 
 def _clipped(scale: float) -> dict[str, np.ndarray]:
     return {name: np.clip(scale * value.astype(np.float64), -6e4, 6e4) for name, value in arrays().items()}
-
-
-def test_what_holds_no_layers_has_no_correction_and_half_of_them_is_refused() -> None:
-    assert Layers.of({"mean": np.zeros(N_ROWS)}) is None
-    whole = arrays()
-    for name in NAMES:
-        with pytest.raises(BundleError, match="eitskin export"):
-            Layers.of({key: value for key, value in whole.items() if key != name})
-        with pytest.raises(BundleError, match=f"{name} found"):
-            Layers.of({**whole, name: np.full(whole[name].shape, np.nan)})

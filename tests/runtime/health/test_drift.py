@@ -112,16 +112,6 @@ def test_a_scan_that_contradicts_what_was_followed_is_not_believed():
     assert abs(drift.taken_out) < 1e-3
 
 
-def test_a_scan_takes_the_sheet_as_untouched_and_leaves_small_differences():
-    drift = followed()
-    show(drift, 0.0, 40)
-    show(drift, 0.1 * BENDS[0] + 0.2 * LEAST, RESTED, PREDICTION)
-    assert drift.known
-    assert abs(drift.taken_out) < 2e-3, "as much as a light touch could have"
-    show(drift, 0.1 * BENDS[0] + 0.2 * LEAST + 0.03, 40, PREDICTION)
-    assert drift.taken_out == pytest.approx(0.03, abs=2e-3)
-
-
 def test_a_touch_is_neither_followed_nor_scanned_away():
     touch = 0.3 * CAUSES[0] + 0.01
     for fresh in (True, False):
@@ -130,21 +120,6 @@ def test_a_touch_is_neither_followed_nor_scanned_away():
         assert not drift.known
         assert drift.taken_out == pytest.approx(0.0, abs=2e-4)
         np.testing.assert_allclose(corrected(drift, touch), touch, atol=2e-3)
-
-
-def test_nothing_is_followed_while_the_gate_says_touched():
-    drift = followed()
-    show(drift, 0.1, 100, touched=True)
-    assert drift.taken_out == 0.0
-
-
-def test_compensation_can_be_left_out_and_the_report_stays():
-    drift = followed(compensate=False)
-    show(drift, 0.1, 40)
-    assert drift.percent == pytest.approx(10.5, abs=0.1)
-    assert drift.taken_out == 0.0
-    assert corrected(drift, 0.1)[0] == pytest.approx(0.1, abs=1e-6)
-    assert not drift.summary()["taken_out"]
 
 
 @pytest.mark.parametrize(("predicted", "bend"), [(NO_PREDICTION, 1.0), (PREDICTION, 0.1)])
@@ -157,22 +132,6 @@ def test_before_anything_is_known_the_gaussian_says_what_it_can(predicted, bend)
     assert math.isnan(drift.uneven_percent)
 
 
-def test_a_new_reference_begins_anew():
-    drift = followed()
-    show(drift, 0.1, 40)
-    drift.restart(np.full(N_ROWS, NOISE), 100)
-    assert drift.taken_out == 0.0
-    assert expected_of_any_sheet(drift)
-    assert corrected(drift, 0.1)[0] == pytest.approx(0.1, abs=1e-6)
-
-
-def test_the_spread_of_few_frames_is_not_believed():
-    drift = Drift(consistency())
-    drift.restart(np.zeros(N_ROWS), 2, fresh=True)
-    show(drift, 0.01, 40)
-    assert drift.known
-
-
 GRADIENT = np.linspace(-0.05, 0.05, N_ROWS)
 
 
@@ -182,13 +141,6 @@ def test_an_untouched_sheet_that_no_factor_explains_is_called_uneven_once():
     assert drift.uneven
     assert expected_of_any_sheet(drift), "no number of its own stands for it"
     show(drift, 0.0, RESTED, PREDICTION)
-    assert not drift.uneven
-
-
-@pytest.mark.parametrize(("predicted", "touched"), [(PREDICTION, True), (NO_PREDICTION, False)])
-def test_what_may_be_a_touch_or_a_bend_is_not_called_uneven(predicted, touched):
-    drift = followed(fresh=False)
-    assert show(drift, GRADIENT, 2 * RESTED, predicted, touched=touched) == []
     assert not drift.uneven
 
 

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from tests.runtime.health.test_electrodes import NOISE, REFERENCE, consistency, detached, healthy
 
-from eitskin.health.drift import HOLD, Drift
 from eitskin.health.electrodes import WINDOW
-from eitskin.health.evidence import N_VOTES, PAIR_WRONG, Weigher
-from eitskin.health.monitor import DRIFT_TOGETHER, MOST_TOGETHER, TOGETHER, Health
+from eitskin.health.evidence import N_VOTES, Weigher
+from eitskin.health.monitor import MOST_TOGETHER, TOGETHER, Health
 from eitskin_proto.sensor.row_gaussian import rows_of
-from eitskin_proto.sensor.table import N_ROWS, TABLE
+from eitskin_proto.sensor.table import N_ROWS
 
 ALL = np.ones(16, dtype=np.bool_)
 NO_SCAN = np.zeros(N_ROWS, dtype=np.float32)
@@ -74,16 +73,6 @@ def test_a_frame_that_is_passed_over_quickly_would_have_surprised_nowhere():
     assert np.array_equal(weighs.evidence().surprise, surprise[0])
 
 
-def test_drift_is_the_same_one_by_one_and_together():
-    frames = np.expm1(0.1 + NOISE * np.random.default_rng(0).standard_normal((HOLD + 100, N_ROWS))).astype(np.float32)
-    alone, grouped = Drift(consistency()), Drift(consistency())
-    for frame in frames:
-        alone.look(frame, NO_SCAN, touched=False)
-    for first in range(0, len(frames), DRIFT_TOGETHER):
-        grouped.look(frames[first : first + DRIFT_TOGETHER], NO_SCAN, touched=False)
-    assert grouped.percent == pytest.approx(alone.percent, abs=0.03)
-
-
 def test_a_stream_has_its_failure_named_within_20_frames():
     health = Health(consistency())
     health.use(REFERENCE, NOISE * np.abs(REFERENCE))
@@ -108,19 +97,3 @@ def test_frames_are_looked_at_in_any_case_if_the_line_never_rests():
     assert must == [False] * TOGETHER + [True]
     assert not health.look(NO_SCAN)
     assert not health.due
-
-
-def test_a_short_is_seen_beneath_noise_that_reads_more_than_a_short_may():
-    rng, frames = np.random.default_rng(6), healthy(40)
-    rows = (TABLE == 7).any(axis=1)
-    frames[:, rows] = -0.9995 + 0.02 * rng.standard_normal((40, rows.sum())).astype(np.float32)
-    known = consistency()
-    seen = []
-    for sigma in (np.full(N_ROWS, NOISE), np.where(rows, 0.02, NOISE)):
-        precision = known.precision(np.maximum(sigma**2 - NOISE**2, 0.0))
-        weighing = Weigher(known.mean, precision, known.ratio_range, REFERENCE, sigma, known.thresholds)
-        votes = weighing.weigh(frames, frames, ALL)[:, PAIR_WRONG]
-        assert not np.delete(votes, 7, axis=1).any()
-        seen.append(float(votes[:, 7].mean()))
-    assert seen[0] < 0.3  # a device that is said to be quiet: sizes add up to 0.016, above 0.01
-    assert seen[1] > 0.6  # readings of either sign cancel, and what noise reads is taken off their sizes

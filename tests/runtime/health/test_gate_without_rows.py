@@ -72,19 +72,6 @@ def alarms(gate, gate_without_rows, changes):
     return tripped / len(changes)
 
 
-def test_many_frames_are_judged_as_each_by_itself(kind):
-    known, arrays = kind
-    gate = Gate(arrays)
-    changes = untouched(known, 50, QUIET).astype(np.float32)
-    changes[3:6, 7] = [-1.0, -2.0, 30.0]
-    single = []
-    for change in changes:
-        gate.change[:] = change
-        gate.touched()
-        single.append(gate.logit)
-    np.testing.assert_allclose(gate.logits(changes), single, rtol=2e-5, atol=2e-4)  # sums of float32 in another order
-
-
 @pytest.mark.parametrize("electrodes", [(5,), (0, 9)])
 def test_without_electrodes_the_gate_keeps_its_rate_of_false_alarms(kind, filters, electrodes):
     known, arrays = kind
@@ -128,36 +115,6 @@ def test_noise_is_no_touch_to_matched_filters_and_their_threshold_stays(filters)
     assert gate.threshold == gate.usual_threshold
     changes = untouched(known, 2000, sigma)
     assert alarms(gate, gate_without_rows, changes) < FALSE_ALARMS + 5 * np.sqrt(2 * FALSE_ALARMS / 2000)
-
-
-def test_thresholds_are_no_matter_of_luck_and_come_back_with_the_rows(distance):
-    known, arrays = distance
-    gate = Gate(arrays)
-    gate_without_rows = GateWithoutRows(known, gate, QUIET)
-    found = []
-    for _ in range(2):
-        gate_without_rows.leave_out(rows_of((3,)))
-        gate_without_rows.finish()
-        found.append(gate.threshold)
-    assert found[0] == found[1] != gate.usual_threshold
-    gate_without_rows.leave_out(np.zeros(N_ROWS, dtype=np.bool_))
-    assert gate.threshold == gate.usual_threshold
-    assert not gate_without_rows.due
-
-
-def test_the_threshold_is_set_while_the_line_rests_a_block_at_a_time(distance):
-    known, arrays = distance
-    gate, health = Gate(arrays), Health(known)
-    health.use(known.reference, 0.003 * np.abs(known.reference), gate)
-    assert not health.due
-    health.exclude((4,))
-    looks = 0
-    while health.due:
-        health.look(np.zeros(N_ROWS, dtype=np.float32))
-        looks += 1
-        assert looks < 2 * BLOCKS
-    assert looks >= BLOCKS
-    assert gate.threshold != gate.usual_threshold
 
 
 def test_a_later_reference_keeps_no_frame_waiting_and_its_threshold_comes_while_the_line_rests(distance):

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.errors import BundleError
-from eitskin.health.imputation import SHAPES, Consistency, Imputation, without_rows
+from eitskin.health.imputation import Imputation, without_rows
 from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ROWS
 
@@ -54,13 +53,6 @@ def test_a_bundle_cannot_have_a_row_filled_in_with_a_number_that_is_slow_to_comp
     assert not change.any()
 
 
-def test_nothing_missing_changes_nothing() -> None:
-    mean, covariance = gaussian()
-    change = np.linspace(-0.5, 0.5, N_ROWS, dtype=np.float32)
-    Imputation(mean, np.linalg.inv(covariance), RANGE).fill(change)
-    np.testing.assert_array_equal(change, np.linspace(-0.5, 0.5, N_ROWS, dtype=np.float32))
-
-
 @pytest.mark.parametrize("electrodes", [(0,), (7,), (3, 11), (1, 2, 3)])
 def test_a_projection_without_rows_equals_one_that_is_built_without_them(electrodes: tuple[int, ...]) -> None:
     rng = np.random.default_rng(0)
@@ -74,12 +66,3 @@ def test_a_projection_without_rows_equals_one_that_is_built_without_them(electro
     found = without_rows(whole.astype(np.float32), inverse, rows)
     np.testing.assert_allclose(found[:, ~rows], anew, atol=1e-6 * np.abs(anew).max())  # float32 in, float32 out
     assert not found[:, rows].any()
-
-
-def test_an_archive_that_lacks_an_array_is_refused_by_name() -> None:
-    arrays = {name: np.ones(shape) for name, shape in SHAPES.items()}
-    assert Consistency.of(arrays).thresholds.shape == (2,)
-    with pytest.raises(BundleError, match="thresholds found"):
-        Consistency.of({name: value for name, value in arrays.items() if name != "thresholds"})
-    with pytest.raises(BundleError, match="mean found"):
-        Consistency.of({**arrays, "mean": np.full(N_ROWS, np.nan)})

@@ -5,11 +5,9 @@ import time
 import numpy as np
 import pytest
 
-from eitskin.errors import BundleError
 from eitskin.health.electrodes import HEALTHY
 from eitskin.health.monitor import health_of
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.engine import ProjectionEngine
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
@@ -78,19 +76,6 @@ def test_a_row_that_does_not_stand_out_of_its_noise_is_filled_in_and_counted(wat
     assert not watching.record.touched
 
 
-def test_the_projection_has_no_column_of_a_missing_row(watching):
-    engine = next(one for one in watching.engines if isinstance(one, ProjectionEngine))
-    watching.buffers.map[:] = 0.0
-    watching.buffers.change[0] = rows_of((5,)).astype(np.float32)
-    engine.infer()
-    assert not watching.buffers.map.any()
-    watching.health.exclude(())
-    go(watching, np.full(104, 1000, dtype=np.int32), 1)
-    watching.buffers.change[0] = rows_of((5,)).astype(np.float32)
-    engine.infer()
-    assert watching.buffers.map.any()
-
-
 def test_what_changes_is_an_event_of_the_next_frame(watching, counts):
     go(watching, counts, 1)
     watching.health.exclude((5, 9))
@@ -104,12 +89,3 @@ def test_what_changes_is_an_event_of_the_next_frame(watching, counts):
     assert {"electrode:5:back", "electrode:9:back"} <= set(watching.record.events)
     assert not watching.health.lacks_rows
     assert HEALTHY > 5  # by hand it does not take a second
-
-
-def test_a_bundle_without_healthy_frames_says_so(tiny):
-    assert tiny.consistency_arrays() is None
-    assert health_of(tiny) is None
-    with pytest.raises(BundleError, match="excluding electrodes is not available"):
-        health_of(tiny, exclude=(3,))
-    with pytest.raises(BundleError, match="compensating drift is not available"):
-        health_of(tiny, compensate_drift=True)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eitskin.health.electrodes import HEALTHY, MOST_OUT
+from eitskin.health.electrodes import HEALTHY
 from eitskin.health.monitor import MOST_TOGETHER, health_of
 from eitskin.health.reciprocity import NEEDED, Reciprocity, electrode_gaps, row_gaps
 from eitskin.model.bundle import default_path, load_bundle
@@ -115,12 +115,3 @@ def test_the_stream_names_it_in_time_fills_it_in_and_takes_it_back(watching):
         assert frames < 2 * HEALTHY
     assert frames >= HEALTHY
     assert frames <= HEALTHY + 10 + MOST_TOGETHER  # the running mean first has to forget
-
-
-def test_no_more_than_can_be_filled_in_are_given_up(watching):
-    pipeline, _ = watching
-    watch = pipeline.health.electrodes
-    assert [watch.give_up(electrode) for electrode in range(MOST_OUT + 1)] == [True] * MOST_OUT + [False]
-    assert not watch.give_up(0)
-    watch.trust(0)
-    assert watch.give_up(9)

@@ -4,9 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eitskin.frame_loop import MOST_EVENTS
-from eitskin.pipeline.frame_pipeline import Pipeline
-from eitskin.reference.captured import Reference
 from eitskin_proto.wire.frames import Frame
 from eitskin_proto.wire.scan_rows import row_count
 
@@ -93,37 +90,6 @@ def test_lost_frames_resets_and_saturation_are_events_of_their_frame(pipeline, c
     assert pipeline.record.events == ()
 
 
-def test_a_reset_that_falls_on_a_stale_frame_is_told_by_the_next_and_its_clock_begins_anew(pipeline, counts):
-    hour_us = 3_600_000_000
-    for number in range(40):
-        assert go(pipeline, Frame(sequence=number, device_us=hour_us + 5000 * number, counts=counts).pack())
-    pipeline.intake.discard(payload(counts, 0))  # the device starts anew; nobody has time for this frame
-    assert go(pipeline, payload(counts, 1))
-    assert pipeline.record.events == ("device_reset", "withheld:stale")
-    assert abs(pipeline.record.scanned_ns - pipeline.record.stamps[0]) < 1_000_000_000
-
-
-def test_what_a_frame_that_is_withheld_would_have_said_the_next_one_says(pipeline, counts):
-    assert go(pipeline, payload(counts, 10))
-    pipeline.use_geometry(pipeline.buffers.geometry)
-    assert not go(pipeline, payload(0 * counts, 12))
-    assert go(pipeline, payload(counts, 13))
-    assert pipeline.record.events == ("lost", "cloud", "withheld:no_signal")
-
-
-def test_a_device_s_own_words_do_not_crowd_out_what_happened(pipeline, counts):
-    for number in range(40):
-        pipeline.intake.add_event(f"device:{number}", MOST_EVENTS)
-    assert go(pipeline, payload(counts, 10))
-    assert go(pipeline, payload(counts, 3))
-    assert pipeline.record.events == ("device_reset",)
-    for number in range(40):
-        pipeline.intake.add_event(f"device:{number}", MOST_EVENTS)
-    assert go(pipeline, payload(counts, 5))
-    assert len(pipeline.record.events) == MOST_EVENTS + 1
-    assert pipeline.record.events[-1] == "lost"
-
-
 def test_maps_of_frames_with_one_number_are_told_apart(pipeline, counts, touched):
     assert go(pipeline, payload(touched, 5))
     before = pipeline.record.map_key
@@ -153,11 +119,3 @@ def test_thousands_of_frames_leave_no_memory_behind(pipeline, counts, touched):
     # Python fills its lists of free objects once, and counters become larger integers; what is kept of every frame
     # grows in every stretch: one object for each touched frame would be 2,400 bytes of 200, an array of 104 83,000.
     assert min(np.diff(traced)) < 1600
-
-
-def test_a_bundle_without_a_gate_computes_every_frame(tiny, hello, counts):
-    files = {name: data for name, data in tiny.files.items() if name != "gate.npz"}
-    pipeline = Pipeline(replace(tiny, files=files), hello)
-    pipeline.use_reference(Reference(counts * 1e-9, counts * 0.0, 2, "TEST-1", 0xABCD, "paper", ""))
-    assert go(pipeline, payload(counts, 1))
-    assert pipeline.record.solver == "vd2t"

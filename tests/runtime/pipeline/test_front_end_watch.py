@@ -1,11 +1,8 @@
 """Frames that no living front end sends are withheld, with their reason; the next fit one says so."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.intake import REMEMBERED
 from eitskin.reference.captured import Reference
 from eitskin_proto.wire.codes import FrameFlag
@@ -42,22 +39,8 @@ def test_a_frame_that_comes_again_is_withheld_whichever_buffer_it_comes_from(noi
     assert "withheld:frozen" not in noisy.record.events
 
 
-def test_without_noise_in_the_reference_a_frame_may_come_again(pipeline, counts):
-    assert [go(pipeline, payload(counts, number)) for number in range(50)] == [True] * 50
-
-
 def test_a_frame_of_another_width_or_table_is_none_of_this_device(pipeline, counts):
     assert not go(pipeline, payload(counts // 2, 1, sample_bytes=3))
     assert not go(pipeline, payload(np.tile(counts, 2), 2, flags=FrameFlag.FULL))
     assert pipeline.intake.withheld["malformed"] == 2
     assert go(pipeline, payload(counts, 3))
-
-
-def test_of_208_rows_a_stuck_converter_is_told_as_well(tiny, hello, counts):
-    pipeline = Pipeline(tiny, replace(hello, rows=208))
-    pipeline.use_reference(Reference(counts * 1e-9, np.abs(counts) * 3e-12, 100, "TEST-1", 0xABCD, "paper", ""))
-    assert not go(pipeline, payload(np.full(208, 77_777, dtype=np.int32), 1, flags=FrameFlag.FULL))
-    assert pipeline.intake.withheld["stuck"] == 1
-    cut_off = payload(np.full(208, 2**31 - 1, dtype=np.int32), 2, flags=FrameFlag.FULL, saturation=2**208 - 1)
-    assert not go(pipeline, cut_off)
-    assert pipeline.intake.withheld["stuck"] == 2

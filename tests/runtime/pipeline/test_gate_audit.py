@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.errors import BundleError
-from eitskin.pipeline.frame_pipeline import AUDIT_FRAMES, WITHOUT_ROWS, GateAudit, Pipeline, audit_pixels
+from eitskin.pipeline.frame_pipeline import AUDIT_FRAMES, WITHOUT_ROWS, GateAudit, Pipeline
 from eitskin.reference.captured import Reference
 
 from .passing import go, payload
@@ -55,18 +54,6 @@ def test_a_gate_that_is_blind_is_overruled_by_a_strong_map_and_says_so(pipeline,
     assert pipeline.record.skipped[0] == "inference:untouched"
 
 
-def test_a_look_at_an_untouched_sheet_changes_nothing_but_what_was_skipped(pipeline, counts):
-    pipeline.engines[0], pipeline.audit = Sees(pipeline.buffers), GateAudit(9, 1350)
-    solvers, skipped = set(), []
-    for sequence in range(1, 2 * AUDIT_FRAMES + 1):
-        assert go(pipeline, payload(counts, sequence))
-        solvers.add(pipeline.record.solver)
-        skipped.append(pipeline.record.skipped[0])
-    assert solvers == {"none"}
-    assert skipped.count("map:untouched") == 2
-    assert skipped.count("inference:untouched") == 2 * AUDIT_FRAMES - 2
-
-
 class Looks(GateAudit):
     """Looks at every frame that the gate calls untouched."""
 
@@ -102,27 +89,6 @@ def test_while_rows_are_missing_frames_are_looked_at_more_often(sheet, each):
     audit = GateAudit(9, 1350)
     assert [audit.is_due(sheet) for _ in range(3 * each)] == [n % each == each - 1 for n in range(3 * each)]
     assert not any(GateAudit(None, 1350).is_due(sheet) for _ in range(3 * each))
-
-
-def test_frames_that_nobody_wants_are_not_looked_at(pipeline, counts):
-    pipeline.audit = GateAudit(9, 1350)
-    for sequence in range(1, 2 * AUDIT_FRAMES):
-        assert go(pipeline, payload(counts, sequence), wanted=False)
-        assert not pipeline.record.inferred
-
-
-def test_a_bundle_that_does_not_say_what_is_strong_is_not_looked_after(pipeline, counts):
-    for sequence in range(1, 2 * AUDIT_FRAMES):
-        assert go(pipeline, payload(counts, sequence))
-        assert not pipeline.record.inferred
-
-
-@pytest.mark.parametrize("value", [0, 1351, 2.5, [3, 4], "many"])
-def test_a_nonsensical_number_of_strong_pixels_is_refused(value):
-    with pytest.raises(BundleError, match=r"audit_pixels is .*, expected one whole number from 1 to 1350"):
-        audit_pixels({"audit_pixels": np.array(value)}, 1350)
-    assert audit_pixels({"audit_pixels": np.array(12, np.uint16)}, 1350) == 12
-    assert audit_pixels(None, 1350) is None
 
 
 def test_only_a_network_may_overrule_the_gate(tiny, hello, touched, counts):

@@ -1,19 +1,15 @@
 """Idle acquisition: few drives while nothing touches, whole scans as soon as something does."""
 
 import io
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from eitskin.acquisition.device import Device
-from eitskin.acquisition.serial_port import SerialPort
 from eitskin.errors import BundleError, HandshakeError
-from eitskin.pipeline.idle import RETRY_NS, IdleGate, IdleMode
+from eitskin.pipeline.idle import RETRY_NS, IdleGate
 from eitskin.skin import Skin
 from eitskin_proto.wire import config_toml
-from eitskin_proto.wire.codes import Mode
 from eitskin_proto.wire.scan_rows import table_rows
 
 DRIVES = config_toml.named("paper").idle_drives
@@ -76,20 +72,6 @@ def test_the_device_idles_while_untouched_and_wakes_at_a_touch(virtual_skin, wat
     assert waited_us < RETRY_NS / 1000  # a scan after the request, which was made once; the rest is how busy we are
 
 
-def test_a_host_finds_whole_scans_whatever_the_one_before_left(virtual_skin, watchful):
-    with virtual_skin(rate_hz=100.0) as port:
-        line = SerialPort(port)
-        device = Device(line)
-        device.start()
-        device.ask_mode(Mode.IDLE)
-        time.sleep(0.3)
-        line.close()  # killed while the device idled
-        with Skin(port, bundle=watchful) as skin:
-            skin.capture_reference(5)
-            assert skin.pipeline.intake.withheld["partial"] == 0
-            assert not skin.pipeline.record.idle
-
-
 def test_a_new_reference_is_captured_from_whole_scans(virtual_skin, watchful):
     import threading
 
@@ -117,19 +99,3 @@ def test_a_bundle_without_an_idle_gate_and_other_drives_are_refused(virtual_skin
         IdleGate(watchful.gate_arrays(), replace(hello, idle_drives=DRIVES, rows=208))
     with virtual_skin() as port, pytest.raises(ValueError, match="idle_after_s is 0"):
         Skin(port, bundle=watchful, idle_after_s=0)
-
-
-def test_a_mode_is_asked_for_once_and_again_if_nothing_happens():
-    mode, ms = IdleMode(1.0), 1_000_000
-    assert mode.step(0, touched=False, idle=False) is None
-    assert mode.step(999 * ms, touched=False, idle=False) is None
-    assert mode.step(1000 * ms, touched=False, idle=False) == Mode.IDLE
-    assert mode.step(1010 * ms, touched=False, idle=False) is None  # under way
-    assert mode.step(1000 * ms + RETRY_NS, touched=False, idle=False) == Mode.IDLE
-    assert mode.step(1500 * ms, touched=False, idle=True) is None
-    assert mode.step(1550 * ms, touched=True, idle=True) == Mode.ACTIVE  # at once
-    assert mode.step(1560 * ms, touched=True, idle=True) is None
-    assert mode.step(1570 * ms, touched=True, idle=False) is None
-    assert mode.step(2569 * ms, touched=False, idle=False) is None
-    assert mode.step(2571 * ms, touched=False, idle=False) == Mode.IDLE
-    assert mode.switches == 4

@@ -8,12 +8,6 @@ SLOW, FAST, FAIR = 2_000_000, 100_000, 800_000
 BUDGET = 1_000_000
 
 
-def test_without_a_budget_nothing_is_given_up():
-    budget = LatencyBudget(None, 3)
-    assert not any(budget.judge(10**12, inferred=True) for _ in range(10))
-    assert budget.level == budget.overruns == 0
-
-
 def test_overruns_go_down_in_order_and_are_counted():
     budget = LatencyBudget(BUDGET, 3)
     seen = []
@@ -22,14 +16,6 @@ def test_overruns_go_down_in_order_and_are_counted():
         seen.append((budget.engine, budget.drops_stale))
     assert seen == [(1, False), (2, False), (2, True), (2, True), (2, True)]
     assert budget.overruns == 5
-
-
-def test_a_frame_within_budget_that_is_not_easy_holds_the_level():
-    budget = LatencyBudget(BUDGET, 3)
-    budget.judge(SLOW, inferred=True)
-    for _ in range(1000):
-        assert not budget.judge(FAIR, inferred=True)
-    assert budget.level == 1
 
 
 def test_room_is_taken_back_step_by_step():
@@ -59,11 +45,6 @@ def test_the_ladder_does_not_flutter_between_two_levels():
     assert gaps == sorted(gaps)
     assert gaps[-1] >= LONGEST_HOLD
     assert len(overruns_at) < 15
-
-
-def test_a_budget_that_is_not_positive_is_refused():
-    with pytest.raises(ValueError, match="-5"):
-        LatencyBudget(-5, 3)
 
 
 def test_a_budget_is_of_milliseconds_and_within_a_quarter_of_an_hour():

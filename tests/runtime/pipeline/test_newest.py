@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from eitskin.frame_loop import GIVE_WAY_S, FrameSource
+from eitskin.frame_loop import FrameSource
 from eitskin_proto.wire.codes import EventCode
 from eitskin_proto.wire.messages import Event
 
@@ -63,11 +63,6 @@ def test_the_newest_frame_is_computed_whatever_comes_behind_it(pipeline, frames,
     assert "device:front_end_failed" in pipeline.record.events
 
 
-def test_where_only_events_wait_the_next_frame_is_computed_and_tells_them(pipeline, frames):
-    assert accepted(pipeline, [FAILED], [], [frames(1)], [frames(2)], frames=2) == [1, 2]
-    assert pipeline.intake.withheld["stale"] == 0
-
-
 def test_what_a_full_line_kept_since_nobody_read_it_is_not_the_first_frame(pipeline, frames):
     line = Line([frames(1)])
     source, take = FrameSource(line, pipeline), line.payloads
@@ -83,21 +78,3 @@ def test_what_a_full_line_kept_since_nobody_read_it_is_not_the_first_frame(pipel
     assert next(pipeline.record.sequence for _ in source.accepted(None)) == 99
     assert pipeline.intake.withheld["stale"] == 3
     assert pipeline.intake.counter.lost == 94
-
-
-def test_a_stop_that_comes_while_the_line_is_given_a_moment_is_not_waited_out(pipeline, frames):
-    """What was left of the frame before has the line wait a moment, and that is what the stop wakes."""
-    line = Line([frames(1)])
-    source, waits = FrameSource(line, pipeline), []
-    take = line.payloads
-
-    def payloads(timeout_s):
-        waits.append(timeout_s)
-        if timeout_s == GIVE_WAY_S:
-            source.stopping = True
-        return take(timeout_s)
-
-    line.payloads = payloads
-    for _ in source.accepted(None):
-        source.deferred.put(None, list)
-    assert waits[-1] == GIVE_WAY_S

@@ -27,24 +27,6 @@ def test_reciprocal_pairs_of_a_full_scan_are_averaged(counts):
     assert np.allclose(normaliser.voltages(), counts * 1e-9, rtol=1e-12)
 
 
-def test_full_scale_counts_do_not_wrap_when_they_are_averaged():
-    normaliser = Normaliser(1.0)
-    normaliser.load(np.full(208, 2**31 - 1, np.int32))
-    assert np.all(normaliser.voltages() == 2**31 - 1)
-
-
-def test_weak_rows_change_by_nothing_whatever_they_read(counts):
-    normaliser, out = Normaliser(1e-9), np.zeros(104, np.float32)
-    reference = counts * 1e-9
-    reference[[3, 40]] = [0.0, 1e-12]
-    normaliser.use(reference)
-    assert normaliser.weak_count == 2
-    normaliser.load(np.full(104, 10**9, np.int32))
-    assert normaliser.change_into(out)
-    assert out[3] == out[40] == 0.0
-    assert np.count_nonzero(out) == 102
-
-
 @pytest.mark.parametrize("volts_per_count", [np.nan, np.inf, 1e6])
 def test_what_is_not_plausible_is_reported_and_leaves_the_output_alone(counts, volts_per_count):
     normaliser, out = Normaliser(1e-9), np.full(104, 7, np.float32)

@@ -82,20 +82,3 @@ def test_rows_in_another_order_are_refused_with_or_without_the_models_flat_sheet
 def test_a_flat_sheet_without_voltages_is_refused(flat, value):
     with pytest.raises(ValueError, match="predicted_flat holds no voltage"):
         check_prediction(flat_cloud(), flat, np.full(104, value), None)
-
-
-def test_wrong_length_and_values_that_are_not_finite_are_refused(flat):
-    with pytest.raises(ValueError, match=r"predicted voltages have shape \(103,\)"):
-        check_prediction(flat_cloud(), flat[1:], flat, None)
-    with pytest.raises(ValueError, match=r"predicted_flat\[0\] is nan"):
-        check_prediction(flat_cloud(), flat, np.full(104, np.nan), None)
-
-
-def test_rows_that_carry_nothing_are_compared_with_nothing(flat):
-    lame = 1e-3 * flat
-    lame[[3, 50]] = [0.0, -1e-9]
-    check_prediction(flat_cloud(), flat, flat, captured(lame))
-    drowned = captured(flat)
-    drowned.voltages_V[7] *= -1.0
-    drowned.spread_V[7] = np.abs(flat[7])
-    check_prediction(flat_cloud(), flat, None, drowned)

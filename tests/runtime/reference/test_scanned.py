@@ -51,11 +51,6 @@ def test_the_model_s_ratio_makes_a_flat_reference(flat_V, bent, scan, hello):
     assert any("scanned when it was taken" in line for line in found.report())
 
 
-def test_a_reference_without_a_scan_is_itself(flat_V, hello):
-    found = taken(flat_V, hello)
-    assert found.flat() is found
-
-
 def test_a_bent_sheet_is_refused_but_not_where_it_was_scanned(flat_V, hello):
     bent = np.exp(0.3 * np.sin(np.arange(104.0)))
     scan = scan_of(Surface(flat_cloud(), bent, np.ones(104)), PAPER)
@@ -112,15 +107,6 @@ def test_a_scan_that_cannot_be_is_refused(scan, flat_V, hello, tmp_path, change,
     path.write_text(json.dumps(content))
     with pytest.raises(BadReference, match=text):
         references.load(path)
-
-
-def test_a_scan_must_have_a_prediction_that_can_be_its_own():
-    with pytest.raises(BadReference, match="eitskin surface POINTS --predict"):
-        scan_of(Surface(flat_cloud()), PAPER)
-    with pytest.raises(BadReference, match="the reference's scan: predicted is 3 times"):
-        scan_of(Surface(flat_cloud(), np.full(104, 3.0), np.ones(104)), PAPER)
-    with pytest.raises(BadReference, match="the reference's scan"):
-        scan_of(Surface(2.0 * flat_cloud(), np.ones(104), np.ones(104)), PAPER)
 
 
 def test_frames_are_held_against_the_flat_one(flat_V, bent, scan, hello, tiny):

@@ -2,17 +2,16 @@
 
 import threading
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 import eitskin
-from eitskin.errors import RobotError, SilentSkin, StaleFrame
+from eitskin.errors import SilentSkin, StaleFrame
 from eitskin.messaging.frame import EVERY_FRAME
 from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.publish import Publisher
-from eitskin.messaging.subscriber import LARGEST_TAKEN
 from eitskin.touches.surface import Surface
 from eitskin.touches.watch import TouchWatch
 from eitskin_proto.skin.skin import PAPER
@@ -163,35 +162,6 @@ def test_a_silent_skin_is_named_and_the_other_goes_on(robot):
         assert frames.silent_s()["left"] > 0.4
 
 
-def test_a_skin_whose_connection_was_lost_for_good_comes_again_while_the_other_streams(robot):
-    path, skins = robot
-    with eitskin.subscribe_all(path, timeout_s=PATIENCE_S) as frames:
-        wait_for(skins)
-        skins["left"].send()
-        while not frames.received["left"]:
-            next(frames)
-        skins["left"].publisher.send(memoryview(bytes(skins["left"].packer.message()) + bytes(LARGEST_TAKEN)))
-        end = time.monotonic() + PATIENCE_S
-        with sending(skins["left"]), sending(skins["right"]):
-            while not frames._subscriptions["left"].reconnected:
-                next(frames)
-                assert time.monotonic() < end, "nobody looked at its connection"
-            while next(frames).skin != "left":
-                assert time.monotonic() < end, "it did not come again"
-
-
-def test_frames_that_waited_here_are_no_silence(robot):
-    path, skins = robot
-    with eitskin.subscribe_all(path, "all", timeout_s=0.2) as frames:
-        wait_for(skins)
-        for one in skins.values():
-            one.send(2)
-        sockets = [one.socket for one in frames._subscriptions.values()]
-        assert all(socket.poll(int(PATIENCE_S * 1000)) for socket in sockets)
-        time.sleep(0.3)  # longer than allowed: it is this side that does not ask
-        assert sorted(next(frames).skin for _ in range(4)) == ["left", "left", "right", "right"]
-
-
 def test_a_stale_frame_is_an_error_with_the_name(robot):
     path, skins = robot
     with eitskin.subscribe_all(path, timeout_s=PATIENCE_S, max_age_s=1.0) as frames:
@@ -204,23 +174,3 @@ def test_a_stale_frame_is_an_error_with_the_name(robot):
 def test_bad_arguments_are_refused(robot, options):
     with pytest.raises(ValueError, match="expected"):
         eitskin.subscribe_all(robot[0], **options)
-
-
-def test_keys_of_a_skin_that_there_is_not_are_refused(robot):
-    with pytest.raises(RobotError, match="keys are for middle, expected names of left, right"):
-        eitskin.subscribe_all(robot[0], keys={"middle": None})
-
-
-def test_nobody_there_is_said_within_the_time_and_names_each(tmp_path):
-    (tmp_path / "robot.toml").write_text(
-        f'format = "eitskin-robot"\nversion = 1\nfolder = "{tmp_path}"\n'
-        '[[skins]]\nname = "a"\nport = "/dev/a"\n[[skins]]\nname = "b"\nport = "/dev/b"\n'
-    )
-    named = set()
-    with ExitStack() as stack:
-        frames = stack.enter_context(eitskin.subscribe_all(tmp_path / "robot.toml", timeout_s=0.2))
-        for _ in range(2):
-            with pytest.raises(SilentSkin, match="there is no such socket") as raised:
-                next(frames)
-            named.add(raised.value.skin)
-    assert named == {"a", "b"}

@@ -54,9 +54,3 @@ def test_a_file_that_is_not_ours_is_refused_in_a_line(tmp_path, change):
     with pytest.raises(RobotError, match="is not what this version writes") as raised:
         read_states(tmp_path)
     assert "\n" not in str(raised.value)
-
-
-def test_what_is_no_json_is_refused(tmp_path):
-    (tmp_path / FILE).write_text("{")
-    with pytest.raises(RobotError, match="cannot be read"):
-        read_states(tmp_path)

@@ -5,7 +5,6 @@ import pytest
 
 from eitskin.touches.moments import MOST_TOUCHES, TouchFinder
 from eitskin.touches.pieces import HALF, SADDLE, pieces
-from eitskin_proto.skin.grid import Grid
 
 from .scripted import DX, DY, GRID, box, ellipse, gaussian, square
 
@@ -29,17 +28,6 @@ def test_a_square_of_whole_pixels_has_its_place_and_area_exactly_wherever_it_lie
     assert found[:2] == pytest.approx((x, y), abs=1e-9)
     assert found[5] == pytest.approx(100.0, abs=1e-9)
     assert found[6] == pytest.approx(1.0)
-
-
-def test_any_rectangle_is_off_by_less_than_its_border_within_a_pixel_allows(finder):
-    for _ in range(100):
-        x, y = RNG.uniform((30, 30), (110, 70))
-        w, h = RNG.uniform(6.0, 30.0, 2)
-        found = only(finder.find(box(x - w / 2, y - h / 2, x + w / 2, y + h / 2)))
-        # the two cut pixels of a row err by at most p^2 / 8 each, of opposite signs, over its length
-        assert abs(found[0] - x) <= DX**2 / 8 / w + 1e-9
-        assert abs(found[1] - y) <= DY**2 / 8 / h + 1e-9
-        assert found[5] == pytest.approx(w * h, abs=1e-9)
 
 
 def test_axes_are_right_on_average_over_where_a_touch_lies(finder):
@@ -159,16 +147,3 @@ def test_the_largest_are_listed_where_there_are_too_many(finder):
     assert found.count == MOST_TOUCHES
     assert found.more == 150 - MOST_TOUCHES
     assert np.sort(found.numbers[5])[-2:] == pytest.approx(2 * GRID.pixel_mm2)
-
-
-def test_the_largest_map_in_shreds_is_not_taken_apart():
-    grid = Grid((150.0, 150.0), (120, 120), (10, 10))
-    found = TouchFinder(grid).find(np.indices(grid.shape).sum(axis=0) % 2.0)
-    assert (found.count, found.more) == (0, 1)
-
-
-def test_another_grid_has_its_own_millimetres():
-    grid = Grid((60.0, 90.0), (18, 20), (6, 6))
-    found = only(TouchFinder(grid).find(box(21.0, 30.0, 33.0, 50.0, grid)))
-    assert found[:2] == pytest.approx((27.0, 40.0))
-    assert found[5] == pytest.approx(240.0)

@@ -56,19 +56,6 @@ def test_on_a_cylinder_place_and_direction_are_the_formulas(radius):
     assert np.abs(border[:, 3] - np.sin(ends)).max() <= 0.6 * DX / radius  # straight on, half a pixel
 
 
-def test_rolling_the_sheet_changes_no_area():
-    image = square(51.3, 47.9)
-    for radius in (30.0, 100.0):
-        touch = touched(rolled(radius), image)
-        assert touch.area_mm2 == pytest.approx(100.0, rel=1e-6)
-        assert touch.surface_mm2 == pytest.approx(100.0, rel=(DX / radius) ** 2 / 5)  # chords: 1/6 of the square
-
-
-def test_a_stretched_sheet_has_the_larger_area():
-    cloud = FLAT * np.array([1.2, 0.9, 1.0])[:, None, None]
-    assert touched(cloud, square(70.0, 50.0)).surface_mm2 == pytest.approx(108.0, rel=1e-6)
-
-
 def test_a_rigid_motion_moves_centre_and_direction_with_it_and_nothing_else():
     cloud = rolled(40.0)
     image = square(61.0, 33.0)

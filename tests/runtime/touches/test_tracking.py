@@ -6,7 +6,7 @@ import pytest
 from eitskin.errors import FrameError
 from eitskin.touches.surface import Surface
 from eitskin.touches.touch import LAYOUT, unpack_touches
-from eitskin.touches.tracking import GATE_MM, HOLD_FRAMES
+from eitskin.touches.tracking import HOLD_FRAMES
 from eitskin.touches.watch import TouchWatch
 
 from .scripted import GRID, box, square
@@ -52,23 +52,6 @@ def test_a_touch_keeps_its_number_while_it_moves_and_grows_older(film):
         assert found.touches[0].centre_mm[0] == pytest.approx(20.0 + 9.0 * step, abs=0.05)
 
 
-def test_a_touch_grows_older_although_the_device_counts_time_anew(film):
-    shown = np.float32(square(20.0, 50.0)).ravel()
-    ages = []
-    for device_us in (9_000_000, 9_500_000, 1_000, 6_000):
-        packed = film.watch.look(shown, device_us, FLAT, device_us)
-        (touch,) = unpack_touches(packed[0], LAYOUT.size, *packed[1:]).touches
-        assert touch.id == 1
-        ages.append(touch.age_s)
-    assert ages == pytest.approx([0.0, 0.5, 0.5, 0.505])
-
-
-def test_a_jump_is_another_touch(film):
-    film.show(square(20.0, 50.0))
-    found = film.show(square(20.0 + 2.5 * GATE_MM, 50.0))
-    assert said(found) == [("born", 2, 0)]
-
-
 def test_two_touches_that_pass_each_other_keep_their_numbers(film):
     seen = [film.show(square(20 + 4 * k, 30.0) + square(130 - 4 * k, 60.0)) for k in range(27)]
     assert all(ids(found) == [1, 2] and (k == 0 or not found.events) for k, found in enumerate(seen))
@@ -89,12 +72,6 @@ def test_two_that_meet_merge_and_two_that_part_split(film):
     assert not film.show(square(65.0, 50.0) + square(86.0, 50.0)).events
 
 
-def test_a_large_touch_that_parts_far_from_its_middle_still_splits(film):
-    film.show(box(30.0, 40.0, 110.0, 60.0))
-    found = film.show(box(30.0, 40.0, 60.0, 60.0) + box(80.0, 40.0, 110.0, 60.0))
-    assert said(found) == [("split", 2, 1)]
-
-
 def test_a_touch_that_flickers_keeps_its_number_and_one_that_stays_away_dies(film):
     film.show(square(50.0, 50.0))
     for _ in range(HOLD_FRAMES):
@@ -112,24 +89,11 @@ def test_a_faint_touch_is_not_new_but_one_that_fades_goes_on(film):
     assert ids(film.show(0.55 * square(50.0, 50.0))) == [1]
 
 
-def test_a_map_that_has_not_changed_is_not_looked_at_again_but_grows_older(film):
-    film.show(square(50.0, 50.0), which="a")
-    found = film.show(square(90.0, 50.0), which="a")
-    assert found.touches[0].centre_mm[0] == pytest.approx(50.0, abs=0.01)
-    assert found.touches[0].age_s == pytest.approx(0.005)
-
-
 def test_numbers_are_never_used_twice_also_when_nobody_asked_for_a_while(film):
     film.show(square(50.0, 50.0))
     film.watch.forget()
     found = film.show(square(50.0, 50.0))
     assert said(found) == [("born", 2, 0)]
-
-
-def test_numbers_begin_again_where_a_message_has_no_larger_one(film):
-    film.watch.tracker.newest = 2**32 - 2
-    assert ids(film.show(square(20.0, 50.0))) == [2**32 - 1]
-    assert ids(film.show(np.maximum(square(20.0, 50.0), square(100.0, 50.0)))) == [1, 2**32 - 1]
 
 
 def test_noise_for_ever_gives_bounded_lists_and_no_number_twice(film):
