@@ -8,24 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin.health.imputation import Consistency, Imputation
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin_export.package import FACTOR as PROJECTION_FACTOR
-from eitskin_export.package import tikhonov
-from eitskin_proto.sensor.row_gaussian import rows_of
-from eitskin_sim.solvers.operators import build_operators
-from eitskin_sim.solvers.tikhonov import FACTOR, tikhonov_matrix
 from eitskin_tools.bench.harness import chosen, several
 from eitskin_tools.bench.stability import (
     FAMILIES,
-    LOST,
-    apart,
-    built,
     crossing,
-    filling_weights,
     is_sound,
     noisy,
-    precision_rows,
     repeat_rows,
 )
 from eitskin_tools.bench.stability_inputs import attacks, strike
@@ -51,49 +40,6 @@ def test_the_tally_notices_every_map_that_must_not_be_published():
     assert (tally.published, tally.not_finite, tally.out_of_range) == (5, 2, 2)
     assert not is_sound(tally.summary())
     assert is_sound(Tally().summary())
-
-
-def test_operators_are_built_in_float64_and_rounded_once_where_float32_would_spoil_them():
-    # The damped Gram matrix has the condition 1 / factor: float32 leaves 6e-8 / factor of error in what is built with
-    # it, and about 3e-8 in what is only stored in it. A factor of 10 between them is the verdict's margin.
-    operators = build_operators(cells="units").relative_jacobian
-    exact = tikhonov_matrix(operators)
-    assert apart(exact.astype(np.float32), exact) < 1e-7
-    assert apart(built(operators, FACTOR, 0.5, np.float32), exact) > 1e-5
-    assert apart(built(operators, FACTOR, 0.5, np.float64), exact) < 1e-10  # the same formula, told apart by type alone
-    pixels = build_operators(cells="pixels").relative_jacobian
-    shipped, built_small = tikhonov(pixels), built(pixels, PROJECTION_FACTOR, 0.0, np.float32)
-    in_double = built(pixels, PROJECTION_FACTOR, 0.0, np.float64)
-    assert apart(shipped, np.asarray(in_double)) < 1e-7
-    assert apart(built_small, np.asarray(in_double)) > 1e-6
-
-
-def test_what_fills_rows_in_is_built_in_float64_and_would_lose_three_digits_in_float32():
-    arrays = load_bundle(default_path("units")).consistency_arrays()
-    if arrays is None:
-        pytest.skip("the shipped bundle has no consistency.npz; 'eitskin export' makes one")
-    known = Consistency.of(arrays)
-    assert known.precision().dtype == np.float64
-    row = next(
-        row for row in precision_rows(samples("units", 1, 6.0)[0], known, quick=True) if row["solver"] == "filling"
-    )
-    assert "must be built in float64" in row["why"]
-    exact = filling_weights(known.covariance, 0.0, np.float64)
-    gone = rows_of((LOST,))
-    shipped = Imputation(known.mean, known.precision(), known.ratio_range)
-    shipped.leave_out(gone, known.precision())
-    change = np.expm1(known.mean + 0.01 * np.sin(np.arange(104.0)))
-    expected = np.expm1(known.mean[gone] - exact @ (0.01 * np.sin(np.arange(104.0)))[~gone])
-    assert np.abs(shipped.filled(change[None])[0, gone] - expected).max() < 1e-9  # the runtime's is the one in float64
-
-
-def test_the_smaller_the_regularisation_the_worse_is_a_matrix_built_in_float32():
-    operators = build_operators(cells="units").relative_jacobian
-    errors = [
-        apart(built(operators, f, 0.5, np.float32), tikhonov_matrix(operators, f, 0.5)) for f in (1e-2, 1e-4, 1e-6)
-    ]
-    assert errors[0] < errors[1] < errors[2]
-    assert errors[2] > 100 * errors[0]
 
 
 def test_shipped_tikhonov_projections_are_stored_in_float32_and_finite():
