@@ -142,7 +142,7 @@ def test_ctrl_c_ends_subscribe_without_a_traceback_before_and_after_the_first_fr
     behind_ampersand = partial(signal.signal, signal.SIGINT, signal.SIG_IGN)  # which a shell's script does to it
     process = command("subscribe", silent.endpoint, "--timeout-s", 60, preexec_fn=behind_ampersand)
     while not silent.wanted and process.poll() is None:  # it waits for its first frame as soon as it has subscribed
-        silent.look()
+        silent.update()
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=120)

@@ -28,7 +28,7 @@ from eitskin_tools.console.terminal import (
     written_out,
 )
 from eitskin_tools.errors import UsageError
-from eitskin_tools.processes.signals import Told, told_as_by_ctrl_c
+from eitskin_tools.processes.signals import EndRequested, end_signals_as_interrupts
 
 LIVE: Final[dict[str, tuple[str, str]]] = {
     "demo": ("demo", "a virtual skin, the runtime, a scanner and a subscriber, with the map drawn live"),
@@ -142,16 +142,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     status = 0
     try:
-        with told_as_by_ctrl_c(), written_out():
+        with end_signals_as_interrupts(), written_out():
             status = _main(words)
     except BrokenPipeError:  # nobody reads standard output any more
         return status
     except OSError as error:  # of standard output
         print(f"eitskin: {_one_line(error)}", file=sys.stderr)
         return 1
-    except Told as told:  # whoever sent it, a shell or systemd, sees that it ended this process
-        signal.raise_signal(told.number)
-        return 128 + told.number
+    except EndRequested as request:  # whoever sent it, a shell or systemd, sees that it ended this process
+        signal.raise_signal(request.number)
+        return 128 + request.number
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
     return status

@@ -19,7 +19,7 @@ import eitskin
 from eitskin_tools.bench.harness import machine, program
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
-from eitskin_tools.processes.signals import Stopped, stop_when_told
+from eitskin_tools.processes.signals import Stopped, raise_stopped_on_signals
 
 PHASE_S: Final = 20.0 / 7.0
 """Of a turn: the script has an odd number of them, so turns change places from one of its loops to the next."""
@@ -226,7 +226,7 @@ def take_turns(endpoint: str, phase_s: float, path: Path) -> None:
 
 def _turns(endpoint: str, path: str, phase_s: str) -> int:
     """Run the process that asks for verdicts."""
-    stop_when_told()
+    raise_stopped_on_signals()
     try:
         take_turns(endpoint, float(phase_s), Path(path))
     except (eitskin.SkinError, Stopped) as error:

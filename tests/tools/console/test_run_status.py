@@ -35,7 +35,7 @@ class Skin:
 def looked_at(stream, form="text", quiet=False):
     skin = Skin()
     status = RunStatus(skin.status, RunLog(stream, form, quiet=quiet), lambda: skin.now_s)
-    status.look()
+    status.check()
     return skin, status
 
 
@@ -44,7 +44,7 @@ def test_a_healthy_stream_is_a_line_a_minute_where_nobody_looks_on():
     skin, status = looked_at(stream)
     for _ in range(int(2 * SILENT_S)):
         skin.pass_second()
-        status.look()
+        status.check()
     lines = stream.getvalue().splitlines()
     assert lines == ["eitskin run: 200.0 frames/s, untouched, 0 lost, 0 corrupt, electrodes well"] * 2
 
@@ -53,13 +53,13 @@ def test_a_loss_a_withheld_frame_and_a_failed_electrode_are_said_at_once_with_th
     stream = io.StringIO()
     skin, status = looked_at(stream)
     skin.pass_second(lost=3)
-    status.look()
+    status.check()
     skin.pass_second(withheld_by_reason={"stale": 0, "corrupt": 2}, touched=7)
-    status.look()
+    status.check()
     skin.pass_second(electrodes=["5:detached:imputed"])
-    status.look()
+    status.check()
     skin.pass_second()
-    status.look()
+    status.check()
     lines = stream.getvalue().splitlines()
     assert len(lines) == 3
     assert "3 lost" in lines[0]
@@ -73,7 +73,7 @@ def test_a_terminal_gets_one_line_that_is_rewritten():
     skin, status = looked_at(stream)
     for _ in range(5):
         skin.pass_second()
-        status.look()
+        status.check()
     assert stream.getvalue().count("\r") == 5
     assert "\n" not in stream.getvalue()
 
@@ -83,7 +83,7 @@ def test_json_is_one_object_a_line_with_rate_and_reasons():
     skin, status = looked_at(stream, "json")
     RunLog(stream, "json").ready("ipc:///a", "ipc:///b")
     skin.pass_second(frames=100, corrupt=1)
-    status.look()
+    status.check()
     ready, found = (json.loads(line) for line in stream.getvalue().splitlines())
     assert (ready["event"], ready["publish"], ready["control"]) == ("ready", "ipc:///a", "ipc:///b")
     assert (found["event"], found["rate_hz"], found["corrupt"]) == ("status", 100.0, 1)

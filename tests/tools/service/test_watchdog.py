@@ -62,9 +62,9 @@ def test_a_loop_without_a_beat_ends_the_process_with_the_reason_and_what_it_does
     dog.sockets.append(socket)
     dog.watch("the frame loop", WatchedLine(Line()))
     for _ in range(LOOKS + 1):
-        dog.look()
+        dog.check()
     assert ended == []
-    dog.look()
+    dog.check()
     (text, stacks), status = ended
     assert text.startswith("the frame loop has stood still for 2 s; ")
     assert "test_a_loop_without_a_beat" in stacks
@@ -81,7 +81,7 @@ def test_waiting_for_a_silent_device_is_not_standing_still_and_is_a_sign_of_life
     assert line.reading.wait(60)
     dog.watch("the frame loop", watched)
     for _ in range(10 * LOOKS):
-        dog.look()
+        dog.check()
     assert supervisor.signs == 10 * LOOKS * LOOK_S / 1.0  # one in half of the interval
     line.let.set()
     waiting.join()

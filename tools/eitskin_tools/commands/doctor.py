@@ -67,28 +67,20 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _electrodes(arguments: argparse.Namespace) -> int:
     """Print the sixteen electrodes and return 0."""
-    from eitskin.acquisition.serial_port import DEFAULT_BAUD
     from eitskin.diagnostics import electrode_checkup
     from eitskin.errors import BundleError
     from eitskin.health.imputation import MISSING, Consistency
     from eitskin.model.bundle import load_bundle
     from eitskin.reference.captured import load
 
-    if (arguments.port is None) == (arguments.recorded is None):
-        raise UsageError("--electrodes needs --port PORT or --recorded FILE.npy, and not both")
+    _check_source(arguments, "--electrodes")
     bundle = load_bundle(arguments.bundle)
     arrays = bundle.consistency_arrays()
     if arrays is None:
         raise BundleError(f"{bundle.path}: telling failed electrodes is {MISSING}")
     reference = None if arguments.reference is None else load(arguments.reference, bundle.skin)
-    if arguments.recorded is not None and arguments.recorded.suffix == ".mcap":
-        recording, own = _of_recording(arguments, bundle)
-        reference = reference or own
-    elif arguments.recorded is not None:
-        recording = electrode_checkup.load_recording(files.find(arguments.recorded, files.RECORDING))
-    else:
-        recording = electrode_checkup.record(arguments.port, arguments.seconds, arguments.baud or DEFAULT_BAUD)
-    found = electrode_checkup.check_up(recording, Consistency.of(arrays), reference)
+    recording, own = _frames_and_reference(arguments, bundle)
+    found = electrode_checkup.check_up(recording, Consistency.of(arrays), reference or own)
     if arguments.json:
         print(json.dumps(found))
     else:
@@ -99,31 +91,40 @@ def _electrodes(arguments: argparse.Namespace) -> int:
 
 def _drift(arguments: argparse.Namespace) -> int:
     """Print how far the sheet has drifted since its reference, and return 0."""
-    from eitskin.acquisition.serial_port import DEFAULT_BAUD
-    from eitskin.diagnostics import drift_checkup, electrode_checkup
+    from eitskin.diagnostics import drift_checkup
     from eitskin.model.bundle import load_bundle
     from eitskin.reference.captured import load
 
-    if (arguments.port is None) == (arguments.recorded is None):
-        raise UsageError("--drift needs --port PORT or --recorded FILE, and not both")
+    _check_source(arguments, "--drift")
     reference = None
     if arguments.reference is not None:
         reference = load(arguments.reference, load_bundle(arguments.bundle, lazily=True).skin)
-    if arguments.recorded is not None and arguments.recorded.suffix == ".mcap":
-        recording, own = _of_recording(arguments)
-        reference = reference or own
-    elif arguments.recorded is not None:
-        recording = electrode_checkup.load_recording(files.find(arguments.recorded, files.RECORDING))
-    if reference is None:
+    if reference is None and (arguments.recorded is None or arguments.recorded.suffix != ".mcap"):
         raise UsageError("--drift needs --reference FILE, which 'eitskin reference' captured before")
-    if arguments.recorded is None:
-        recording = electrode_checkup.record(arguments.port, arguments.seconds, arguments.baud or DEFAULT_BAUD)
-    found = drift_checkup.drift_since(recording.voltages, reference)
+    recording, own = _frames_and_reference(arguments)
+    found = drift_checkup.drift_since(recording.voltages, reference or own)
     if arguments.json:
         print(json.dumps(found))
     else:
         say(drift_checkup.line(found))
     return 0
+
+
+def _check_source(arguments: argparse.Namespace, what: str) -> None:
+    if (arguments.port is None) == (arguments.recorded is None):
+        raise UsageError(f"{what} needs --port PORT or --recorded FILE, and not both")
+
+
+def _frames_and_reference(arguments: argparse.Namespace, bundle: Any = None) -> tuple[Any, Any]:
+    """Return the frames of a port or a file, and the reference that the file holds; as :func:`_of_recording`."""
+    from eitskin.acquisition.serial_port import DEFAULT_BAUD
+    from eitskin.diagnostics import electrode_checkup
+
+    if arguments.recorded is None:
+        return electrode_checkup.record(arguments.port, arguments.seconds, arguments.baud or DEFAULT_BAUD), None
+    if arguments.recorded.suffix == ".mcap":
+        return _of_recording(arguments, bundle)
+    return electrode_checkup.load_recording(files.find(arguments.recorded, files.RECORDING)), None
 
 
 def _of_recording(arguments: argparse.Namespace, bundle: Any = None) -> tuple[Any, Any]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from eitskin_tools.console.run_log import RunLog
-from eitskin_tools.processes.lookout import Lookout
+from eitskin_tools.processes.periodic_thread import PeriodicThread
 
 if TYPE_CHECKING:
     from eitskin.model.bundle import Bundle
@@ -109,7 +109,7 @@ def verifier_text(verifier: Mapping[str, Any] | None) -> str:
     )
 
 
-class RunStatus(Lookout):
+class RunStatus(PeriodicThread):
     """Reports from when it is entered to when it is left.
 
     Args:
@@ -136,7 +136,7 @@ class RunStatus(Lookout):
         self._said: Mapping[str, Any] = {}
         self._said_s = 0.0
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Take a look, and say what is worth saying."""
         counters, now_s = dict(self._read()), self._now_s()
         elapsed_s = now_s - self._before_s
@@ -156,7 +156,7 @@ class RunStatus(Lookout):
             self._log.status(status.text(), status.fields())
 
     def _run(self) -> None:
-        self.look()
+        self.check()
         super()._run()
 
     def __exit__(self, *_: object) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 import eitskin
-from eitskin_tools.processes.signals import Stopped, stop_when_told
+from eitskin_tools.processes.signals import Stopped, raise_stopped_on_signals
 
 STAGES: Final = ("read", "decode", "normalise", "gate", "infer", "pack", "publish")
 """Stamps of the runtime, in order."""
@@ -141,7 +141,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, required=True)
     parser.add_argument("--capacity", type=int, required=True)
     arguments = parser.parse_args()
-    stop_when_told()
+    raise_stopped_on_signals()
     try:
         count = record(arguments.endpoint, arguments.seconds, arguments.capacity, arguments.path)
     except eitskin.SkinError as error:

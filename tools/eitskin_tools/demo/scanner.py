@@ -18,7 +18,7 @@ import numpy as np
 import eitskin
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import load
-from eitskin_tools.processes.signals import Stopped, stop_when_told
+from eitskin_tools.processes.signals import Stopped, raise_stopped_on_signals
 from eitskin_tools.processes.skin_log import script_start
 
 NICENESS: Final = 2
@@ -89,7 +89,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--predict", action="store_true")
     arguments = parser.parse_args()
-    stop_when_told()
+    raise_stopped_on_signals()
     os.nice(NICENESS)
     try:
         skin = PAPER if arguments.skin is None else load(arguments.skin)

@@ -199,7 +199,7 @@ def process_group() -> Iterator[list[Child]]:
                 child.stop()
 
 
-def die_with_parent() -> None:
-    """Have the kernel end this process when its parent ends: to be called in a child that was just forked."""
+def die_with_parent(number: signal.Signals = signal.SIGTERM) -> None:
+    """Have the kernel send this process a signal when its parent ends; call it in the forked child."""
     if _LIBC is not None:
-        _LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+        _LIBC.prctl(PR_SET_PDEATHSIG, number)

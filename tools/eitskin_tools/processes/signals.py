@@ -17,8 +17,8 @@ def endings() -> tuple[signal.Signals, ...]:
     return asked if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN else (*asked, signal.SIGHUP)
 
 
-class Told(KeyboardInterrupt):
-    """SIGTERM or SIGHUP asked for an end, which is met as Ctrl-C is: what is half written is taken away.
+class EndRequested(KeyboardInterrupt):
+    """SIGTERM or SIGHUP asked for an end, which is met as Ctrl-C is: what is half written is removed.
 
     Args:
         number: Of the signal.
@@ -30,28 +30,28 @@ class Told(KeyboardInterrupt):
 
 
 @contextmanager
-def told_as_by_ctrl_c() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP raise :class:`Told` while the block lasts, and Ctrl-C a plain KeyboardInterrupt.
+def end_signals_as_interrupts() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP raise :class:`EndRequested` while the block lasts, and Ctrl-C a plain KeyboardInterrupt.
 
     Each once: the second one ends the process, where Python would raise amid what the first one's cleans up. One for
     which somebody else has a handler, or that is ignored, stays as it is.
     """
     unmet = (signal.SIG_DFL, signal.default_int_handler)
     ours = [one for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(one) in unmet]
-    with met_by(_told, *ours):
+    with met_by(_interrupt_once, *ours):
         yield
 
 
-def _told(number: int, frame: FrameType | None) -> None:
+def _interrupt_once(number: int, frame: FrameType | None) -> None:
     signal.signal(number, signal.SIG_DFL)
-    raise KeyboardInterrupt if number == signal.SIGINT else Told(number)
+    raise KeyboardInterrupt if number == signal.SIGINT else EndRequested(number)
 
 
 class Stopped(BaseException):
     """The process was told to end; no Exception, so that nothing on the way out takes it for a fault."""
 
 
-def stop_when_told() -> None:
+def raise_stopped_on_signals() -> None:
     """Let what asks for an end raise :class:`Stopped`, once."""
     for number in endings():
         signal.signal(number, stop)

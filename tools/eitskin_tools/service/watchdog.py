@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from eitskin.acquisition.transport import Transport, WrappedTransport
-from eitskin_tools.processes.lookout import Lookout
+from eitskin_tools.processes.periodic_thread import PeriodicThread
 from eitskin_tools.service.supervisor import Supervisor
 
 LOOK_S: Final = 0.25
@@ -77,7 +77,7 @@ class WatchedLine(WrappedTransport):
             self.waits = False
 
 
-class Watchdog(Lookout):
+class Watchdog(PeriodicThread):
     """Looks from when it is entered to when it is left, once it was told at what.
 
     Args:
@@ -115,7 +115,7 @@ class Watchdog(Lookout):
         """
         self._line, self._still_s, self._what, self._limit_s = line, 0.0, what, limit_s
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Take a look; without a beat for too long, end the process."""
         line = self._line
         if not self._what:

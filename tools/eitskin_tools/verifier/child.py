@@ -15,7 +15,7 @@ from typing import Final
 
 from eitskin.messaging.streams.verified import FAILED, STARTING, WAITING
 from eitskin_tools.processes.children import Backoff, ChildProcess, how_it_ended, last_line
-from eitskin_tools.processes.lookout import Lookout
+from eitskin_tools.processes.periodic_thread import PeriodicThread
 from eitskin_tools.verifier.letters import LARGEST_PACKET
 
 LOOK_S: Final = 0.1
@@ -62,7 +62,7 @@ class Place:
     """What runs; a test gives its own."""
 
 
-class VerifierProcess(Lookout):
+class VerifierProcess(PeriodicThread):
     """Runs a verifier from when it is entered to when it is left.
 
     Args:
@@ -109,7 +109,7 @@ class VerifierProcess(Lookout):
         """New starts since the first."""
         return self._child.restarts
 
-    def look(self) -> None:
+    def check(self) -> None:
         """See whether it lives, and start it when it is time."""
         process = self._child.process
         if process is None:

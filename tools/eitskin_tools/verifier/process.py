@@ -4,7 +4,6 @@ It gets packets over a socket and answers there (:mod:`eitskin_tools.verifier.le
 that the runtime sees a process that was stopped; a beat is how late the computing is, so that it sees one that hangs.
 """
 
-import ctypes
 import json
 import os
 import signal
@@ -18,8 +17,7 @@ from pathlib import Path
 from struct import pack
 from typing import Any, Final
 
-PR_SET_PDEATHSIG: Final = 1
-"""Option of prctl(2): the signal that a process gets when the thread that started it ends."""
+from eitskin_tools.processes.children import die_with_parent
 
 ORPHANED: Final = 3
 """Exit status of a process whose parent was gone before it began."""
@@ -27,8 +25,7 @@ ORPHANED: Final = 3
 
 def end_with(parent: int) -> None:
     """Have the kernel end this process with its parent, at once, even while it is stopped."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    die_with_parent(signal.SIGKILL)
     if os.getppid() != parent:
         raise SystemExit(ORPHANED)
 

@@ -1,16 +1,16 @@
-"""Looks at something every so often, from a thread of its own, so that whoever is looked at waits for nothing."""
+"""A thread that checks something at intervals, so that what is checked never waits."""
 
 import threading
 from typing import Self
 
 
-class Lookout:
-    """Looks from when it is entered to when it is left.
+class PeriodicThread:
+    """Checks from when it is entered to when it is left.
 
     Args:
         name: The thread's.
-        every_s: Between two looks.
-        leave_s: How long the last look may take; None for as long as it takes.
+        every_s: Between two checks.
+        leave_s: How long leaving waits for the last check; None for as long as it takes.
     """
 
     def __init__(self, name: str, every_s: float, leave_s: float | None = None) -> None:
@@ -18,13 +18,13 @@ class Lookout:
         self._left = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
-    def look(self) -> None:
-        """Take a look."""
+    def check(self) -> None:
+        """Check once."""
         raise NotImplementedError
 
     def _run(self) -> None:
         while not self._left.wait(self._every_s):
-            self.look()
+            self.check()
 
     def __enter__(self) -> Self:
         self._thread.start()
