@@ -5,7 +5,6 @@ import onnx
 import pytest
 import torch
 from tests.second_skin import SECOND
-from tests.training.network.skins import SKINS
 from torch import nn
 
 from eitskin.model.onnx_graph import check_graph
@@ -138,23 +137,6 @@ def test_the_exported_graphs_say_what_the_network_says(name: str) -> None:
     bias = [1, model.bias_width]
     expected: dict[str, list[int]] = {"dv": [1, 104], "bias": bias}
     assert shapes == (expected | {"log_predicted": [1, 104]} if model.architecture.log_predicted else expected)
-
-
-@pytest.mark.parametrize("skin", SKINS.values(), ids=SKINS)
-@pytest.mark.parametrize("name", ["symmetric", "symmetric, not sharpened", "symmetric units", "units", "narrow"])
-def test_networks_of_other_skins_fold_to_what_they_say(name: str, skin: Skin) -> None:
-    model = trained_looking(ARCHITECTURES[name], skin)
-    geometry, head = split(model)
-    generator = torch.Generator().manual_seed(4)
-    dv, predicted = (0.1 * torch.randn(6, 104, generator=generator) for _ in range(2))
-    clouds = 0.5 * torch.randn(6, 3, *skin.grid.shape, generator=generator)
-    with torch.inference_mode():
-        bias = geometry(clouds)
-        found = head(dv, predicted, bias) if model.architecture.log_predicted else head(dv, bias)
-        exact = model.double()
-        expected = exact.maps(exact(dv.double(), clouds.double(), None, predicted.double()))
-    assert found.shape == (6, skin.grid.n_pixels)
-    np.testing.assert_allclose(found.numpy(), expected.numpy(), rtol=0, atol=1e-6)
 
 
 @pytest.fixture(scope="module")

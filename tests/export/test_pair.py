@@ -16,7 +16,6 @@ from eitskin.model.geometry import GeometryGraph
 from eitskin.model.manifest import GENTLE
 from eitskin_export.bundle import read, write
 from eitskin_export.pair import FLIPPED_PIXELS, GRAPHS, carried, pair, replaced
-from eitskin_proto.errors import SkinError
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.cli import main
@@ -165,11 +164,6 @@ def test_a_network_for_gentle_touches_goes_besides_and_may_be_larger(large: Path
     assert all(both.files[name] == found.files[name] for name in graphs_of(GENTLE))
     replaced(again, other, again)
     assert load_bundle(again).beside == {}
-
-
-def test_the_larger_one_named_second_is_told(large: Path, small: Path, tmp_path: Path) -> None:
-    with pytest.raises(SkinError, match="name the smaller one second"):
-        pair(small, large, tmp_path / "both.eitskin")
 
 
 def test_the_command_reports_sizes(

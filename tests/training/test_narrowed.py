@@ -15,7 +15,6 @@ from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe, fitted, recipe
 from eitskin_training.samples.batches import inputs
-from eitskin_training.score import score
 from eitskin_training.start import Start, _factors, fits, narrowed
 
 pytestmark = pytest.mark.heavy
@@ -62,15 +61,6 @@ def test_with_all_ranks_it_is_the_same_network(data: Any, start: Start) -> None:
     assert found.facts["data_digest"] == start.facts["data_digest"]
 
 
-def test_the_more_ranks_the_nearer_to_the_larger_network(data: Any, start: Start) -> None:
-    losses = [
-        score(of(narrowed(start, of_ranks(*ranks), data)), data, data.validation, ("N2",)).loss
-        for ranks in ((4, 1, 1, 1), (24, 6, 6, 6), (312, *WHOLE[1:]))
-    ]
-    assert losses == sorted(losses, reverse=True)
-    assert losses[0] > 1.02 * losses[2]
-
-
 def test_the_factors_are_the_best_of_their_rank() -> None:
     generator = torch.Generator().manual_seed(3)
     features = torch.randn(500, 12, generator=generator, dtype=torch.float64) * torch.logspace(0, -3, 12)
@@ -80,13 +70,6 @@ def test_the_factors_are_the_best_of_their_rank() -> None:
     missed = torch.linalg.norm(features @ (matrix - a @ b))
     sizes = torch.linalg.svdvals(features @ matrix)
     assert missed == pytest.approx(float(torch.linalg.norm(sizes[4:])), rel=1e-6)
-
-
-def test_a_rank_above_a_layer_s_own_adds_nothing() -> None:
-    matrix = torch.randn(5, 3, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
-    a, b = _factors(matrix, torch.eye(5, dtype=torch.float64), 7)
-    assert (a.shape, b.shape) == ((5, 7), (7, 3))
-    torch.testing.assert_close(a @ b, matrix)
 
 
 def test_training_goes_on_from_the_larger_network(data: Any, start: Start, tmp_path: Path) -> None:

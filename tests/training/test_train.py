@@ -8,12 +8,11 @@ import pytest
 import torch
 from tests.second_skin import SECOND
 
-from eitskin_export.package import card
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.skin.skin import PAPER
-from eitskin_training import curves, run_files, train
+from eitskin_training import run_files, train
 from eitskin_training.recipes import Recipe, recipe
-from eitskin_training.run import Epoch, one_cycle
+from eitskin_training.run import one_cycle
 from eitskin_training.samples.batches import inputs
 from eitskin_training.score import correlation, loss_of, score, training_loss
 from eitskin_training.start import Start
@@ -39,12 +38,6 @@ def test_a_resumed_run_equals_one_that_never_stopped(
         assert torch.equal(value, parts.model.state_dict()[name]), name
 
 
-def test_another_seed_gives_another_network(toy_data: Any, tmp_path: Path) -> None:
-    data = toy_data("area")
-    runs = [train.train(data, tiny(epochs=1), tmp_path / str(seed), seed=seed) for seed in (0, 1)]
-    assert not torch.equal(runs[0].model.out.weight, runs[1].model.out.weight)
-
-
 def test_training_learns_and_the_best_epoch_is_what_is_kept(toy_data: Any, tmp_path: Path) -> None:
     data = toy_data("area", samples=1500)
     run = train.train(data, tiny(epochs=12, learning_rate=5e-3), tmp_path)
@@ -57,14 +50,6 @@ def test_training_learns_and_the_best_epoch_is_what_is_kept(toy_data: Any, tmp_p
     assert run.best is not None
     assert len(content["history"]) == run.best.number
     assert json.loads((tmp_path / "history.json").read_text())[-1]["number"] == 12
-
-
-def test_a_worse_epoch_does_not_replace_the_best(toy_data: Any, tmp_path: Path) -> None:
-    data = toy_data("area", samples=1500)
-    run = train.train(data, tiny(epochs=4, learning_rate=0.5, schedule="constant", average=0.0), tmp_path)
-    assert run.best is not None
-    assert len(run_files.read(tmp_path / "best.pt")["history"]) == run.best.number
-    assert run.best.validation_loss == min(epoch.validation_loss for epoch in run.history)
 
 
 def test_a_run_is_not_overwritten_or_resumed_with_something_else(toy_data: Any, tmp_path: Path) -> None:
@@ -111,11 +96,6 @@ def test_statistics_stay_where_they_are_part_of_the_weights(toy_data: Any, tmp_p
             if "running_" in name:
                 assert torch.equal(value, start.weights[name]) == same, name
     assert Start.of_run(tmp_path / "still").facts["still"]
-
-
-def test_data_of_another_protocol_is_refused(toy_data: Any, tmp_path: Path) -> None:
-    with pytest.raises(MismatchError, match=r"protocol_id: found 0123, expected .*eitskin dataset"):
-        train.train(replace(toy_data("area"), protocol_id="0123"), tiny(), tmp_path)
 
 
 def test_a_run_carries_the_skin_of_its_data_and_one_without_is_the_papers(toy_data: Any, tmp_path: Path) -> None:
@@ -201,22 +181,6 @@ def test_correlation_is_pearsons_and_zero_for_a_constant_map() -> None:
     maps[2] = 0.5
     expected = [np.corrcoef(maps[i], truth[i])[0, 1] for i in range(2)]
     np.testing.assert_allclose(correlation(maps, truth), [*expected, 0.0], atol=1e-12)
-
-
-def test_the_card_scores_each_family_under_each_noise(toy_data: Any) -> None:
-    data = toy_data("area")
-    found = card(train.VD2T(recipe("tiny").architecture, PAPER), data)
-    assert set(found) == {"A"}
-    assert set(found["A"]) == {"N1", "N2", "N3"}
-    assert found["A"]["N1"]["samples"] == len(data.held_out["A"])
-
-
-def test_the_curves_are_drawn_where_matplotlib_is_installed(toy_data: Any, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib", reason="the picture is optional")
-    history = [Epoch(number, 0.1 / number, 0.12 / number, 0.5, 1.0) for number in (1, 2, 3)]
-    assert curves.draw(history, tmp_path / "curves.png")
-    assert (tmp_path / "curves.png").read_bytes()[:4] == b"\x89PNG"
-    assert not curves.draw([], tmp_path / "none.png")
 
 
 def test_the_training_loss_adds_what_touched_maps_lack_in_correlation() -> None:

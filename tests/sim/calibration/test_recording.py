@@ -42,33 +42,18 @@ def test_the_scan_of_the_reference_is_taken_with_it(tmp_path):
     assert np.array_equal(load_recording(written(tmp_path, reference_cloud_mm=cloud), PAPER).cloud_mm, cloud)
 
 
-def test_a_reference_alone_will_do(tmp_path):
-    path = tmp_path / "r.npz"
-    np.savez(path, reference_V=np.ones(104))
-    assert load_recording(path, PAPER).frames == 1
-
-
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
         ({"reference_V": None}, r"lacks reference_V; found"),
         ({"reference_V": np.ones(103)}, r"reference_V has shape \(103,\), expected \(104,\), or \(208,\)"),
-        ({"reference_V": np.array(["a"] * 104)}, r"reference_V holds <U1, expected real numbers"),
         ({"reference_V": np.where(np.arange(104) == 5, np.nan, 1.0)}, r"reference_V\[5\] is nan, expected finite"),
         ({"reference_V": np.where(np.arange(104) == 5, 0.0, 1.0)}, r"row 5 is 0 V: is its electrode connected"),
-        (
-            {"reference_cloud_mm": np.zeros((3, 5, 5))},
-            r"reference_cloud_mm has shape \(3, 5, 5\), expected \(3, 30, 45\)",
-        ),
-        ({"reference_cloud_mm": NAN}, r"reference_cloud_mm\[0, 2, 3\] is nan, expected finite numbers"),
         (
             {"reference_cloud_mm": 1e-3 * flat_cloud()},
             "reference_cloud_mm: the cloud's sheet is .* in mm; without it the sheet lay flat",
         ),
-        ({"reference_V": np.full(104, 1e200)}, r"reference_V goes up to 1e\+200 V, expected at most 1e\+09"),
-        ({"protocol_id": np.array(7)}, r"r\.npz: protocol_id is int64 of shape \(\), expected one text"),
         ({"reference_frames": np.array(0)}, "reference_frames is 0, expected one whole number from 1 on"),
-        ({"reference_frames": np.array(1.0)}, "reference_frames is float64"),
     ],
 )
 def test_what_cannot_be_used_is_refused(tmp_path, changes, text):
@@ -130,21 +115,10 @@ def test_bent_moments_and_presses_are_taken_with_what_belongs_to_them(tmp_path):
     ("changes", "text"),
     [
         ({"bent_cloud_mm": None}, "has bent_V without bent_cloud_mm; expected bent_V, bent_cloud_mm, or none of them"),
-        ({"press_xy_mm": None}, "has press_V without press_xy_mm"),
-        ({"press_V": None, "press_xy_mm": None}, "has stamp_mm without press_V"),
         ({"bent_V": np.ones((2, 103))}, r"bent_V has shape \(2, 103\), expected \(n, 104\) or \(n, 208\), n from 1"),
-        ({"bent_V": np.ones((0, 104))}, r"bent_V has shape \(0, 104\)"),
         ({"press_V": np.full((3, 104), np.nan)}, r"press_V\[0, 0\] is nan, expected finite numbers"),
-        (
-            {"bent_cloud_mm": np.zeros((2, 3, 5, 5))},
-            r"bent_cloud_mm has shape \(2, 3, 5, 5\), expected \(2, 3, 30, 45\)",
-        ),
-        ({"bent_cloud_mm": np.zeros((2, 3, 30, 45))}, r"bent_cloud_mm\[0\]: "),
-        ({"press_xy_mm": np.zeros((2, 2))}, r"press_xy_mm has shape \(2, 2\), expected \(3, 2\)"),
         ({"press_xy_mm": np.full((3, 2), 120.0)}, r"press_xy_mm\[0\] is \(120, 120\), expected a place on the sheet"),
         ({"stamp_mm": np.array([0.5])}, "stamp_mm is 0.5, expected a disc's diameter, or a length and a width, from 3"),
-        ({"stamp_mm": np.array([9.0, 9.0, 9.0])}, "stamp_mm is 9, 9, 9, expected"),
-        ({"bent_frames": np.array(0)}, "bent_frames is 0, expected one whole number from 1 on"),
     ],
 )
 def test_moments_that_cannot_be_used_are_refused(tmp_path, changes, text):

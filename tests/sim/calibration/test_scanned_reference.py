@@ -149,17 +149,6 @@ def test_electrodes_and_gain_of_a_sheet_that_never_lay_flat_are_within_their_err
         calibrate(STATED, Recording(full, FRAMES))  # as if it had lain flat
 
 
-@pytest.mark.slow  # the same, and two presses
-def test_presses_of_a_sheet_that_lies_as_scanned_are_found():
-    skin = Skin(5)
-    recording = Recording(skin.read(), FRAMES, (), tuple(skin.press(xy) for xy in PLACES), skin.cloud)
-    _, report = calibrate(STATED, recording)
-    found = report["press"]
-    assert abs(found["contrast"] - CONTRAST) < 4.0 * found["contrast_error"]
-    assert found["contrast_error"] < 0.15
-    assert abs(found["size_mm"][0] - DIAMETER_MM) < 4.0 * found["size_error_mm"]
-
-
 @pytest.mark.slow  # the same
 def test_the_scan_of_another_bend_is_refused_with_rows():
     skin = Skin(6)

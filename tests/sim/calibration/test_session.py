@@ -9,12 +9,12 @@ from eitskin_proto.sensor.table import N_ROWS, TABLE
 from eitskin_proto.skin.parts import Layer, Touches
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.calibration import bends, model, session, solved, stamp
+from eitskin_sim.calibration import bends, model, session, solved
 from eitskin_sim.calibration.bends import BendError
 from eitskin_sim.calibration.fit import CalibrationError
 from eitskin_sim.calibration.printed import table
 from eitskin_sim.calibration.recording import Later, Recording
-from eitskin_sim.calibration.report import _unknown, calibrate, per_ampere
+from eitskin_sim.calibration.report import calibrate
 from eitskin_sim.devices.readings import responses_of
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.measurement.front_end import FrontEnd
@@ -124,11 +124,6 @@ def test_the_layer_and_each_press_s_own_strength_and_place_are_shown_with_errors
     assert "-0.5 to 0.1, errors 0.2 to 0.9, before 1" in line
 
 
-def test_each_of_a_group_is_known_or_not():
-    assert _unknown("gain", {"unknown": False, "unknown_ones": [0, 1, 14]}) == "gain[0-1, 14]"
-    assert _unknown("gain", {"unknown": True, "unknown_ones": list(range(16))}) == "gain"
-
-
 @pytest.mark.slow
 def test_the_way_of_presses_is_told_by_the_recording_where_the_skin_says_both(recorded):
     both = replace(STATED, touches=replace(STATED.touches, kind="both"))
@@ -162,16 +157,6 @@ def test_presses_that_go_the_other_way_than_the_skin_says_are_told_so_and_do_not
         calibrate(raised, replace(recorded, bents=()), 50.0)
 
 
-def test_voltages_of_the_other_sign_are_those_of_a_current_that_is_turned(recorded):
-    turned = per_ampere(STATED, replace(recorded, reference_V=-recorded.reference_V, bents=(), presses=()))
-    assert turned[1] == -1.0
-    assert np.array_equal(turned[0].reference_V, recorded.reference_V)
-    whole, current_A = per_ampere(STATED, replace(recorded, reference_V=-1e-3 * recorded.reference_V))
-    assert current_A == pytest.approx(-1e-3, rel=0.3)
-    assert np.allclose(whole.reference_V * current_A, -1e-3 * recorded.reference_V)
-    assert np.allclose(whole.presses[0].voltages_V * current_A, recorded.presses[0].voltages_V)
-
-
 def test_a_bend_that_is_no_bend_of_this_sheet_is_named(recorded):
     (bent,) = recorded.bents
     rows = bent.voltages_V.copy()
@@ -201,21 +186,3 @@ def test_a_covariance_that_is_made_of_errors_holds_the_next_ones():
     assert np.median(size) > 0.02, "and no more than that"
     tiny = bends.error_of(1e-2 * errors(120), slopes, gauges)
     assert np.trace(tiny.covariance) < 1e-3 * np.trace(found.covariance)
-
-
-@pytest.mark.slow  # twelve bends are solved on the usual mesh
-def test_drawn_errors_of_scans_without_anything_unseen_are_the_model_s_own():
-    even = {"nonuniformity": (0.0, 0.0), "skew": (0.0, 0.0), "twist_deg": (0.0, 0.0)}
-    still = replace(
-        PAPER,
-        deformations=replace(PAPER.deformations, **even),
-        may_be_off=replace(PAPER.may_be_off, scan_noise_mm=(0.0, 0.0)),
-    )
-    own, seen = bends.drawn_errors(still, 6)[0], bends.drawn_errors(PAPER, 6)[0]
-    assert np.sqrt(np.mean(own**2)) < 0.5 * np.sqrt(np.mean(seen**2))
-
-
-def test_ways_follow_the_skin():
-    assert stamp.ways(Touches(kind="lower")) == (-1,)
-    assert stamp.ways(Touches(kind="both")) == (-1, 1)
-    assert stamp.ways(PAPER.touches) == (1,)

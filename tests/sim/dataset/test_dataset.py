@@ -13,20 +13,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eitskin_proto.errors import MismatchError, ProtocolError, SkinError
+from eitskin_proto.errors import MismatchError, ProtocolError
+from eitskin_proto.files.arrays import pack_arrays, read_npz
+from eitskin_proto.files.digest import sha256_of
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.dataset import cluster as cluster_module
 from eitskin_sim.dataset.generate import DataSetError, generate
 from eitskin_sim.dataset.plan import make_plan
 from eitskin_sim.dataset.reader import DataSet, load
-from eitskin_sim.dataset.shards import make_shard, shard_job
 from eitskin_sim.unit_grid.units import UnitGenerator
 
 pytestmark = pytest.mark.heavy
 
 PLAN = make_plan("paper", 0, deformations=2, touch_sets=20)
-FREE_PLAN = make_plan("free", 0, deformations=3, per_deformation=10, kept=0)
 
 
 @pytest.fixture(scope="module")
@@ -156,6 +155,21 @@ def test_garbage_instead_of_an_index_is_refused(copy: Path) -> None:
             load(copy)
 
 
+def test_what_an_index_or_a_file_lacks_is_named_though_digests_are_right(copy: Path) -> None:
+    path = copy / "index.json"
+    whole = json.loads(path.read_text())
+    path.write_text(json.dumps({key: value for key, value in whole.items() if key != "seed"}))
+    with pytest.raises(ProtocolError, match="'seed' is missing; make it again with"):
+        load(copy)
+    arrays = read_npz(copy / "deformation-0000.npz", 1 << 24)
+    content = pack_arrays({key: values for key, values in arrays.items() if key != "voltages"})
+    (copy / "deformation-0000.npz").write_bytes(content)
+    whole["deformations"][0]["sha256"] = sha256_of(content)
+    path.write_text(json.dumps(whole))
+    with pytest.raises(ProtocolError, match="'voltages' is missing; make it again with"):
+        load(copy)
+
+
 def test_a_free_shard_holds_area_labels_of_its_own_touches(tmp_path: Path) -> None:
     plan = make_plan("free", 2, deformations=1, per_deformation=12, kept=0)
     index = generate(plan, tmp_path / "free", workers=0)
@@ -205,57 +219,3 @@ def test_a_cluster_that_loses_a_worker_half_way_makes_the_same_files(
     timer.join()
     _wait_until_replaced(cluster, victim)
     assert files(tmp_path / "cluster") == files(folder)
-
-
-@pytest.fixture(scope="module")
-def free_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a small free set: two shards, of two deformations and of one."""
-    out = tmp_path_factory.mktemp("data") / "free"
-    generate(FREE_PLAN, out, workers=0)
-    return out
-
-
-@pytest.mark.slow
-@pytest.mark.process
-@pytest.mark.filterwarnings("ignore")  # Dask tells of the worker that this test kills
-def test_the_free_set_survives_the_loss_of_a_worker_too(cluster: Any, free_folder: Path, tmp_path: Path) -> None:
-    victim = next(iter(cluster.workers.values())).pid
-
-    def lose(done: int, total: int) -> None:
-        if done == 0:
-            timer.start()
-
-    timer = threading.Timer(0.5, os.kill, (victim, signal.SIGKILL))
-    generate(FREE_PLAN, tmp_path / "cluster", scheduler=cluster.scheduler_address, progress=lose)
-    timer.join()
-    _wait_until_replaced(cluster, victim)
-    assert files(tmp_path / "cluster") == files(free_folder)
-
-
-# A pool is shared: what one deformation shows must not depend on which of the others were made already, nor by whom.
-@pytest.mark.slow
-@pytest.mark.process
-def test_a_free_set_that_was_interrupted_goes_on_with_two_workers_and_ends_the_same(
-    free_folder: Path, tmp_path: Path
-) -> None:
-    copy = Path(shutil.copytree(free_folder, tmp_path / "copy"))
-    for name in ("index.json", "touches.npz", "deformation-0001.npz", "deformation-0002.npz"):
-        (copy / name).unlink()
-    generate(FREE_PLAN, copy, workers=2)
-    assert files(copy) == files(free_folder)
-    assert load(copy).voltages_V.shape == (30, 104)
-
-
-@pytest.mark.slow
-def test_a_scheduler_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-    monkeypatch.setattr(cluster_module, "CONNECT_S", 0.5)
-    with pytest.raises(SkinError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
-        generate(PLAN, tmp_path / "nobody", scheduler="tcp://127.0.0.1:9")
-
-
-def test_a_job_is_plain_values() -> None:
-    job = shard_job(PLAN, [1])
-    plain = {**job, "shown": [sets.tolist() for sets in job["shown"]]}
-    assert json.loads(json.dumps(plain))["bends"][0]["angle_deg"] == 180.0
-    assert callable(make_shard)

@@ -10,13 +10,9 @@ from eitskin_proto.skin.parts import Ring
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import device_runs as runs
-from eitskin_sim.evaluation.device import draw_device
 from eitskin_sim.evaluation.harness import Run, truth_map
 from eitskin_sim.evaluation.mismatch import IDEAL, Mismatch
-from eitskin_sim.fem.solve import factorise_scene
-from eitskin_sim.measurement.faults import response_of
-from eitskin_sim.measurement.front_end import FrontEnd
-from eitskin_sim.scene.parts import Bend, Phantom, Scene, Touch
+from eitskin_sim.scene.parts import Phantom, Scene, Touch
 from eitskin_sim.scene.shapes import Rect
 
 SQUARE = Phantom("square", Scene(touches=(Touch((Rect(60.0, 40.0, 70.0, 50.0),)),)), "area")
@@ -24,7 +20,6 @@ HARD = runs.Trial("hard", (SQUARE,))
 PRESS = runs.Trial(
     "press", (Phantom("press", Scene(touches=(Touch(SQUARE.scene.touches[0].shapes, contrast=0.5),)), "area"),), True
 )
-UNITS = runs.Trial("units", (Phantom("units", SQUARE.scene, "units"),))
 QUIET = runs.Plan(noise="none")
 
 
@@ -105,25 +100,11 @@ def test_a_reference_may_be_noisy_or_stretched():
     assert np.abs(stretched.flat_reference / ideal.flat_reference - 1.0).max() > 0.02
 
 
-def test_a_stretched_reference_that_was_scanned_counts_as_a_flat_one():
-    rows = [("none", IDEAL), ("scanned", Mismatch(reference_stretch=0.03, reference_scan=True))]
-    (ideal, scanned), _ = seen(rows, [HARD])
-    assert np.std(scanned.flat_reference / ideal.flat_reference - 1.0) < 5e-3  # of the scan's noise
-    assert np.array_equal(scanned.voltages, ideal.voltages)
-
-
 def test_a_press_keeps_its_contrast_and_tells_the_solver_that_it_lowers():
     (hard, press), _ = seen([("contrast", Mismatch(contrast=10.0, border_mm=2.0))], [HARD, PRESS])
     (_, plain), _ = seen([("none", IDEAL)], [HARD, PRESS])
     assert np.array_equal(press.voltages, plain.voltages)
     assert (hard.lowering, press.lowering) == (False, True)
-
-
-def test_touches_on_the_unit_grid_have_no_borders():
-    _, found = seen([("soft", Mismatch(border_mm=2.0)), ("none", IDEAL)], [HARD, UNITS])
-    assert found[0]["units"] is None
-    assert found[0]["hard"] is not None
-    assert found[1]["units"]["maps"] == 1
 
 
 def test_draws_are_of_the_devices_and_an_ideal_one_needs_no_second():
@@ -159,32 +140,12 @@ def test_rows_see_the_same_noise():
     assert not np.array_equal(one.sheet.cloud_mm, scan.sheet.cloud_mm)
 
 
-def test_the_predicted_reference_is_of_the_nominal_model_and_the_true_reference():
-    (case,), _ = seen([("none", IDEAL)], [HARD], reference="predicted")
-    assert np.abs(case.reference / case.flat_reference - 1.0).max() < 0.02
-    assert not np.array_equal(case.reference, case.flat_reference)
-
-
-def test_touches_of_the_drawn_trials_are_presses_of_both_outlines():
-    single, press04, press06 = runs.drawn_trials(2, 2)
-    assert (single.lowering, press04.lowering, press06.lowering) == (False, True, True)
-    touches = [phantom.scene.touches[0] for phantom in press04.phantoms]
-    assert [type(one.shapes[0]).__name__ for one in touches] == ["Rect", "Disc"] * 2
-    assert {(one.contrast, one.border_mm) for one in touches} == {(0.4, 4.0)}
-    assert {phantom.scene.touches[0].contrast for phantom in press06.phantoms} == {0.6}
-
-
 def test_a_touch_is_missed_beyond_15_mm():
     outcomes = [runs.Outcome(0.9, np.array([3.0, 20.0]), True), runs.Outcome(0.1, np.array([np.inf]), False)]
     found = runs.figures(outcomes)
     assert found["missed"] == pytest.approx(2 / 3)
     assert found["localisation_rms_mm"] == pytest.approx(3.0)
     assert (found["cc"], found["cc_worst"], found["gate_missed"]) == (0.5, 0.1, 0.5)
-
-
-def test_a_front_end_that_is_next_to_ideal_reads_what_the_model_says():
-    bent = replace(SQUARE.scene, bend=Bend(angle_deg=40.0))
-    assert np.allclose(runs.voltages_of(bent, FrontEnd(gain=(1.0,) * 16)), runs.voltages_of(bent), rtol=1e-9)
 
 
 def test_gains_are_divided_out_by_the_reference_and_offsets_are_not():
@@ -199,12 +160,3 @@ def test_gains_are_divided_out_by_the_reference_and_offsets_are_not():
     assert all(np.ptp(off[pairs == pair]) < 1e-9 for pair in set(pairs.tolist()))
     assert 0.02 < off.std() < 0.1
     assert not np.allclose(offsets.voltages / offsets.flat_reference, change, rtol=1e-3)
-
-
-@pytest.mark.parametrize("off", [{"stray_pF": 200.0}, {"minus_percent": 2.0}, {"sink_percent": 2.0}])
-def test_what_a_front_end_loses_is_read_as_the_circuit_says(off):
-    mismatch = Mismatch(**off)
-    _, lossy = seen([("none", IDEAL), ("lossy", mismatch)], [HARD])[0]
-    exact = response_of(factorise_scene(replace(SQUARE.scene, element_size_mm=4.5)))
-    assert np.allclose(lossy.voltages, draw_device(mismatch, 0, 0).front_end.read(exact), rtol=1e-6, atol=1e-9)
-    assert not np.allclose(lossy.voltages, runs.voltages_of(SQUARE.scene), rtol=1e-5)

@@ -96,12 +96,6 @@ def test_untouched_truth_is_scored_without_dividing_by_zero():
     assert wrong.localisation_mm == metrics.lost_mm(PAPER.grid)
 
 
-def test_scaling_clips_negative_values_and_leaves_nothing_of_a_negative_image():
-    image = np.array([[-3.0, 0.5], [2.0, 1.0]])
-    assert np.array_equal(metrics.scaled(image), [[0.0, 0.25], [1.0, 0.5]])
-    assert not metrics.scaled(-np.abs(image)).any()
-
-
 @pytest.mark.parametrize(("rows", "columns"), [(0, 3), (2, 0), (3, 4)])
 def test_moving_a_touch_by_pixels_is_measured_in_millimetres(rows, columns):
     truth = block(slice(10, 14), slice(10, 14))
@@ -148,12 +142,6 @@ def test_two_point_distance_is_between_borders_and_below_a_pixel_in_resolution()
     assert metrics.two_point_distance_mm(image) == pytest.approx(90.0 - GRID.pitch_mm * (2 / 3 - 1 / 2), rel=1e-9)
 
 
-def test_distance_error_of_a_touch_found_one_pixel_too_near():
-    # The paper's own example, 86.7 mm for 90 mm, is this one; it prints 3.37 % for what its formula makes 3.67 %.
-    image = block(slice(10, 13), slice(3, 6)) + block(slice(10, 13), slice(32, 35))
-    assert metrics.distance_error(image, 90.0) == pytest.approx(GRID.pitch_mm / 90.0, rel=1e-9)
-
-
 @pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (0.9, 1.6), (1.7, 2.4), (3.2, 0.1)])
 def test_place_of_a_touch_is_its_centre_wherever_it_lies_on_the_grid(x, y):
     truth = area_map([Touch((Rect(50.0 + x, 40.0 + y, 60.0 + x, 50.0 + y),))])
@@ -179,10 +167,6 @@ def test_touches_that_have_become_one_have_a_distance_error_of_one():
     assert (metrics.score(merged, truth).touches, metrics.score(merged, truth).true_touches) == (1, 2)
 
 
-def test_two_point_distance_of_one_touch_is_not_a_number():
-    assert math.isnan(metrics.two_point_distance_mm(units(40)))
-
-
 @pytest.mark.parametrize(
     ("image", "message"),
     [
@@ -194,13 +178,6 @@ def test_two_point_distance_of_one_touch_is_not_a_number():
 def test_malformed_maps_are_refused(image, message):
     with pytest.raises(ValueError, match=message):
         metrics.score(image, np.zeros(GRID.shape))
-
-
-def test_unknown_labels_and_distances_are_refused_with_their_value():
-    with pytest.raises(ValueError, match="'pixels'"):
-        metrics.is_exact(units(1), units(1), labels="pixels")
-    with pytest.raises(ValueError, match=r"-3\.0 mm"):
-        metrics.distance_error(units(1), -3.0)
 
 
 def test_a_touch_smaller_than_a_pixel_is_one_where_its_truth_is_highest():

@@ -55,12 +55,6 @@ def test_modes_are_reciprocal_and_put_one_ampere_in() -> None:
     np.testing.assert_allclose(found, np.eye(16) - np.roll(np.eye(16), 1, axis=0), atol=1e-8)
 
 
-def test_bend_without_stretch_changes_nothing_for_the_modes_either() -> None:
-    flat = Scene(touches=(UNDER,), element_size_mm=6.0)
-    bent = replace(flat, bend=Bend(angle_deg=270, axis_deg=20, skew=1.0))
-    assert np.array_equal(solve_scene(bent, "modes").voltages, solve_scene(flat, "modes").voltages)
-
-
 def test_one_constant_stands_for_the_modes_within_its_stated_error() -> None:
     scene = Scene(element_size_mm=3.0)
     error = solve_scene(scene).voltages / solve_scene(scene, "modes").voltages - 1

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eitskin_proto.sensor.table import FULL_TABLE, TABLE
-from eitskin_sim.fem.forward import assemble, reciprocity_error
+from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.mesh import TensorMesh, graded_lines
 from eitskin_sim.fem.meshing import electrode_lines, scene_mesh
 from eitskin_sim.fem.solve import Law, factorise_scene, solve_scene
@@ -127,12 +127,6 @@ def test_an_uneven_layer_is_what_its_elements_conductivities_say(contact: str) -
     even = assemble(mesh, Sheet(), scene.electrodes, metric).factorise().voltages()
     assert np.abs(exact / blocky - 1.0).max() < 5e-3
     assert np.abs(exact / even - 1.0).max() > 0.1
-
-
-@pytest.mark.parametrize("contact", ["patch", "edge"])
-def test_drive_and_measure_can_be_swapped_on_any_device(contact: str) -> None:
-    scene = Scene(DEVICE, replace(SCATTERED, contact=contact), BENT, TOUCHES, element_size_mm=COARSE)
-    assert reciprocity_error(factorise_scene(scene)) < 1e-11
 
 
 @pytest.mark.parametrize("contact", ["patch", "edge"])

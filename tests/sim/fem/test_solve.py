@@ -92,13 +92,6 @@ def test_bad_scene_is_one_line_exit_one_and_no_file(
     assert says in refused(tmp_path, capsys, scene)
 
 
-def test_missing_scene_or_folder_is_one_line_and_exit_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["simulate", str(tmp_path / "none.json"), "--out", str(tmp_path / "V.npz")]) == 1
-    scene = write(tmp_path / "scene.json", {"element_size_mm": 6})
-    assert main(["simulate", scene, "--out", str(tmp_path / "no" / "V.npz")]) == 1
-    assert capsys.readouterr().err.count("\n") == 2
-
-
 class Useless:
     """A factorisation that came to an end, and to nothing."""
 

@@ -9,7 +9,7 @@ from eitskin_sim.fem.forward import Factor
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.freeform.draws import set_pool
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet, sheet_blocks
-from eitskin_sim.freeform.touches import CLASSES, CONTRAST, Ranges, pool_of, touch_pool
+from eitskin_sim.freeform.touches import CLASSES, Ranges, pool_of
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.gap import half_extents_mm
 from eitskin_sim.scene.parts import Bend, Scene, Touch
@@ -185,18 +185,3 @@ def test_presses_are_as_strong_as_measured_ones(sheet: InvertedSheet) -> None:
     change = np.abs(set_voltages([sheet], pool)[0] / sheet.untouched_V - 1.0)
     typical = np.quantile(np.median(change, axis=1), (0.25, 0.5, 0.75))
     assert np.all((typical > (0.005, 0.009, 0.012)) & (typical < (0.014, 0.02, 0.03)))  # measured 0.7 to 1.8 %
-
-
-def test_hard_touches_are_drawn_as_ever() -> None:
-    hard, ever = (draw(200) for draw in (lambda n: pool_of("hard", n, np.random.default_rng(3)), _pool_as_ever))
-    assert np.array_equal(hard.pieces, ever.pieces)
-    assert hard.pieces.shape[1] == 7
-    assert hard.pieces[:, 6].min() >= CONTRAST[0]
-    with pytest.raises(
-        ValueError, match="touches 'soft' are unknown; expected one of hard, firm, press, raise, both, skin"
-    ):
-        pool_of("soft", 1, np.random.default_rng(0))
-
-
-def _pool_as_ever(count: int) -> TouchTable:
-    return touch_pool(count, np.random.default_rng(3))

@@ -111,30 +111,13 @@ def test_an_ideal_sheets_json_knows_nothing_of_devices() -> None:
     ("scene", "says"),
     [
         ({"sheet": {"gauge_factor": 6}}, r"sheet\.gauge_factor is 6, expected a number from -5 to 5"),
-        ({"sheet": {"gauge_factor": "1"}}, r"gauge_factor is '1', expected a number"),
         ({"sheet": {"field": 0.05}}, r"sheet\.field is 0.05, expected a table"),
         ({"sheet": {"field": {"rms": 0.05}}}, "lacks correlation_mm, expected a number from 5 to"),
-        ({"sheet": {"field": {"rms": -1, "correlation_mm": 40}}}, r"field\.rms is -1, expected a number from 0 to"),
-        ({"sheet": {"field": {"rms": 0.1, "correlation_mm": 1}}}, r"correlation_mm is 1, expected a number from 5 to"),
-        ({"sheet": {"field": {"rms": 0.1, "correlation_mm": 40, "seed": 1.5}}}, "seed is 1.5, expected a whole number"),
-        ({"sheet": {"field": {"rms": 0.1, "correlation_mm": 40, "sed": 1}}}, "unknown key 'sed'"),
-        ({"sheet": {"late": {"factor": 0}}}, r"late\.factor is 0, expected a number from 0.01 to 100"),
         (
             {"sheet": {"late": {"gradient": 0.1}}},
             "unknown key 'gradient' in .*; did you mean 'gradient_rms'",
         ),
-        (
-            {"sheet": {"late": {"field": {"rms": 2, "correlation_mm": 40}}}},
-            r"late\.field\.rms is 2, expected a number from 0 to 1",
-        ),
-        ({"electrodes": {"size_mm": [4] * 15}}, "size_mm is a list of 15, expected a list of 16 numbers"),
-        ({"electrodes": {"size_mm": [4] * 15 + [0]}}, r"size_mm\[15\] is 0, expected a number from 0.01"),
-        ({"electrodes": {"size_mm": [4] * 15 + [60]}}, r"size_mm\[15\] is 60; it must be at most 50"),
         ({"electrodes": {"size_mm": [4] * 8 + [40, 30] + [4] * 6}}, "8 and 9 overlap: .* at least 35 mm"),
-        (
-            {"electrodes": {"contact_impedance_ohm_m2": [1e-4] * 15 + [-1]}},
-            r"\[15\] is -1, expected a number from",
-        ),
     ],
 )
 def test_a_device_that_cannot_be_is_refused_in_one_line(scene: object, says: str) -> None:

@@ -1,6 +1,5 @@
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -50,51 +49,26 @@ def test_scene_survives_its_own_json() -> None:
     ("scene", "says"),
     [
         ({"bends": {}}, "unknown key 'bends'"),
-        ({"bend": {"angle": 3}}, "unknown key 'angle'"),
         ({"touches": [{"rect_mm": [0, 0, 10, 10], "disc_mm": [5, 5, 5]}]}, "expected one of"),
         ({"touches": [{"rect_mm": [145, 0, 155, 10]}]}, "x = 155 mm; it must be from 0 to 150"),
-        ({"touches": [{"disc_mm": [3, 50, 5]}]}, "x = -2 mm"),
         ({"touches": [{"rect_mm": [10, 10, 10.5, 30]}]}, "0.5 mm wide; element_size_mm is 1.5"),
-        ({"touches": [{"disc_mm": [50, 50, 0.5]}]}, "1 mm wide"),
         ({"touches": [{"rect_mm": [10, 10, 5, 30]}]}, "x1 must be above x0"),
         ({"touches": [{"polygon_mm": [[0, 0], [20, 20], [20, 0], [0, 20]]}]}, "crosses or touches itself"),
         ({"touches": [{"units": [[14, 0]]}]}, "column must be an integer from 0 to 13"),
         ({"touches": [{"rect_mm": [0, 0, 10, 10], "conductivity_S_per_m": -1}]}, "is -1, expected a number from 1e-09"),
-        ({"touches": {"rect_mm": [0, 0, 10, 10]}}, "expected a list"),
-        ({"sheet": {"conductivity_S_per_m": 0}}, "is 0, expected a number"),
         ({"sheet": {"size_mm": [150]}}, "is a list of 1, expected a list of 2 numbers"),
-        ({"sheet": {"thickness_mm": True}}, "expected a number"),
         ({"sheet": {"thickness_mm": 0.001}}, "thickness_mm is 0.001, expected a number from 0.05 to 20"),
-        ({"sheet": {"thickness_mm": 1000}}, "thickness_mm is 1000, expected a number from 0.05 to 20"),
         ({"electrodes": {"contact": "pin"}}, "expected one of patch, edge"),
         ({"electrodes": {"size_mm": 32}}, "overlap: their centres are 31.25 mm apart; they must be at least 32"),
-        (
-            {"electrodes": {"arc_length_mm": [12.5 + 31.25 * k for k in range(15)] + [450.1]}},
-            "electrodes 14 and 15 overlap",
-        ),
         ({"electrodes": {"arc_length_mm": [1 + 31.25 * k for k in range(16)]}}, "at least 2 mm from every corner"),
         ({"electrodes": {"arc_length_mm": [500 - 31.25 * k - 1 for k in range(16)]}}, "counter-clockwise"),
-        ({"electrodes": {"arc_length_mm": [12.5 + 33 * k for k in range(16)]}}, "below 500"),
-        ({"bend": {"skew": 1.5}}, "is 1.5, expected a number from -1 to 1"),
         ({"bend": {"angle_deg": 400}}, "folds the sheet through itself"),
-        ({"bend": {"stretch_along": -1}}, "is -1, expected a number from 0.2 to 5"),
-        ({"bend": {"stretch_across": 6}}, "is 6, expected a number from 0.2 to 5"),
         ({"bend": {"stretch_along": 4, "stretch_across": 0.5}}, "ratio is 8, it must be from 0.2 to 5"),
         ({"bend": {"nonuniformity": 1.1}}, "is 1.1; it must be below stretch_along = 1"),
         ({"bend": {"bumps_mm": [[75, 50, 6, 0]]}}, r"bumps_mm\[0\]\[3\] is 0, expected a number from 0.1"),
-        ({"bend": {"bumps_mm": [[75, 50, 6]]}}, "is a list of 3, expected a list of 4 numbers"),
-        ({"electrodes": {"arc_length_mm": [12.5] * 15}}, "is a list of 15, expected a list of 16 numbers"),
-        ({"electrodes": {"contact_impedance_ohm_m2": 0}}, "is 0, expected a number"),
         ({"electrodes": {"size_mm": 60}}, "is 60; it must be at most 50"),
-        ({"touches": [{"polygon_mm": [[20, 20], [60, 20], [60, 60], [40, 20], [20, 60]]}]}, "or touches itself"),
-        ({"touches": [{"polygon_mm": [[20, 20], [60, 20], [40, 20], [40, 60]]}]}, "or touches itself"),
         ({"touches": [{"polygon_mm": [[20, 20], [40, 40], [60, 20], [60, 60], [40, 40], [20, 60]]}]}, "touches itself"),
-        ({"touches": [{"polygon_mm": [[20, 20], [60, 60]]}]}, "is a list of 2, expected a list of 3 to 200 corners"),
-        ({"touches": [{"units": []}]}, "is a list of 0, expected a list of 1 to 126 units"),
-        ({"touches": [{"units": [[3.5, 3]]}]}, r"is \[3\.5, 3\]; column must be an integer"),
         ({"touches": [{"conductivity_S_per_m": 50}]}, "no shape"),
-        ({"element_size_mm": 0}, "is 0, expected a number"),
-        ({"element_size_mm": 60}, "expected a number from 0.1 to 12.5"),
         ({"current_A": float("nan")}, "current_A is nan, expected a number"),
         ([], "expected a table"),
     ],
@@ -106,12 +80,7 @@ def test_bad_scene_is_refused_with_what_was_found_and_the_bound(scene: object, s
 
 @pytest.mark.parametrize(
     ("text", "says"),
-    [
-        ('{"bend": {}, "bend": {}}', "the key 'bend' twice"),
-        ('{"current_A": NaN}', "NaN"),
-        ("{", "is not JSON"),
-        ("[" * 100_000, "is not"),
-    ],
+    [('{"bend": {}, "bend": {}}', "the key 'bend' twice"), ("[" * 100_000, "is not")],
 )
 def test_bad_json_is_refused(tmp_path: Path, text: str, says: str) -> None:
     path = tmp_path / "scene.json"
@@ -125,29 +94,6 @@ def test_patches_that_meet_in_a_corner_are_refused_though_their_centres_are_far_
     with pytest.raises(SceneError, match=r"overlap in a corner by 3\.5 x 3\.5 mm"):
         parse_scene({"electrodes": {"arc_length_mm": positions}})
     parse_scene({"electrodes": {"arc_length_mm": positions, "contact": "edge"}})
-
-
-def test_phantoms_keep_name_and_truth() -> None:
-    (phantom,) = parse_phantoms([{"name": "a", "truth": "units", "scene": {"touches": [{"units": [[3, 4]]}]}}])
-    assert (phantom.name, phantom.truth) == ("a", "units")
-    with pytest.raises(SceneError, match="expected one of units, area"):
-        parse_phantoms([{"truth": "pixels"}])
-
-
-@pytest.mark.parametrize(
-    ("scene", "text"),
-    [
-        ({"touches": [{"disc_mm": [50, 50, 5]}] * 100_000}, "list of 100000, expected a list of 0 to 500"),
-        ({"touches": [{"units": [[1, 1]] * 126}] * 5}, "at most 500"),
-        ({"touches": [{"polygon_mm": [[i, i * i] for i in range(5000)]}]}, "expected a list of 3 to 200 corners"),
-        ({"bend": {"bumps_mm": [[1, 1, 1, 1e-300]]}}, "is 1e-300, expected a number from 0.1"),
-        ({"sheet": {"size_mm": [9000, 10]}}, "at most 20"),
-        ({"electrodes": {"contact": []}}, "contact"),
-    ],
-)
-def test_a_scene_without_bound_is_refused(scene: Any, text: str) -> None:
-    with pytest.raises(SceneError, match=text):
-        parse_scene(scene)
 
 
 def test_a_mesh_without_bound_is_refused() -> None:
@@ -168,14 +114,3 @@ def test_an_error_names_the_file_and_the_phantom(tmp_path: Path) -> None:
     )
     with pytest.raises(SceneError, match=r"^phantoms\[0\] '1': unknown key 'bends' in scene"):
         parse_phantoms([{"scene": {"bends": {}}}])
-
-
-def test_an_error_names_the_scenes_file_and_a_list_is_for_another_command(tmp_path: Path) -> None:
-    path = tmp_path / "scene.json"
-    path.write_text(json.dumps(OUTSIDE))
-    with pytest.raises(SceneError) as raised:
-        load_scene(path)
-    assert str(raised.value).startswith(f"{path}: scene.touches[0] reaches outside the sheet")
-    path.write_text(json.dumps([{"scene": {}}]))
-    with pytest.raises(SceneError, match=r"is a list, expected one scene; .* 'eitskin evaluate --phantoms'"):
-        load_scene(path)

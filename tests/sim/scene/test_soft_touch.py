@@ -55,16 +55,10 @@ def test_a_scene_of_sharp_touches_reads_and_writes_as_before() -> None:
     ("touch", "message"),
     [
         ({"contrast": 1.0}, "changes nothing: its contrast is 1"),
-        ({"conductivity_S_per_m": 1.0}, "changes nothing: its contrast is 1"),
-        ({"contrast": 0.9999999}, "changes nothing"),
         ({"contrast": 0.0}, "contrast is 0.0, expected a number from 1e-09 to"),
-        ({"contrast": -2}, "contrast is -2, expected a number from 1e-09 to"),
         ({"contrast": 0.5, "conductivity_S_per_m": 2}, "found contrast and conductivity_S_per_m; give one"),
         ({"contrast": 0.5, "border_mm": 0.1}, "border_mm is 0.1; it must be 0, a sharp border, or at least 0.5"),
-        ({"contrast": 0.5, "border_mm": -1}, "border_mm is -1, expected a number of at least 0"),
         ({"contrast": 0.5, "border_mm": 17}, "it must be at most the touch's width, 16"),
-        ({"contrast": 0.5, "dent_mm": 11}, "dent_mm is 11, expected a number from 0 to 10"),
-        ({"contrast": 0.5, "edge_mm": 1}, "unknown key 'edge_mm'"),
     ],
 )
 def test_a_touch_that_changes_nothing_or_cannot_be_is_refused(touch: dict[str, Any], message: str) -> None:

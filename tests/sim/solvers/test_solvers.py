@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.solvers import bounded, sbl
+from eitskin_sim.solvers import bounded
 from eitskin_sim.solvers.bounded import bounded_minimum, inverse
 from eitskin_sim.solvers.l1 import l1_image
 from eitskin_sim.solvers.operators import SATURATED, build_operators, linear_data, log_data
-from eitskin_sim.solvers.sbl import bounded_map, learn, sbl_image, windows_of
+from eitskin_sim.solvers.sbl import bounded_map, learn, sbl_image
 from eitskin_sim.solvers.tikhonov import tikhonov_matrix
 
 
@@ -90,13 +89,6 @@ def test_l1_steps_never_end_above_the_start():
     assert np.all(np.diff(costs) <= 1e-9)
 
 
-def test_windows_cover_every_cell_of_the_grid():
-    cells = windows_of((9, 14))
-    assert cells.shape == (8 * 13, 4)
-    assert cells[0].tolist() == [0, 1, 14, 15]
-    assert np.array_equal(np.unique(cells), np.arange(126))
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_likelihood_rises_with_every_step_without_coupling(seed):
     operator, data = problem(20, 30, seed)
@@ -112,14 +104,6 @@ def test_posterior_mean_is_the_regularised_least_squares_under_the_learned_prior
     precision = operator.T @ operator / found.noise_variance + np.linalg.inv(found.covariance)
     expected = np.linalg.solve(precision, operator.T @ data / found.noise_variance)
     assert np.allclose(found.mean, expected, rtol=1e-6, atol=1e-9)
-
-
-def test_traces_of_windows_are_those_of_the_dense_formula():
-    operator, _ = problem(20, 30)
-    cells, block = windows_of((5, 6)), np.linalg.inv(np.eye(4) + 0.3)
-    gram = operator.T @ operator
-    expected = [np.trace(block @ gram[np.ix_(window, window)]) for window in cells]
-    assert np.allclose(sbl._window_traces(operator, cells, block), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("lower", "upper"), [(0.0, np.inf), (0.0, 0.2), (-0.25, 0.25), (-0.25, np.inf)])
@@ -168,12 +152,6 @@ def test_quadratic_that_is_not_positive_definite_is_refused():
         bounded_minimum(np.eye(2), np.ones(2), 0.0)
 
 
-def test_inverse_is_the_inverse():
-    root = np.random.default_rng(0).standard_normal((30, 30))
-    matrix = root @ root.T + np.eye(30)
-    assert np.allclose(inverse(matrix) @ matrix, np.eye(30), atol=1e-10)
-
-
 def test_no_data_gives_an_empty_image_and_a_wrong_grid_is_refused():
     operator, data = problem()
     assert not sbl_image(operator, np.zeros(20), (5, 6)).any()
@@ -201,11 +179,6 @@ def test_pixels_add_up_to_the_whole_sheet_as_units_do(units):
     assert np.allclose(whole, units.relative_jacobian.sum(axis=1), rtol=5e-3)
     # V goes as 1 / sigma but for the contact impedance, which takes a few thousandths.
     assert np.allclose(whole, -1.0, atol=5e-3)
-
-
-def test_units_are_drawn_on_their_pixels(units):
-    values = np.arange(126, dtype=np.float64)
-    assert np.array_equal(units.to_map(values), PAPER.grid.unit_of_pixel)
 
 
 def test_data_of_the_reference_itself_is_zero_and_logarithms_are_cut_off():

@@ -107,12 +107,6 @@ def test_grid_of_a_stretched_sheet_says_how_unsure_its_border_is():
     assert sparse.prediction_rms > DOUBTFUL_RMS > dense.prediction_rms
 
 
-@pytest.mark.parametrize(("spacing", "bound"), [(1.0, 0.011), (2.0, 0.02)])
-def test_prediction_from_points_is_within_a_hundredth_or_two_of_the_exact_clouds(spacing, bound):
-    draws = (*draw("A", 5, 20262), *draw("B", 5, 20262))
-    assert median_off(spacing, 0.1, draws) < bound
-
-
 @pytest.mark.slow
 def test_prediction_from_points_is_as_good_over_many_draws():
     draws = (*draw("A", 27, 20262), *draw("B", 27, 20262))
@@ -124,11 +118,6 @@ def test_prediction_gets_better_with_density():
     draws = draw("A", 5, 20262)
     by_spacing = [median_off(spacing, 0.1, draws) for spacing in (3.0, 1.5, 0.75)]
     assert all(sparse > 1.2 * dense for sparse, dense in pairwise(by_spacing)), by_spacing
-
-
-def test_prediction_gets_better_with_less_noise():
-    draws = draw("A", 5, 20262)
-    assert median_off(1.0, 0.8, draws) > 1.5 * median_off(1.0, 0.1, draws)
 
 
 def test_doubt_grows_with_spacing_and_noise_and_is_that_of_the_draws():

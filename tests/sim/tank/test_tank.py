@@ -189,14 +189,8 @@ def test_materials_of_no_known_sign_are_kept_apart(tmp_path, name, objects, unkn
         ("electrode01_metal", np.zeros((104, 4)), "(104, 4)"),
         ("electrode01_metal", np.full((208, 4), np.nan), "not finite"),
         ("electrode01_metal", np.zeros((208, 4)), "zeros"),
-        ("electrode01_metal", np.full((208, 4), 1e-300), "zeros"),
-        ("electrode01_metal", np.full((208, 4), 1e300), "at most 1e+06 V"),
-        ("electrode01_metal", np.ones((208, 4), dtype=complex), "real numbers"),
         ("electrode17_metal", np.ones((208, 4)), "1 to 16"),
-        ("electrode17_wood", np.ones((208, 4)), "1 to 16"),
-        ("electrode12345_metal", np.ones((208, 4)), "1 to 16"),
         ("electrode03_metal_electrode03_wood", np.ones((208, 4)), "twice"),
-        ("electrode03_metal_electrode03_plastic", np.ones((208, 4)), "twice"),
     ],
 )
 def test_a_frame_that_cannot_be_is_refused_by_name(tmp_path, name, array, said):

@@ -89,15 +89,6 @@ def test_a_drawn_device_is_nearly_one_that_is_solved() -> None:
     assert np.median(np.abs(off)) < 0.3 * 10 ** (-52 / 20)
 
 
-def test_devices_that_learn_choose_and_measure_are_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("LEARNED_DEVICES", "CHOOSING_DEVICES"):
-        monkeypatch.setattr(untouched, name, 2)
-    found = untouched.devices(2, 3, named("hydrogel"))
-    assert (found.devices, len(found.train), len(found.choose), len(found.measure)) == (named("hydrogel"), 16, 16, 6)
-    every = np.concatenate([found.train, found.choose, found.measure])
-    assert len(np.unique(every.round(9), axis=0)) == len(every)
-
-
 def test_a_row_whose_sign_turns_is_held_at_the_floor(data: TrainingData) -> None:
     wild = replace(LAB, front_end=replace(LAB.front_end, offset_V=Quantity(0.0, "normal", 0.05)))
     logs = moments.moments(wide_bends(3, 1, wild), wild, 1)
@@ -124,33 +115,6 @@ def test_no_common_factor_moves_a_gate_of_devices_that_drift(fitted: fit.Gate, p
         np.testing.assert_allclose(found, usual, atol=1e-3 * np.abs(usual).max())
 
 
-def test_without_drift_in_its_devices_a_gate_looks_at_the_common_factor_too(data: TrainingData, bends: Bends) -> None:
-    found = fit.fit(replace(data, drift=None), replace(bends, devices=None), steps=50, batch=128)
-    logs = np.zeros((1, 104))
-    usual, moved = (fit.logits(found.arrays, np.expm1(logs + drift)) for drift in (0.0, 0.3))
-    assert np.abs(moved - usual) > 1e-2 * np.abs(usual)
-
-
-@pytest.mark.parametrize("useless", [0, 1])
-def test_of_several_banks_the_one_that_finds_most_is_taken(
-    data: TrainingData, bends: Bends, useless: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bank, made = filters.bank, []
-
-    def drawn(whitened: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        found = bank(whitened if len(made) % 2 != useless else rng.standard_normal(whitened.shape), rng)
-        made.append(found)
-        return found
-
-    monkeypatch.setattr(filters, "bank", drawn)
-    monkeypatch.setattr(fit, "COVARIANCES", 1)
-    monkeypatch.setattr(fit, "BANKS", 2)
-    found = fit.fit(data, bends, steps=50, batch=128).arrays
-    whitening, filters_of = np.split(found["w1"][104:].astype(np.float64), [206], axis=1)
-    taken = np.linalg.lstsq(whitening[:, :103], filters_of, rcond=None)[0].T
-    np.testing.assert_allclose(taken, made[1 - useless], atol=2e-2)
-
-
 def test_filters_find_what_stands_out_of_a_moment_of_any_scale() -> None:
     """The network's output is above 0 where the largest filter is above the limit, and twice the moment is no touch."""
     rng = np.random.default_rng(0)
@@ -165,13 +129,6 @@ def test_filters_find_what_stands_out_of_a_moment_of_any_scale() -> None:
     out = np.maximum(np.maximum(logs @ first, 0.0) @ second + bias, 0.0).sum(axis=1)
     np.testing.assert_array_equal(out > 1e-9, ratios > limit + 1e-9)
     assert filters.ratios(np.full((1, 12), 1e6), own) == pytest.approx(filters.ratios(np.full((1, 12), 2e6), own), 1e-5)
-
-
-def test_patterns_are_of_small_touches_and_of_a_data_sets_and_none_is_nothing() -> None:
-    rng = np.random.default_rng(0)
-    found = filters.patterns(np.concatenate([np.ones((50, 3)), np.zeros((5, 3)), 2.0 * np.ones((40, 3))]), 40, rng)
-    assert sorted(found[:, 0]) == [1.0] * 50 + [2.0] * 40
-    assert len(filters.patterns(np.ones((9, 3)), 0, rng)) == 9
 
 
 def test_every_frame_drifts_by_its_own_factor(data: TrainingData, bends: Bends) -> None:

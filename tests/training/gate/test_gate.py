@@ -13,10 +13,9 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire.scan_rows import table_rows
 from eitskin_sim.scene.parts import Bend
-from eitskin_training.gate import fit, idle, material, rates, touches, untouched
+from eitskin_training.gate import fit, idle, material, rates, touches
 from eitskin_training.gate.touches import wide_bends
 from eitskin_training.gate.untouched import Bends, bends_of
-from eitskin_training.network.mirror import mirrors
 from eitskin_training.samples.batches import TrainingData
 
 pytestmark = pytest.mark.heavy
@@ -87,14 +86,6 @@ def test_half_of_what_is_drawn_is_touched_and_the_other_half_are_bends(data: Tra
     assert np.median(np.log1p(np.maximum(drawn[touched == 1], -0.99)).std(axis=1)) > 0.01
 
 
-def test_weak_touches_are_drawn_more_often_than_strong_ones(data: TrainingData, bends: Bends) -> None:
-    two = np.array([np.full(104, 0.02), np.full(104, 2.0)])
-    none = replace(data, train=data.train[:0])
-    made = material.Material.of(none, replace(bends, touches=two), np.random.default_rng(0))
-    assert made.upto[0] == pytest.approx(1.0 / (1.0 + np.sqrt(material.WEAK / 2.0)))
-    assert made.upto[1] == pytest.approx(1.0)
-
-
 def test_an_interval_knows_how_many_bends_it_is_from() -> None:
     assert rates.rate_and_interval(np.zeros(100)) == (0.0, [0.0, 0.03])
     rate, (low, high) = rates.rate_and_interval(np.array([1.0] * 10 + [0.0] * 90))
@@ -138,21 +129,6 @@ def test_more_idle_drives_tell_more_about_a_touch(data: TrainingData, bends: Ben
     assert [share for _, share in table] == sorted(share for _, share in table)
 
 
-def test_solved_bends_are_small_changes_and_the_flat_one_is_none() -> None:
-    flat, bent = untouched.untouched_logs([Bend(), wide_bends(1, 5, PAPER)[0]], PAPER)
-    np.testing.assert_allclose(flat, 0.0, atol=1e-12)
-    # Stretches of up to 22 % change voltages by tens of per cent, never by a factor of a thousand.
-    assert 0.01 < np.abs(bent).max() < 7.0
-
-
-def test_the_mirror_image_of_a_bend_has_the_mirror_image_of_its_voltages() -> None:
-    bend = Bend(30.0, 20.0, 0.3, 25.0, 1.1, 0.95, 0.1, ((40.0, 30.0, 5.0, 15.0),))
-    image = Bend(30.0, -20.0, -0.3, -25.0, 1.1, 0.95, 0.1, ((110.0, 30.0, 5.0, 15.0),))
-    one, other = untouched.untouched_logs([bend, image], PAPER)
-    # Both are solved on the same mirror-symmetric mesh.
-    np.testing.assert_allclose(one[mirrors(PAPER)[1].rows], other, atol=1e-9)
-
-
 def test_a_touch_adds_nearly_the_same_logarithm_at_every_bend() -> None:
     pieces = touches.squares([(75.0, 50.0), (30.0, 70.0)], 10.0, 20.0)
     flat, bent = (touches.touch_logs(bend, pieces, PAPER) for bend in (Bend(), wide_bends(1, 5, PAPER)[0]))
@@ -160,11 +136,3 @@ def test_a_touch_adds_nearly_the_same_logarithm_at_every_bend() -> None:
         # A tenth of its direction may change: that is what drawing it at any bend costs.
         assert one @ other / (np.linalg.norm(one) * np.linalg.norm(other)) > 0.9
         assert 0.5 < np.linalg.norm(other) / np.linalg.norm(one) < 2.0
-
-
-def test_touches_for_learning_are_small_and_differ() -> None:
-    logs = touches.small_touches(1, PAPER, each=12)
-    strength = np.abs(logs).mean(axis=1)
-    assert logs.shape == (12, 104)
-    assert len(np.unique(strength)) == 12
-    assert 1e-4 < strength.min() < strength.max() < 0.5

@@ -56,8 +56,3 @@ def test_a_stale_gate_is_noticed_and_fitted_again(what: str, folder: Path, data:
     told.clear()
     gate_of_run(tmp_path, changed, 4 if what == "seed" else 3, tell=told.append, bends=bends_of, steps=2)
     assert told == []
-
-
-def test_a_run_without_a_gate_hands_none_on(tmp_path: Path) -> None:
-    hand_on(tmp_path, tmp_path / "adapted")
-    assert not (tmp_path / "adapted").exists()

@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from eitskin_proto.sensor.normalise import relative_change
-from eitskin_sim.measurement.noise import add_noise
 from eitskin_training.network.mirror import mirrors
 from eitskin_training.recipes import recipe
 from eitskin_training.samples.batches import batches, lose_rows, noisy_change
@@ -64,13 +63,6 @@ def test_batches_of_few_deformations_bring_every_sample_once_but_the_last_few(to
     assert not torch.equal(few[0].dv, later[0])
 
 
-def test_without_flips_nothing_is_mirrored(toy_data: Any) -> None:
-    data = toy_data("units")
-    known = relative_change(data.voltages, data.reference)
-    for batch in batches(data, replace(CHOSEN, flips=False), seed=0, epoch=1):
-        assert np.abs(known - batch.dv[0].numpy()).max(axis=1).min() < 1e-5
-
-
 @pytest.mark.parametrize("kind", ["N1", "N2", "N3"])
 def test_noise_has_the_level_that_its_definition_states(kind: Any, toy_data: Any) -> None:
     data = toy_data("units", samples=3000)
@@ -112,14 +104,3 @@ def test_of_a_range_of_noise_each_sample_has_a_level_of_its_own(toy_data: Any) -
     assert found.min() > 40.0 - 5 * spread
     assert found.max() < 60.0 + 5 * spread
     assert abs(levels_db(50.0).std() - spread) < 0.1
-
-
-def test_one_level_of_noise_is_drawn_as_ever(toy_data: Any) -> None:
-    data = toy_data("area", samples=50)
-    count, rng = len(data.voltages), np.random.default_rng(2)
-    kind = rng.integers(2, size=count)
-    known = np.empty((count, 104))
-    for index, name in enumerate(("N2", "N3")):
-        known[kind == index] = add_noise(data.voltages[kind == index], data.reference, name, 50.0, rng)
-    found = noisy_change(data, np.arange(count), ("N2", "N3"), 50.0, np.random.default_rng(2))
-    assert np.array_equal(found, relative_change(known, data.reference).astype(np.float32))

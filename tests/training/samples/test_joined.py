@@ -96,11 +96,6 @@ def _at(data: TrainingData, *bends: int) -> Any:
     return np.flatnonzero(np.isin(data.deformation, bends))
 
 
-def test_a_joined_set_has_the_touches_of_all(pair: tuple[TrainingData, TrainingData]) -> None:
-    assert join(pair).touch_kind == "raise"
-    assert join((pair[0], replace(pair[1], touch_kind="lower"))).touch_kind == "both"
-
-
 def test_sets_that_do_not_go_together_are_refused(pair: tuple[TrainingData, TrainingData]) -> None:
     one, other = pair
     assert join([one]) is one

@@ -35,10 +35,6 @@ def recorded(said: Any = PLACES, true: Any = PLACES, reference: Any = REFERENCE)
     return Recording(reference, 100, (), pressed)
 
 
-def test_presses_that_agree_pass() -> None:
-    presses.check(recorded())
-
-
 @pytest.mark.parametrize(
     ("number", "place", "said"),
     [
