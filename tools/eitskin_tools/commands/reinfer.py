@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from eitskin_tools.console.terminal import StatusLine
-    from eitskin_tools.recording.reinfer import Span, others, reinfer
+    from eitskin_tools.recording.reinfer import others, reinfer
     from eitskin_tools.recording.script import Script
 
     script = Script(arguments.file)
@@ -64,7 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
         script,
         recorded,
         other,
-        span=Span(arguments.from_s, arguments.to_s),
+        from_s=arguments.from_s,
+        to_s=arguments.to_s,
         every=arguments.every,
         keep=MOST_KEPT if arguments.out or arguments.plot else 0,
         progress=progress,
@@ -151,7 +152,7 @@ def _verdicts(found: dict[str, Any]) -> list[str]:
         lines.append(
             f"verified {found['frames']} touched frames: {_share(found['flagged_share'])} flagged; p "
             f"{_number(found['p_value_median'], '.3g')} median; {found['ms_median']:.1f} ms a frame, median, "
-            f"{found['ms_p95']:.1f} highest twentieth; models took {found['setup_ms'] * 1e-3:.1f} s"
+            f"{found['ms_p95']:.1f} highest twentieth"
         )
     elif not found["not_verified"]:
         lines.append("verified nothing: no frame of this part was touched")

@@ -51,7 +51,10 @@ def unpack_map(data: bytes) -> tuple[int, npt.NDArray[np.float32]]:
     """
     try:
         fields = msgpack.unpackb(data, strict_map_key=True)
-        return int(fields["seq"]), _array(fields["map"], "<f4", _shape(fields["shape"], 2))
+        rows, columns = (int(side) for side in fields["shape"])
+        if not (0 < rows <= LARGEST_SIDE and 0 < columns <= LARGEST_SIDE):
+            raise ValueError(f"its shape is {rows}, {columns}")
+        return int(fields["seq"]), np.frombuffer(fields["map"], dtype="<f4").reshape(rows, columns)
     except Exception as error:  # msgpack's exceptions have no common base
         raise RecordingError(f"a map of the recording is damaged: {error}") from error
 
@@ -124,19 +127,3 @@ def _finite(value: Any) -> Any:
     if isinstance(value, np.generic | np.ndarray):
         return _finite(value.tolist())
     return value
-
-
-def _shape(given: Any, length: int) -> tuple[int, ...]:
-    if not isinstance(given, list) or len(given) != length:
-        raise ValueError("its shape is none")
-    sides = tuple(int(side) for side in given)
-    if not all(0 < side <= LARGEST_SIDE for side in sides):
-        raise ValueError(f"its shape is {sides}")
-    return sides
-
-
-def _array(data: Any, kind: str, shape: tuple[int, ...]) -> Any:
-    found = np.frombuffer(data, dtype=kind)
-    if found.size != math.prod(shape):
-        raise ValueError(f"{found.size} numbers, expected {shape}")
-    return found.reshape(shape)

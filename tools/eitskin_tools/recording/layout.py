@@ -103,18 +103,16 @@ _TIME: Final = {
     "title": "time",
     "properties": {"sec": {"type": "integer", "minimum": 0}, "nsec": {"type": "integer", "minimum": 0}},
 }
-_NUMBER: Final = {"type": "number"}
 _WHOLE: Final = {"type": "integer", "minimum": 0}
-_TEXT: Final = {"type": "string"}
 _BYTES: Final = {"type": "string", "contentEncoding": "base64"}
 _POSE: Final = _object(
     "foxglove.Pose",
-    position=_object("foxglove.Vector3", x=_NUMBER, y=_NUMBER, z=_NUMBER),
-    orientation=_object("foxglove.Quaternion", x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER),
+    position=_object("foxglove.Vector3", x=NUMBER, y=NUMBER, z=NUMBER),
+    orientation=_object("foxglove.Quaternion", x=NUMBER, y=NUMBER, z=NUMBER, w=NUMBER),
 )
 _FIELDS: Final = {
     "type": "array",
-    "items": _object("foxglove.PackedElementField", name=_TEXT, offset=_WHOLE, type=_WHOLE),
+    "items": _object("foxglove.PackedElementField", name=TEXT, offset=_WHOLE, type=_WHOLE),
 }
 
 GRID: Final = Channel(
@@ -123,8 +121,8 @@ GRID: Final = Channel(
     "foxglove.Grid",
     json.dumps(
         _object(
-            "foxglove.Grid", timestamp=_TIME, frame_id=_TEXT, pose=_POSE, column_count=_WHOLE,
-            cell_size=_object("foxglove.Vector2", x=_NUMBER, y=_NUMBER), row_stride=_WHOLE, cell_stride=_WHOLE,
+            "foxglove.Grid", timestamp=_TIME, frame_id=TEXT, pose=_POSE, column_count=_WHOLE,
+            cell_size=_object("foxglove.Vector2", x=NUMBER, y=NUMBER), row_stride=_WHOLE, cell_stride=_WHOLE,
             fields=_FIELDS, data=_BYTES,
         )
     ),
@@ -136,7 +134,7 @@ SURFACE: Final = Channel(
     "foxglove.PointCloud",
     json.dumps(
         _object(
-            "foxglove.PointCloud", timestamp=_TIME, frame_id=_TEXT, pose=_POSE, point_stride=_WHOLE, fields=_FIELDS,
+            "foxglove.PointCloud", timestamp=_TIME, frame_id=TEXT, pose=_POSE, point_stride=_WHOLE, fields=_FIELDS,
             data=_BYTES,
         )
     ),

@@ -87,8 +87,6 @@ class Recording:
         self.path = Path(path)
         self.head: dict[str, str] = {}
         """Metadata ``eitskin``."""
-        self.metadata: dict[str, dict[str, str]] = {}
-        """All metadata by name."""
         self.attached: dict[str, bytes] = {}
         """Attachments met so far, by name; all of them behind a reading to the end."""
         self.cut = False
@@ -172,7 +170,6 @@ class Recording:
                 if record is None:
                     return
                 if isinstance(record, Metadata):
-                    self.metadata.setdefault(record.name, record.metadata)
                     if record.name == HEAD and not self.head:
                         self.head = record.metadata
                 elif isinstance(record, Attachment) and record.name.startswith(REFERENCE):

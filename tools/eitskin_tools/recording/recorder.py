@@ -186,7 +186,8 @@ class Recorder:
     def __init__(self, opener: Opener, kept: RecorderOptions) -> None:
         self._opener, self._kept = opener, kept
         self._pixel_mm: tuple[float, float] | None = None
-        self._series: Series | None = None
+        self.series: Series | None = None
+        """The files; None before the skin has said what it is."""
         self._early: list[tuple[str, Callable[[Any], None], Any]] = []
         self._run = self._reference = ""
         self._offset_ns = self._now_ns = 0
@@ -206,11 +207,6 @@ class Recorder:
         self._conditions_revision = self._cloud_revision = -1
 
     @property
-    def series(self) -> Series | None:
-        """The files; None before the skin has said what it is."""
-        return self._series
-
-    @property
     def recorded_s(self) -> float:
         """From the first frame of the wire to the last."""
         return (self._last_ns - self._first_ns) * 1e-9
@@ -218,7 +214,7 @@ class Recorder:
     @property
     def full(self) -> bool:
         """Whether the disk is full: the recording must be ended now."""
-        return self._series is not None and self._series.full
+        return self.series is not None and self.series.full
 
     def take(self, found: object) -> None:
         """Take whatever a stream carries.
@@ -241,7 +237,7 @@ class Recorder:
 
     def _when_known(self, run: str, write: Callable[[Any], None], found: Any) -> None:
         """Write it, if the file is of the run that it is of; else keep it until that run has said what it is."""
-        if run == self._run and self._series is not None:
+        if run == self._run and self.series is not None:
             write(found)
             return
         if len(self._early) >= MOST_EARLY:
@@ -255,20 +251,20 @@ class Recorder:
         if found.run != self._run:
             head = {**head_of(found), "wall_minus_host_ns": str(found.utc_ns - found.made_ns)}
             self._offset_ns = found.utc_ns - found.made_ns
-            if self._series is None:
-                self._series = self._opener(head)
+            if self.series is None:
+                self.series = self._opener(head)
             else:
-                self._series.begin_anew(head)
+                self.series.begin_anew(head)
             self._run, self._reference = found.run, ""
             self._cloud, self._pixel_mm = NO_CLOUD, PAPER.grid.pixel_mm if found.grid_id == PAPER.grid_id else None
             self._number = self._map_sequence = self._conditions_revision = self._cloud_revision = -1
-        assert self._series is not None
+        assert self.series is not None
         self._now_ns = found.made_ns + self._offset_ns
         if found.reference is not None and found.reference_sha256 != self._reference:
             self._reference = found.reference_sha256
             name = f"{REFERENCE}{self._reference[:16]}.json"
-            self._series.attach(name, JSON_MEDIA, found.reference, self._now_ns)
-        self._series.add(STATE, pack_json(found.as_dict()), self._now_ns, found.n)
+            self.series.attach(name, JSON_MEDIA, found.reference, self._now_ns)
+        self.series.add(STATE, pack_json(found.as_dict()), self._now_ns, found.n)
         early, self._early = self._early, []
         for run, write, one in early:
             self._when_known(run, write, one)
@@ -302,8 +298,8 @@ class Recorder:
 
     @property
     def _series_in_hand(self) -> Series:
-        assert self._series is not None
-        return self._series
+        assert self.series is not None
+        return self.series
 
     def _frame(self, found: Frame) -> None:
         series, read_ns = self._series_in_hand, found.host_ns["read"] + self._offset_ns
@@ -330,5 +326,5 @@ class Recorder:
 
     def close(self) -> None:
         """End the file; closing twice is fine."""
-        if self._series is not None:
-            self._series.close()
+        if self.series is not None:
+            self.series.close()

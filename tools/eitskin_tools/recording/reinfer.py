@@ -53,8 +53,6 @@ class FrameVerdict:
     """Physics cannot explain the frame by them."""
     ms: float
     """What it took, by the clock."""
-    setup_ms: float
-    """Making models of its shape, by the processor; 0 where they were there."""
 
 
 @dataclass(slots=True)
@@ -64,7 +62,6 @@ class Verdicts:
     p_values: list[float] = field(default_factory=list)
     flagged: int = 0
     ms: list[float] = field(default_factory=list)
-    setup_ms: float = 0.0
     not_verified: Counter[str] = field(default_factory=Counter)
     """Touched frames without a verdict, by why."""
 
@@ -73,7 +70,6 @@ class Verdicts:
         self.p_values.append(judged.p_value)
         self.flagged += judged.flagged
         self.ms.append(judged.ms)
-        self.setup_ms += judged.setup_ms
 
     def fields(self) -> dict[str, Any]:
         """Return plain values; None where no frame was verified."""
@@ -84,7 +80,6 @@ class Verdicts:
             "p_value_median": float(np.median(self.p_values)) if count else None,
             "ms_median": round(float(np.median(self.ms)), 3) if count else None,
             "ms_p95": round(float(np.percentile(self.ms, 95)), 3) if count else None,
-            "setup_ms": round(self.setup_ms, 1),
             "not_verified": dict(self.not_verified),
         }
 
@@ -229,8 +224,7 @@ REMEMBERED: Final = 256
 
 UNKNOWN: Final = {
     "no_conditions": "came before the file says what they were held against",
-    "before_file": "have a map that was kept from before the file",
-    "frame_missing": "have a map of a frame that the file lacks",
+    "frame_missing": "have a map of a frame that the file lacks, or says nothing of",
     "region": "differ in a last bit at most: an earlier release computed some rectangles of them alone",
 }
 """Why it cannot be told of a published map whether it is equal; and what people read."""
@@ -254,8 +248,6 @@ class Equality:
     """``seq`` of the first of them."""
     _digests: OrderedDict[int, str] = field(default_factory=OrderedDict)
     _zero: str = ""
-    _first: int | None = None
-    _first_known: int | None = None
 
     @property
     def unknown(self) -> int:
@@ -278,17 +270,13 @@ class Equality:
             found: What the frame came to; None where nothing could be computed.
         """
         self.published += 1
-        if self._first is None:
-            self._first = frame.seq
         if found is not None:
             self._know_zero(found)
-            if self._first_known is None:
-                self._first_known = frame.seq
         ours = (
             self._zero if frame.solver == NOTHING else self._digests.get(-1 if frame.map_seq is None else frame.map_seq)
         )
         if found is None or ours is None:
-            self.unknown_why[self._why_unknown(frame, found)] += 1
+            self.unknown_why["no_conditions" if found is None else "frame_missing"] += 1
         elif found.gate_logit is not None and found.gate_logit != frame.gate_logit:
             self._differs("gate", frame)
         elif ours == digest:
@@ -297,13 +285,6 @@ class Equality:
             self.unknown_why["region"] += 1
         else:
             self._differs("map", frame)
-
-    def _why_unknown(self, frame: WireFrame, found: Computed | None) -> str:
-        if found is None or frame.map_seq is None or self._first is None or self._first_known is None:
-            return "no_conditions"
-        if frame.map_seq < self._first:
-            return "before_file"
-        return "no_conditions" if frame.map_seq < self._first_known else "frame_missing"
 
     def _know_zero(self, found: Computed) -> None:
         self._zero = self._zero or digest_of(np.zeros_like(found.map))
@@ -496,30 +477,17 @@ class SimulatedSolver:
 Progress = Callable[[int, int], None]
 
 
-@dataclass(frozen=True, slots=True)
-class Span:
-    """Of a recording, in seconds since its first frame; None for all."""
-
-    from_s: float | None = None
-    to_s: float | None = None
-
-
 @dataclass(slots=True)
 class Maps:
     """Maps that are kept, for a file or a picture."""
 
-    sequence: list[int]
-    touched: list[bool]
-    solver: list[str]
-    maps: list[npt.NDArray[np.float32]]
-    log_ns: list[int]
-    judged: list[FrameVerdict | None]
     most: int
-
-    @classmethod
-    def empty(cls, most: int) -> "Maps":
-        """Return room for so many."""
-        return cls([], [], [], [], [], [], most)
+    sequence: list[int] = field(default_factory=list)
+    touched: list[bool] = field(default_factory=list)
+    solver: list[str] = field(default_factory=list)
+    maps: list[npt.NDArray[np.float32]] = field(default_factory=list)
+    log_ns: list[int] = field(default_factory=list)
+    judged: list[FrameVerdict | None] = field(default_factory=list)
 
     def add(self, step: Step, found: Computed) -> None:
         """Keep a copy of a frame's map.
@@ -567,7 +535,6 @@ class Reinferred:
             "cpu_s": round(self.cpu_s, 3),
             "recorded_s": round(self.recorded_s, 3),
             "frames_per_s": round(rate, 1),
-            "frames_per_cpu_s": round(self.frames / self.cpu_s, 1) if self.cpu_s > 0 else None,
             "times_real_time": round(self.recorded_s / self.elapsed_s, 2) if self.elapsed_s > 0 else None,
         }
         if self.equality is not None:
@@ -596,7 +563,8 @@ def reinfer(
     bundle: Bundle,
     solver: Solving | None = None,
     *,
-    span: Span = Span(),
+    from_s: float | None = None,
+    to_s: float | None = None,
     every: int = 1,
     keep: int = 0,
     progress: Progress | None = None,
@@ -608,7 +576,8 @@ def reinfer(
         bundle: The one that was running, for what is compared with it.
         solver: Another way to a map, held against the bundle's; None for the bundle itself, held against what was
             published.
-        span: Which part.
+        from_s: Begin so long after the first frame.
+        to_s: End so long after it.
         every: Of the frames one in so many goes to ``solver``, or into what is kept.
         keep: How many maps may be kept; 0 for none.
         progress: Called with the frames done and all frames.
@@ -620,12 +589,12 @@ def reinfer(
     published = digests(script) if solver is None and rerun.as_recorded else {}
     equality = Equality() if published else None
     agreement = None if solver is None else Agreement(bundle.skin.grid.pixel_mm)
-    maps, others = (Maps.empty(keep) if keep else None), (Maps.empty(keep) if keep and solver is not None else None)
+    maps, others = (Maps(keep) if keep else None), (Maps(keep) if keep and solver is not None else None)
     count = withheld = 0
     before: Step | None = None
     first_ns = last_ns = 0
     start_s, start_cpu_s = time.perf_counter(), time.process_time()
-    for step in script.steps(span.from_s, span.to_s):
+    for step in script.steps(from_s, to_s):
         first_ns, last_ns = first_ns or step.log_ns, step.log_ns
         found = rerun.compute(step, every=keep > 0 or solver is not None)
         before = _together(before, step)

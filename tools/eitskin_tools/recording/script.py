@@ -6,7 +6,7 @@ of them take no more memory than seconds. Surfaces are kept, some 20 kB each: te
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_proto.wire.messages import Hello
 from eitskin_tools.recording.codec import unpack_json
-from eitskin_tools.recording.layout import CLOUD, CONDITIONS, FRAME, STATE, WIRE, RecordingError
+from eitskin_tools.recording.layout import CLOUD, CONDITIONS, STATE, WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording
 
 
@@ -104,8 +104,6 @@ class Script(RecordedHead):
         """All that was said of the skin, in order."""
         self.frames = 0
         """Of the wire."""
-        self.notes = 0
-        """Published frames whose digests are there."""
         self.first_ns = self.last_ns = 0
         """``log_ns`` of the first and the last frame of the wire."""
         self.clouds: dict[int, CloudInUse] = {}
@@ -142,8 +140,7 @@ class Script(RecordedHead):
 
     def _look(self) -> None:
         """Go through the file once."""
-        topics = {WIRE.topic, CLOUD.topic, CONDITIONS.topic, STATE.topic, FRAME.topic}
-        for entry in self.recording.entries(topics):
+        for entry in self.recording.entries({WIRE.topic, CLOUD.topic, CONDITIONS.topic, STATE.topic}):
             try:
                 if entry.topic == WIRE.topic:
                     self.first_ns = self.first_ns or entry.log_ns
@@ -155,10 +152,8 @@ class Script(RecordedHead):
                 elif entry.topic == CONDITIONS.topic:
                     found = Conditions.of(entry.data)
                     self.conditions[found.revision] = found
-                elif entry.topic == STATE.topic:
-                    self.states.append(unpack_json(entry.data))
                 else:
-                    self.notes += 1
+                    self.states.append(unpack_json(entry.data))
             except (RecordingError, FrameError):
                 self.malformed += 1
 
@@ -185,7 +180,7 @@ class Script(RecordedHead):
                 continue
             count += 1
             now = self.conditions.get(frame.conditions)
-            step = self._step(frame, entry.log_ns, now, before)
+            step = step_of(frame, entry.log_ns, now, before, self.clouds.get, self.references.get)
             yield step
             before = now if step.known else before
         if not count:
@@ -194,38 +189,36 @@ class Script(RecordedHead):
                 f"lasts {self.seconds:.1f} s"
             )
 
-    def _step(self, frame: WireFrame, log_ns: int, now: Conditions | None, before: Conditions | None) -> Step:
-        if now is None:
-            return Step(frame, log_ns, known=False)
-        if now is before:
-            return Step(frame, log_ns)
-        cloud, reference = self.clouds.get(now.cloud), self.references.get(now.reference)
-        return step_of(frame, log_ns, now, before, cloud, reference)
-
 
 def step_of(
     frame: WireFrame,
     log_ns: int,
-    now: Conditions,
+    now: Conditions | None,
     before: Conditions | None,
-    cloud: CloudInUse | None,
-    reference: bytes | None,
+    cloud_of: Callable[[int], CloudInUse | None],
+    reference_by: Callable[[str], bytes | None],
 ) -> Step:
     """Return a frame with what changed before it; with nothing where the recording lacks some of what it met.
 
     Args:
         frame: It.
         log_ns: When it was read, on the wall clock.
-        now: What held.
+        now: What held; None if it is not there.
         before: What held when everything was known last; None at the beginning.
-        cloud: That of ``now``; None if it is not there.
-        reference: That of ``now``; None if it is not there.
+        cloud_of: Returns the cloud of a revision; None if it is not there.
+        reference_by: Returns the reference of a SHA-256; None if it is not there.
     """
+    if now is None:
+        return Step(frame, log_ns, known=False)
+    if now is before:
+        return Step(frame, log_ns)
     new_cloud = before is None or before.cloud != now.cloud
     new_reference = before is None or before.reference != now.reference
+    cloud = cloud_of(now.cloud) if new_cloud else None
+    reference = reference_by(now.reference) if new_reference else None
     if (new_cloud and cloud is None) or (new_reference and reference is None):
         return Step(frame, log_ns, known=False)
-    return Step(frame, log_ns, now, cloud if new_cloud else None, reference if new_reference else None)
+    return Step(frame, log_ns, now, cloud, reference)
 
 
 def bundle_of(script: RecordedHead, named: str | Path | None = None) -> Bundle:

@@ -11,6 +11,7 @@ keeps the clouds and conditions that were read last, so its memory does not grow
 import struct
 from collections import OrderedDict
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from io import BytesIO
@@ -105,25 +106,15 @@ class ChunkIndex:
                 if entries:
                     self._having.setdefault(channel, []).append(len(self.chunks) - 1)
             elif opcode == Opcode.ATTACHMENT and len(self.attached) < MOST_ATTACHED:
-                self._attach(stream.read(length))
+                with suppress(*UNREADABLE):
+                    found = Attachment.read(ReadDataStream(BytesIO(stream.read(length))))
+                    if found.name.startswith(REFERENCE):
+                        self.attached[found.name] = found.data
             elif opcode == Opcode.CHANNEL:
-                self._name(stream.read(length))
+                with suppress(*UNREADABLE):
+                    named = Channel.read(ReadDataStream(BytesIO(stream.read(length))))
+                    self._names[named.id] = named.topic
             stream.seek(at + length)
-
-    def _attach(self, data: bytes) -> None:
-        try:
-            found = Attachment.read(ReadDataStream(BytesIO(data)))
-        except UNREADABLE:
-            return
-        if found.name.startswith(REFERENCE):
-            self.attached[found.name] = found.data
-
-    def _name(self, data: bytes) -> None:
-        try:
-            found = Channel.read(ReadDataStream(BytesIO(data)))
-        except UNREADABLE:
-            return
-        self._names[found.id] = found.topic
 
     def having(self, topic: str) -> list[int]:
         """Return the numbers of the chunks with messages of a channel; all, where the file has no index."""
@@ -273,12 +264,11 @@ class SeekableRecording(RecordedHead):
     def _step(
         self, frame: WireFrame, log_ns: int, now: Conditions | None, before: Conditions | None, number: int
     ) -> Step:
-        if now is None:
-            return Step(frame, log_ns, known=False)
-        if now is before:
-            return Step(frame, log_ns)
-        cloud = self._held(self._clouds, CLOUD.topic, now.cloud, number)
-        return step_of(frame, log_ns, now, before, cloud, self._references.get(now.reference))
+        def cloud_of(revision: int) -> CloudInUse | None:
+            found: CloudInUse | None = self._held(self._clouds, CLOUD.topic, revision, number)
+            return found
+
+        return step_of(frame, log_ns, now, before, cloud_of, self._references.get)
 
     def _held(self, kept: "_ByRevision", topic: str, revision: int, number: int) -> Any:
         """Return what had a revision when a chunk was written; None where it is not there any more."""

@@ -263,9 +263,7 @@ class RecordingWriter:
         self._open = True
         self._writer = Writer(self._sink, chunk_size=CHUNK_BYTES, enable_data_crcs=False)  # type: ignore[arg-type]
         self._writer.start(profile="", library="eitskin")
-        self.messages = 0
-        """Written so far."""
-        self.metadata(HEAD, {"format": FORMAT, "version": str(VERSION), **head})
+        self._writer.add_metadata(HEAD, {"format": FORMAT, "version": str(VERSION), **head})
         try:
             self._sink.begin(reserve or self._own)
         except BaseException:
@@ -300,10 +298,6 @@ class RecordingWriter:
         """How long what is in memory may stay there yet; 0 where it is late."""
         return max(self._flushed_s + FLUSH_S - self._now_s(), 0.0)
 
-    def metadata(self, name: str, fields: Mapping[str, str]) -> None:
-        """Write texts by name, at once."""
-        self._writer.add_metadata(name, dict(fields))
-
     def attach(self, name: str, media_type: str, content: bytes, log_ns: int) -> None:
         """Write a file within the file."""
         self._writer.flush()  # type: ignore[no-untyped-call]  # what came before it stays before it
@@ -322,7 +316,6 @@ class RecordingWriter:
             OSError: It cannot be written, for another reason than a full disk.
         """
         self._writer.add_message(self._ids[channel.topic], log_ns, data, log_ns, sequence & 0xFFFFFFFF)
-        self.messages += 1
         if self._now_s() - self._flushed_s >= FLUSH_S:
             self.sync()
 

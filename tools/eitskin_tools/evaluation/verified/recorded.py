@@ -120,9 +120,7 @@ class VerifiedSolver:
         if checked.not_verified:
             self._left_out(checked.not_verified)
             return None
-        judged = FrameVerdict(
-            checked.verdict.p_value, bool(checked.verdict.flagged), checked.extra_ms, checked.setup_ms
-        )
+        judged = FrameVerdict(checked.verdict.p_value, bool(checked.verdict.flagged), checked.extra_ms)
         self.verdicts.add(judged)
         return Computed(np.asarray(image, dtype=np.float32), True, "verified", found.gate_logit, judged)
 
