@@ -139,34 +139,6 @@ def _bundle(rng: random.Random | None) -> tuple[bytes, str]:
     return mutations.zipped({"manifest.json": json.dumps(manifest).encode(), **parts}), f"{name}: {what}"
 
 
-def _data_set(folder: Path, rng: random.Random | None) -> tuple[Path, str]:
-    """Put a data set into a folder: one of its files is damaged, and named by its right checksum."""
-    out, files = folder / "data", samples.data_set()
-    out.mkdir()
-    index, what = json.loads(files["index.json"]), "whole"
-    special = None
-    if rng is not None:
-        name = what = rng.choice(list(files))
-        special = name if rng.random() < 0.1 else None
-        if name == "index.json":
-            files[name], _ = _json(lambda: index, rng)
-        else:
-            parts = samples.members(files[name])
-            files[name] = mutations.archive(parts, rng)
-            if rng.random() < 0.5:
-                files[name] = mutations.zipped({**parts, rng.choice(list(parts)): mutations.array(rng)})
-            for entry in (index["touches"], *index["deformations"]):
-                if entry["file"] == name:
-                    entry["sha256"] = sha256_of(files[name])
-            files["index.json"] = json.dumps(index).encode()
-    for name, data in files.items():
-        if name == special and rng is not None:
-            what = f"{name} is no file: {mutations.special(out / name, rng)}"
-        else:
-            (out / name).write_bytes(data)
-    return out, what
-
-
 def _read_bundle(path: Path) -> None:
     """Infer a map: an untouched and a touched sheet's."""
     from tests.attack.line.line import FLAT, HELLO, Line
@@ -216,14 +188,6 @@ def _read_cloud(path: Path) -> None:
     align_cloud(load_surface(path).cloud_mm)
 
 
-def _read_data_set(path: Path) -> None:
-    from eitskin_sim.dataset.reader import load
-
-    found = load(path)
-    found.label_table_u8()
-    found.rows()
-
-
 def _command(*words: str) -> Callable[[Path], None]:
     """Return what gives a file to a command as its last word, or where a word is ``FILE``."""
 
@@ -253,7 +217,5 @@ KINDS: Final[dict[str, Kind]] = {
     "voltages": Kind(_file("r.npy", _npy), _command("doctor", "--electrodes", "--recorded")),
     "recording": Kind(recorded.make, recorded.read, 2500),
     "measured": Kind(_file("m.npz", partial(_npz, samples.measured)), _command("evaluate", "--measured"), 800),
-    "tank": Kind(_file("t.npz", partial(_npz, samples.tank)), _command("evaluate", "--tank"), 800),
-    "data-set": Kind(_data_set, _read_data_set, 800),
 }
 """By name."""

@@ -76,7 +76,7 @@ def make(folder: Path, rng: random.Random | None) -> tuple[Path, str]:
         return path, "whole"
     if rng.random() < 0.04:
         return path, f"{name}, not a file: {mutations.special(path, rng)}"
-    how = rng.choice(("bytes", "bytes", "chunk", "head", "reference", "body", "body", "body", "times", "order"))
+    how = rng.choice(("bytes", "bytes", "chunk", "head", "reference", "body", "body", "body", "times"))
     if how == "bytes":
         path.write_bytes(mutations.bent(_whole(), rng))
     elif how == "chunk":
@@ -104,8 +104,6 @@ def _rewrite(path: Path, how: str, rng: random.Random) -> None:
         _bodies(messages, rng)
     elif how == "times":
         _times(messages, rng)
-    elif how == "order":
-        messages = _order(messages, rng)
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
@@ -214,18 +212,6 @@ def _times(messages: list[Message], rng: random.Random) -> None:
         elif how == 3:
             number = rng.choice((0, 2**32 - 1, sequence, sequence + 7))
         messages[at] = channel, data, min(max(time_ns, 0), LARGEST_NS), number
-
-
-def _order(messages: list[Message], rng: random.Random) -> list[Message]:
-    """Leave channels out, say things again, or in another order."""
-    how, chosen = rng.randrange(5), rng.choice(sorted({one[0] for one in messages}))
-    if how < 2:
-        return [one for one in messages if (one[0] == chosen) is bool(how)]
-    if how == 2:
-        return [one for one in messages for _ in range(30 if one[0] == chosen else 1)]
-    if how == 3:
-        rng.shuffle(messages)
-    return messages if how == 3 else messages[:: rng.choice((-1, 2, 7))]
 
 
 def _strange_chunk(data: bytes, rng: random.Random) -> bytes:
