@@ -5,14 +5,12 @@ import pytest
 from tests.emulator.board import Board, record
 from tests.emulator.firmware import missing_tools
 from tests.emulator.patience import patient
-from tests.faults import powercut
 
 from eitskin.acquisition.serial_port import SerialPort
 from eitskin_proto.sensor.table import FULL_TABLE, ROW_IN_FULL
-from eitskin_proto.wire import config_toml, framing, messages
+from eitskin_proto.wire import framing, messages
 from eitskin_proto.wire.codes import HelloFlag
 from eitskin_proto.wire.frames import Frame
-from eitskin_tools.flash import procedure
 
 MISSING = missing_tools("qemu")
 SILENCE_S = 60.0
@@ -85,21 +83,6 @@ def test_a_recording_comes_out_as_the_volts_that_went_in(storage):
         error = np.abs(frame.counts * scale - volts[:, ROW_IN_FULL]).max(axis=1).min()
         assert error <= 0.6 * scale
     assert scale == pytest.approx(np.abs(volts).max() * 2**-22, rel=1e-12)
-
-
-@pytest.mark.slow
-def test_flash_survives_a_kill_at_any_stage_and_then_takes_the_new_configuration(storage):
-    with Board(storage) as board:
-        port = SerialPort(board.port)
-        try:
-            stored = procedure.write(patient(port), config_toml.named("full208"))
-            assert (stored.generation, stored.configuration.name) == (1, "full208")
-        finally:
-            port.close()
-    assert powercut._board_name(storage).name == "full208"
-    figures = powercut.cut_board(1)
-    assert figures["booted"] == {"full208": 1, "fast": 1}, "one cut early, one just after the confirmation"
-    assert figures["lost"] == []
 
 
 def test_a_recording_that_does_not_fit_is_refused(storage):

@@ -6,22 +6,12 @@ import numpy as np
 
 from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.wire import framing, messages
-from eitskin_proto.wire.codes import Code, EventCode, FrameFlag, HelloFlag, Mode
+from eitskin_proto.wire.codes import Code, EventCode, FrameFlag
 from eitskin_proto.wire.frames import Frame
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
 
-from .talk import FAST, PAPER, ack, talk
-
-
-def test_a_fresh_device_runs_the_built_in_configuration_and_says_so(device):
-    [hello] = talk(device, messages.HelloRequest(tag=3))
-    assert hello.tag == 3
-    assert hello.flags == HelloFlag.FACTORY
-    assert (hello.generation, hello.configuration_digest, hello.rows) == (0, PAPER.digest, 104)
-    assert (hello.configuration_name, hello.serial_number) == ("paper", "HOST-0001")
-    assert hello.volts_per_count == 256 / 2**30 / PAPER.gain  # 24 of 32 bits
-    hello.check()
+from .talk import FAST, talk
 
 
 def test_it_streams_at_the_rate_in_table_order_with_saturation_where_it_was(device):
@@ -48,30 +38,6 @@ def test_the_rate_does_not_drift_even_if_its_period_is_no_whole_microsecond(devi
     frames = [m for m in talk(device, messages.Start(), run_us=3_000_000) if isinstance(m, Frame)]
     span_us = frames[-1].device_us - frames[0].device_us
     assert abs(span_us - (len(frames) - 1) * 1e9 / 333_333) <= 100  # two steps of this test's clock, after 3 s
-
-
-def test_a_number_of_frames_can_be_asked_for_and_stop_keeps_the_sequence(device):
-    frames = [m for m in talk(device, messages.Start(frames=7), run_us=1_000_000) if isinstance(m, Frame)]
-    assert [frame.sequence for frame in frames] == list(range(7))
-    talk(device, messages.Start(), run_us=100_000)
-    stopped = ack(device, messages.Stop(tag=4))
-    assert stopped.detail == 7 + 20
-    assert not [m for m in talk(device, run_us=100_000) if isinstance(m, Frame)]
-
-
-def test_idle_scans_a_subset_at_its_own_rate_and_comes_back(device):
-    talk(device, messages.Start())
-    assert ack(device, messages.SetMode(tag=2, mode=Mode.IDLE)).code == Code.OK
-    device.run(20_000)
-    device.take()
-    frames = [m for m in talk(device, run_us=1_000_000) if isinstance(m, Frame)]
-    assert 19 <= len(frames) <= 21
-    assert all(frame.drives == 0x000F and frame.flags & FrameFlag.IDLE and len(frame.counts) == 49 for frame in frames)
-    assert ack(device, messages.SetMode(tag=3, mode=Mode.ACTIVE)).code == Code.OK
-    device.run(60_000)
-    device.take()
-    assert 99 <= len([m for m in talk(device, run_us=500_000) if isinstance(m, Frame)]) <= 101
-    assert ack(device, messages.SetMode(tag=3, mode=2)).code == Code.BAD_VALUE
 
 
 def test_a_line_without_room_loses_frames_that_are_counted_and_never_parts_of_them(device):

@@ -7,7 +7,7 @@ import pytest
 
 from eitskin_proto.sensor.table import FULL_TABLE
 from eitskin_proto.wire import config_toml, messages
-from eitskin_proto.wire.codes import Code, FrameFlag
+from eitskin_proto.wire.codes import Code, FrameFlag, HelloFlag
 from eitskin_proto.wire.frames import Frame
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange, Refused, Silent
@@ -42,6 +42,23 @@ def test_streams_carry_the_generation_and_the_full_table_after_a_change(device):
     assert frames[0].counts.tolist() == [int(counts[k, m]) >> 8 for k, m in FULL_TABLE]
 
 
+def test_without_a_confirmation_the_next_boot_goes_back(device):
+    exchange = Exchange(device)
+    procedure.write(exchange, PAPER)
+    blob = FAST.to_blob()
+    for request in (begin(), messages.ConfigWrite(5, 0, blob[:32]), messages.ConfigWrite(5, 32, blob[32:]),
+                    messages.ConfigCommit(5, FAST.digest), messages.Restart(5)):  # fmt: skip
+        assert ack(device, request).code == Code.OK
+    device.run(30_000)
+    tried = exchange.hello()
+    assert (tried.configuration_name, tried.flags) == ("fast", HelloFlag.TRIAL)
+    frames = [m for m in talk(device, messages.Start(frames=1), run_us=9000) if isinstance(m, Frame)]
+    assert frames[0].flags & FrameFlag.TRIAL
+    device.boot()
+    back = exchange.hello()
+    assert (back.configuration_name, back.generation, back.flags) == ("paper", 1, HelloFlag.ROLLED_BACK)
+
+
 def test_rolling_back_returns_to_the_configuration_before(device):
     exchange = Exchange(device)
     with pytest.raises(procedure.FlashError, match="no earlier configuration"):
@@ -59,12 +76,6 @@ def test_a_lock_that_expired_stays_so_when_the_clock_has_come_round(device):
     for _ in range(43):  # 2^32 us are 71.6 minutes
         device.run(100_000_000, step_us=1_000_000)
     assert ack(device, begin(token=6)).code == Code.OK
-
-
-def test_confirming_another_generation_is_refused(device):
-    assert ack(device, messages.ConfigConfirm(1, PAPER.digest)).code == Code.WRONG_GENERATION
-    assert ack(device, messages.ConfigConfirm(0, PAPER.digest ^ 1)).code == Code.WRONG_GENERATION
-    assert ack(device, messages.ConfigConfirm(0, PAPER.digest)).code == Code.OK
 
 
 class Faulty:

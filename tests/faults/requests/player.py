@@ -11,7 +11,7 @@ from typing import Any
 from tests.emulator.device_core import Outcome
 from tests.faults.requests import specification as states
 from tests.faults.requests.specification import Reply, Request, State, answer, digest_of
-from tests.faults.requests.steps import FACTORY, TYPES, Known, Step, damaged, payload, resolve
+from tests.faults.requests.steps import FACTORY, TYPES, Known, Step, payload, resolve
 
 from eitskin_proto.wire import framing
 from eitskin_proto.wire.codes import Code, HelloFlag, MessageType
@@ -67,8 +67,6 @@ class Player:
                     self._boot(self._may_be)
                 case ("wait", seconds):
                     self._wait(seconds)
-                case ("damaged",):
-                    self._expect(not self._line.ask(damaged(1)), "a damaged packet was answered")
                 case _:
                     self._request(resolve(step, self._known))
         self._line.cut(0, 0)
@@ -179,13 +177,10 @@ class Player:
         if len(said) != 1 or said[0][1] != self._tag:
             return ("none", [payload.hex() for payload in said])
         found = said[0]
-        kind = request[1] if request[0] == "malformed" else TYPES[request[0]]
         if found[0] == MessageType.HELLO:
             return ("hello", _u32(found, 52), _u32(found, 48), found[27])
-        if found[0] == MessageType.ACK and found[2] == kind:
+        if found[0] == MessageType.ACK and found[2] == TYPES[request[0]]:
             return ("ack", found[3], _u32(found, 4))
-        if found[0] == MessageType.CONFIG_DATA and int.from_bytes(found[9:11], "little") == len(FACTORY):
-            return ("data", found[2], _u32(found, 3), int.from_bytes(found[7:9], "little"), found[11:])
         return ("none", found.hex())
 
 

@@ -15,7 +15,6 @@ from eitskin_proto.wire.codes import Code, HelloFlag
 from eitskin_proto.wire.framing import crc32c
 
 BLOB_BYTES: Final = 64
-CHUNK_BYTES: Final = 32
 HARDWARE_ID: Final = 0x45533136
 FORMAT: Final = 1
 MAGIC: Final = b"EITC"
@@ -129,7 +128,7 @@ Request = tuple[Any, ...]
 """Its name, and its fields in the order of SPEC.md, tag left out."""
 
 Reply = tuple[Any, ...]
-"""("ack", code, detail), ("hello", generation, digest, flags), or ("data", slot, generation, offset, data).
+"""("ack", code, detail) or ("hello", generation, digest, flags).
 
 A detail of None is not foretold."""
 
@@ -162,20 +161,6 @@ def _start(state: State) -> tuple[State, Reply]:
 
 def _stop(state: State) -> tuple[State, Reply]:
     return state._replace(streaming=False), ("ack", int(Code.OK), None)
-
-
-def _read(state: State, slot: int, offset: int, length: int) -> tuple[State, Reply]:
-    if slot > 1 or not 1 <= length <= CHUNK_BYTES or offset + length > BLOB_BYTES:
-        return state, _ack(Code.BAD_VALUE, BLOB_BYTES)
-    blob, generation = state.blob, 0 if state.revoked else state.generation
-    if slot == 1 and state.session is not None and state.session.announced is not None:
-        blob, generation = state.session.written.ljust(BLOB_BYTES, b"\xff"), state.session.committed
-    elif slot == 1:
-        other = state.slots[state.other]
-        if other is None or other.revoked:
-            return state, _ack(Code.NO_PREVIOUS)
-        blob, generation = other.blob, other.generation
-    return state, ("data", slot, generation, offset, blob[offset : offset + length])
 
 
 def _begin(
@@ -321,13 +306,8 @@ def _restart(state: State, token: int) -> tuple[State, Reply]:
     return state._replace(streaming=False), _ack(Code.OK)
 
 
-def _malformed(state: State, kind: int, length: int) -> tuple[State, Reply]:
-    known = kind in (0x01, 0x02, 0x03, 0x04, 0x05, *range(0x10, 0x19))
-    return state, _ack(Code.BAD_LENGTH if known else Code.UNKNOWN_TYPE, length)
-
-
 _ANSWERS: Final[dict[str, Any]] = {
-    "hello": _hello, "start": _start, "stop": _stop, "read": _read, "begin": _begin, "write": _write,
+    "hello": _hello, "start": _start, "stop": _stop, "begin": _begin, "write": _write,
     "verify": _verify, "commit": _commit, "confirm": _confirm, "rollback": _rollback, "abort": _abort,
-    "restart": _restart, "malformed": _malformed,
+    "restart": _restart,
 }  # fmt: skip

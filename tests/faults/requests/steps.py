@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from tests.faults.requests.specification import HARDWARE_ID, Request, digest_of
 
-from eitskin_proto.wire import config_toml, framing
+from eitskin_proto.wire import config_toml
 
 BLOBS: Final = {name: config_toml.named(name).to_blob() for name in config_toml.NAMED}
 NAMES: Final = tuple(BLOBS)
@@ -19,9 +19,9 @@ FACTORY: Final = BLOBS["paper"]
 
 Step = tuple[Any, ...]
 
-TYPES: Final = {"hello": 0x01, "start": 0x02, "stop": 0x03, "read": 0x10, "begin": 0x11, "write": 0x12, "verify": 0x13,
+TYPES: Final = {"hello": 0x01, "start": 0x02, "stop": 0x03, "begin": 0x11, "write": 0x12, "verify": 0x13,
                 "commit": 0x14, "confirm": 0x15, "rollback": 0x16, "abort": 0x17, "restart": 0x18}  # fmt: skip
-FORMATS: Final = {"hello": "<4sBB", "start": "<I", "stop": "<", "read": "<BHB", "begin": "<IHIIIBB16s", "write": "<IH",
+FORMATS: Final = {"hello": "<4sBB", "start": "<I", "stop": "<", "begin": "<IHIIIBB16s", "write": "<IH",
                   "verify": "<I", "commit": "<II", "confirm": "<II", "rollback": "<II", "abort": "<I",
                   "restart": "<I"}  # fmt: skip
 
@@ -76,13 +76,12 @@ def _flash(rng: random.Random) -> list[Step]:
 def _single(rng: random.Random) -> Step:
     made: Step = rng.choice((
         ("hello",), ("start",), ("stop",), ("stop",),
-        ("read", rng.choice((0, 0, 1, 1, 2)), 4 * rng.randint(0, 16), rng.choice((0, 4, 32, 33))),
         ("begin", _token(rng), rng.choice(NAMES), rng.choice(("good", "good", "hardware", "size", "format", "lower"))),
         ("write", _token(rng), rng.choice(("next", "same", "gap", "bent")), rng.choice((0, 4, 16, 30, 32))),
         ("verify", _token(rng)), ("commit", _token(rng), rng.choice(NAMES)),
         ("confirm", rng.random() < 0.8, rng.random() < 0.8), ("rollback", _token(rng), rng.random() < 0.8),
-        ("abort", _token(rng)), ("restart", _token(rng)), ("malformed", rng.choice((*TYPES.values(), 0x7F, 0x90))),
-        ("damaged",), ("power",),
+        ("abort", _token(rng)), ("restart", _token(rng)),
+        ("power",),
     ))  # fmt: skip
     return made
 
@@ -108,8 +107,6 @@ def resolve(step: Step, known: Known) -> Request:
             return ("confirm", known.generation + (not generation), known.digest ^ (not digest))
         case ("rollback", token, generation):
             return ("rollback", token, known.generation + (not generation))
-        case ("malformed", kind):
-            return ("malformed", kind, 3)
         case _:
             return step
 
@@ -117,9 +114,6 @@ def resolve(step: Step, known: Known) -> Request:
 def payload(request: Request, tag: int) -> bytes:
     """Return the bytes of a request, without the packet around them."""
     name, *fields = request
-    if name == "malformed":
-        kind, length = fields
-        return bytes([kind, tag]).ljust(length, b"\x01")
     head = bytes([TYPES[name], tag])
     if name == "hello":
         return head + struct.pack("<4sBB", b"EITS", 1, 0)
@@ -129,10 +123,3 @@ def payload(request: Request, tag: int) -> bytes:
         token, offset, data = fields
         return head + struct.pack("<IH", token, offset) + bytes(data)
     return head + struct.pack(FORMATS[name], *fields)
-
-
-def damaged(tag: int) -> bytes:
-    """Return a packet that fails its check."""
-    packet = bytearray(framing.encode(bytes([TYPES["hello"], tag]) + b"EITS\x01\x00"))
-    packet[4] ^= 0x20
-    return bytes(packet)
