@@ -51,12 +51,17 @@ def file(tmp_path):
     return str(tmp_path / "phantoms.json")
 
 
-def test_network_from_a_bundle_is_one_more_solver(tiny, file, capsys):
-    words = ["evaluate", "--phantoms", file, "--bundle", str(tiny), "--json"]
-    assert cli.main(words) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert (found["solver"], found["reference"], len(found["bundles"])) == ("vd2t", "pre", 1)
-    assert found["prediction"] == "scan"
+def test_network_from_a_bundle_is_one_more_solver_with_the_prediction_that_is_named(tiny, file, capsys):
+    means = {}
+    for prediction in ("scan", "none", "true"):
+        words = ["evaluate", "--phantoms", file, "--bundle", str(tiny), "--prediction", prediction, "--json"]
+        assert cli.main(words) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert (found["solver"], found["reference"], len(found["bundles"])) == ("vd2t", "pre", 1)
+        assert found["prediction"] == prediction
+        means[prediction] = found["mean"]["cc"]
+    assert means["scan"] != means["none"]
+    assert means["scan"] != means["true"]
 
 
 @pytest.mark.parametrize(

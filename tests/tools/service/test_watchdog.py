@@ -86,3 +86,13 @@ def test_waiting_for_a_silent_device_is_not_standing_still_and_is_a_sign_of_life
     line.let.set()
     waiting.join()
     assert ended == []
+
+
+def test_what_must_end_ends_the_process_if_it_does_not(make, ended):
+    dog, _ = make()
+    dog.watch("closing everything", limit_s=1.0)
+    for _ in range(round(1.0 / LOOK_S)):
+        dog.look()
+    assert ended == []
+    dog.look()
+    assert ended[0][0].startswith("closing everything has stood still for 1 s")
