@@ -136,11 +136,7 @@ def test_frames_of_another_shape_are_refused(shape: tuple[int, ...], tmp_path: P
 def test_moving_streams_name_failures_in_time_and_nothing_else() -> None:
     healthy = bench.false_alarms(consistency(), flat(), [moving()], "N2", 50.0)
     assert sum(row["named"] for row in healthy) == 0
-    each = [row for row in healthy if row["what"] == "false alarms"]
-    assert sum(row["frames"] for row in each) == 2 * moving().frames, "104 rows and 208"
-    together = [row for row in healthy if row["what"] == "false alarms together"]
-    assert [row["frames"] for row in together] == [moving().frames] * 2
-    assert together[0]["interval_95"][1] == pytest.approx(3.0e6 / moving().frames, rel=0.01)
+    assert sum(row["frames"] for row in healthy) == 2 * moving().frames, "104 rows and 208"
     rows = bench.detection(consistency(), flat(), [moving()], "N2", 50.0, electrodes=(2, 9))
     assert {row["what"] for row in rows} == set(bench.FAILURES)
     for row in rows:
@@ -151,14 +147,6 @@ def test_what_counts_as_named_rightly() -> None:
     assert bench.expected(Shorted(15, 0)) == {(15, "shorted"), (0, "shorted")}
     assert bench.expected(Noisy(3)) == {(3, "noisy")}
     assert bench.expected(Detached(7), reciprocal=True) == {(7, "not reciprocal")}
-
-
-def test_intervals_of_events_are_the_exact_ones() -> None:
-    # Poisson: P(0 | mean) = 0.05 at the upper end of none; P(>= n | low) = P(<= n | high) = 0.025 otherwise
-    assert bench.events_interval(0) == (0.0, pytest.approx(-np.log(0.05)))
-    low, high = bench.events_interval(2)
-    assert 1.0 - np.exp(-low) * (1.0 + low) == pytest.approx(0.025)
-    assert np.exp(-high) * (1.0 + high + high**2 / 2.0) == pytest.approx(0.025)
 
 
 def squares(bend: Bend) -> np.ndarray:

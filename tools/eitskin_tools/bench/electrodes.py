@@ -19,7 +19,6 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
 
 from eitskin.errors import BundleError
 from eitskin.health.electrodes import NOT_RECIPROCAL, ElectrodeWatch
@@ -123,8 +122,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.only and "accuracy" in parts and arguments.phantoms is None:
         raise UsageError("--only accuracy needs --phantoms FILE")
     rows = rows_of_parts(arguments, parts)
-    summary = _summary(rows)
-    return report(arguments, rows, summary)
+    return report(arguments, rows, _summary(rows))
 
 
 def rows_of_parts(arguments: argparse.Namespace, parts: tuple[str, ...]) -> list[Row]:
@@ -159,7 +157,6 @@ def rows_of_parts(arguments: argparse.Namespace, parts: tuple[str, ...]) -> list
 
 
 def _detection(arguments: argparse.Namespace, consistency: Consistency, noises: tuple[Any, ...]) -> list[Row]:
-
     flat = flat_response()
     count, moments = (1, 3) if arguments.quick else (arguments.streams, arguments.moments)
     streams = [
@@ -181,7 +178,6 @@ def _accuracy(
 ) -> list[Row]:
     if arguments.phantoms is None:
         return []
-
     phantoms = load_phantoms(files.find(arguments.phantoms, files.PHANTOMS))
     sets = 2 if arguments.quick else SETS
     rows: list[Row] = []
@@ -356,29 +352,7 @@ def false_alarms(
             {"what": "false alarms", "family": family, "touch_on_electrode": covering, "rows": 208 if full else 104,
              "noise": noise, "streams": len(chosen), "frames": frames, "named": int(alarms)}
         )  # fmt: skip
-    return [*rows, *_together(rows, noise)]
-
-
-def _together(rows: Sequence[Row], noise: Kind) -> list[Row]:
-    """Return the false alarms of each width of scan over all streams, with what they say of a million frames."""
-    found = []
-    for width in (104, 208):
-        own = [row for row in rows if row["rows"] == width]
-        named, frames = sum(row["named"] for row in own), sum(row["frames"] for row in own)
-        low, high = events_interval(named)
-        found.append(
-            {"what": "false alarms together", "rows": width, "noise": noise, "streams": sum(r["streams"] for r in own),
-             "frames": frames, "named": named, "per_million_frames": round(1e6 * named / frames, 1),
-             "interval_95": [round(1e6 * low / frames, 1), round(1e6 * high / frames, 1)]}
-        )  # fmt: skip
-    return found
-
-
-def events_interval(count: int) -> tuple[float, float]:
-    """Return the 95 % interval of the mean of which a Poisson count was seen; of none, the upper end alone (3.0)."""
-    if not count:
-        return 0.0, float(chi2.ppf(0.95, 2) / 2.0)
-    return float(chi2.ppf(0.025, 2 * count) / 2.0), float(chi2.ppf(0.975, 2 * count + 2) / 2.0)
+    return rows
 
 
 def detection(
@@ -474,9 +448,6 @@ def accuracy(
         for lost in lost_sets(count, most_sets):
             plan.append(("zeros", lost, Run(_zeroed(network.solver, lost), "pre")))
             plan.append(("imputed", lost, Run(_imputed(network.solver, lost, consistency, spread), "pre")))
-            if consistency.layers is not None:
-                solver = _imputed(network.solver, lost, replace(consistency, layers=None), spread)
-                plan.append(("imputed, Gaussian alone", lost, Run(solver, "pre")))
     results = evaluate_all(phantoms, [run for *_, run in plan], conditions)
     scores = [float(np.mean([one.cc for _, scores in result for one in scores])) for result in results]
     intact = scores[0]
