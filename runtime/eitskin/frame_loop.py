@@ -567,12 +567,12 @@ class FrameLoop:
         if touches is None:
             self._touches = touches = TouchWatch(pipeline.bundle.skin.grid)
         if not wanted:
-            touches.forget()
+            touches.reset()
             record.touches = None
             return
         values = pipeline.buffers.map[0] if record.touched and not record.map_is_zero else None
         which = record.solver, record.map_key
-        record.touches = touches.look(values, which, pipeline.buffers.surface, record.device_us)
+        record.touches = touches.update(values, which, pipeline.buffers.surface, record.device_us)
 
     def _pack(self, *, short: bool, frames: bool) -> memoryview:
         record = self._pipeline.record
@@ -590,7 +590,7 @@ class FrameLoop:
         else:
             self.source.deferred.put(self._pipeline.keep_for_health, feed.frame, self.source.payload, number)
 
-    def use(self, found: Reference, *, fresh: bool = False) -> None:
+    def use_reference(self, found: Reference, *, fresh: bool = False) -> None:
         """Normalise against a reference from the next frame on; before the loop runs, or in its thread.
 
         Args:
@@ -623,7 +623,7 @@ class FrameLoop:
                 builder.leave_out(unfit)
             elif builder.add(self._pipeline.normaliser.voltages()):
                 found = builder.finish(self._device.hello, checks, force=force)
-                self.use(found, fresh=True)
+                self.use_reference(found, fresh=True)
                 return found
         if self.source.stopping:
             raise BadReference("stopped while the reference was captured")
@@ -681,7 +681,7 @@ class FrameLoop:
             return
         try:
             found = recapture.finish(self._device.hello)
-            self.use(found, fresh=True)
+            self.use_reference(found, fresh=True)
             self._pipeline.record.note("reference")
         except SkinError as error:
             recapture.settle(error)

@@ -173,7 +173,7 @@ class Skin:
             self._clouds = CloudChange(self.pipeline)
             self.loop = with_streams(FrameLoop(self.device, self.pipeline, idle), self.device, self.pipeline)
             if loaded is not None:
-                self.loop.use(loaded)
+                self.loop.use_reference(loaded)
         except BaseException:
             self.transport.close()
             raise

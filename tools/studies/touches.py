@@ -90,7 +90,7 @@ def _timed(count: int, frames: int) -> dict[str, Any]:
                 time.sleep(max(due - time.perf_counter(), 0.0))
             values = maps[frame % len(maps)]
             start = time.perf_counter_ns()
-            watch.look(values, (kind, frame), surface, 5000 * frame)
+            watch.update(values, (kind, frame), surface, 5000 * frame)
             found.append(time.perf_counter_ns() - start)
     paced, warm = (percentiles_us(np.array(spans[kind])) for kind in ("paced", "warm"))
     return {

@@ -139,7 +139,7 @@ def check_up(recording: Recording, consistency: Consistency, reference: Referenc
         raw = relative_change(voltages, volts).astype(np.float32)
         change = raw.copy()
         watch.correct(change)
-        watch.look(raw, change)
+        watch.update(raw, change)
         evidence = watch.evidence
         seen.append((evidence.surprise, evidence.pair_ratio, evidence.jumping))
     surprise, ratio, jumping = (np.median([one[part] for one in seen], axis=0) for part in range(3))

@@ -182,7 +182,7 @@ class UntouchedBaseline:
         chi, rms = float(self._chi_weights @ square) / share, float(self._weights @ square) ** 0.5
         return Split(common, rest, chi, rms, self._noise * share**0.5)
 
-    def take(self, logs: Array, frames: int, *, touched: bool) -> None:
+    def add(self, logs: Array, frames: int, *, touched: bool) -> None:
         """Take the next look.
 
         Args:

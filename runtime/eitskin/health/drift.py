@@ -134,7 +134,7 @@ class Drift:
         """(104,) what 1 + dV is multiplied with, a copy; None if nothing is taken out."""
         return self._factor.copy() if self.active else None
 
-    def go_on_with(self, factors: npt.NDArray[np.float32] | None) -> None:
+    def hold(self, factors: npt.NDArray[np.float32] | None) -> None:
         """Take out of the frames, from the next one on, what was found before, whatever they say.
 
         Args:
@@ -173,7 +173,7 @@ class Drift:
             np.multiply(change, self._factor, out=change)
             np.subtract(change, _ONE, out=change)
 
-    def look(
+    def update(
         self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32], *, touched: bool
     ) -> tuple[str, ...]:
         """Take the evidence of one frame or of several and return what a frame should say of it: events, mostly none.
@@ -189,7 +189,7 @@ class Drift:
         if not np.array_equal(predicted, self._scan):
             self._scan, self._fresh_scan, self._strange = predicted.copy(), True, 0
         was_known = resting.known
-        resting.take(np.log1p(mean), frames, touched=touched)
+        resting.add(np.log1p(mean), frames, touched=touched)
         if resting.known:
             self._followed = True
             self._variance = self._scene_variance

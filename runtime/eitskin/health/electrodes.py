@@ -120,7 +120,7 @@ class ElectrodeWatch:
         self.check(electrodes)
         chosen = tuple(sorted(set(electrodes)))
         kept = tuple(f for f in self.findings if f.state != "excluded" and f.electrode not in chosen)
-        self.go_on_with((*kept, *(Finding(electrode, "excluded") for electrode in chosen)))
+        self.set_findings((*kept, *(Finding(electrode, "excluded") for electrode in chosen)))
 
     @staticmethod
     def check(electrodes: tuple[int, ...]) -> None:
@@ -139,12 +139,12 @@ class ElectrodeWatch:
         """
         if len(self.findings) >= MOST_OUT or any(finding.electrode == electrode for finding in self.findings):
             return False
-        self.go_on_with((*self.findings, Finding(electrode, NOT_RECIPROCAL)))
+        self.set_findings((*self.findings, Finding(electrode, NOT_RECIPROCAL)))
         return True
 
     def trust(self, electrode: int) -> None:
         """Use an electrode again that was not reciprocal."""
-        self.go_on_with(tuple(f for f in self.findings if f.electrode != electrode or f.state != NOT_RECIPROCAL))
+        self.set_findings(tuple(f for f in self.findings if f.electrode != electrode or f.state != NOT_RECIPROCAL))
 
     def correct(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32] = UNPREDICTED) -> None:
         """Rearrange and fill in (104,) dV, in place, for the failures that are known.
@@ -162,7 +162,7 @@ class ElectrodeWatch:
             volts = (change.astype(np.float64) + 1.0) * self._reference
             change[:] = self.rearranged.matrix @ volts / self._reference - 1.0
 
-    def look(self, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
+    def update(self, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
         """Take the evidence of one frame or of several in a row and return whether any electrode's state changed.
 
         Frames behind the one with which something changed say nothing: they were put right by what was known before.
@@ -229,7 +229,7 @@ class ElectrodeWatch:
             self._pause = WINDOW
             return False
         self.unclear = False
-        self.go_on_with((*self.findings, *found))
+        self.set_findings((*self.findings, *found))
         return True
 
     def _take_back(self, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
@@ -245,7 +245,7 @@ class ElectrodeWatch:
                 back.append(electrode)
         if not back:
             return False
-        self.go_on_with(tuple(f for f in self.findings if f.electrode not in back and f.partner not in back))
+        self.set_findings(tuple(f for f in self.findings if f.electrode not in back and f.partner not in back))
         return True
 
     def _is_healthy(self, finding: Finding, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
@@ -262,7 +262,7 @@ class ElectrodeWatch:
         surprise, _ = self.surprise(np.where(mine, raw, change))
         return bool(surprise[electrode] < self.threshold / 3.0)
 
-    def go_on_with(self, findings: tuple[Finding, ...]) -> None:
+    def set_findings(self, findings: tuple[Finding, ...]) -> None:
         """Go on with these failures from the next frame on."""
         self.findings = tuple(sorted(findings, key=lambda finding: finding.electrode))
         self.texts = tuple(finding.text() for finding in self.findings)

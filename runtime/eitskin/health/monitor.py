@@ -68,7 +68,7 @@ class Health:
         self.gate_without_rows: GateWithoutRows | None = None
         """Cares for a gate on frames that lack rows; None without one."""
 
-    def use(
+    def use_reference(
         self,
         reference_V: npt.NDArray[np.float64],
         spread_V: npt.NDArray[np.float64],
@@ -152,7 +152,7 @@ class Health:
             touched: What the gate said.
         """
         if counts is not None and len(counts) == N_FULL_ROWS:
-            self.reciprocity.take(counts, frozenset(finding.electrode for finding in self.electrodes.findings))
+            self.reciprocity.add(counts, frozenset(finding.electrode for finding in self.electrodes.findings))
             self._count_reciprocal()
         self._waiting += 1
         self._touched += touched
@@ -164,7 +164,7 @@ class Health:
         calibrating = self.gate_without_rows is not None and self.gate_without_rows.due
         return self._waiting >= TOGETHER or self._wanted is not None or calibrating
 
-    def look(self, predicted: npt.NDArray[np.float32]) -> bool:
+    def examine(self, predicted: npt.NDArray[np.float32]) -> bool:
         """Look at the frames that wait, and return whether other rows are missing from now on.
 
         Args:
@@ -201,7 +201,7 @@ class Health:
             change = raw.copy()
             for row in change:
                 self.electrodes.correct(row, predicted)
-        self.electrodes.look(raw, change)
+        self.electrodes.update(raw, change)
         self._follow(change, predicted)
 
     def _count_reciprocal(self) -> None:
@@ -230,7 +230,7 @@ class Health:
         if end + MOST_TOGETHER <= DRIFT_TOGETHER:
             return
         touched, self._following, self._touched = 2 * self._touched > end, 0, 0
-        self._tell(self.drift.look(self._followed[:end], predicted, touched=touched))
+        self._tell(self.drift.update(self._followed[:end], predicted, touched=touched))
 
     def projection(self, matrix: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return the bundle's projection without the rows that are missing."""

@@ -76,7 +76,7 @@ class Reciprocity:
         """The electrode that has not been reciprocal for ``NEEDED`` frames, if there is one."""
         return self._last if self._streak >= NEEDED else None
 
-    def take(self, counts: npt.NDArray[np.number], known: frozenset[int] = frozenset()) -> None:
+    def add(self, counts: npt.NDArray[np.number], known: frozenset[int] = frozenset()) -> None:
         """Take a frame.
 
         Args:

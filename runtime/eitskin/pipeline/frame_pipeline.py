@@ -321,12 +321,12 @@ class Pipeline:
     def use_reference(self, reference: Reference, *, fresh: bool = False) -> None:
         """Normalise against a reference, or the flat one that its scan makes of it; a fresh one is of the sheet now."""
         step_V, flat = self.normaliser.volts_per_count, reference.flat()
-        self.normaliser.use(flat.voltages_V, flat.weak)
+        self.normaliser.use_reference(flat.voltages_V, flat.weak)
         self._reset_gates()
         self.front_end.use_reference(reference, step_V)
         if self.health is not None:
             spread_V = with_rounding(flat.spread_V, step_V)
-            self.health.use(flat.voltages_V, spread_V, self.gate, frames=flat.frames, fresh=fresh)
+            self.health.use_reference(flat.voltages_V, spread_V, self.gate, frames=flat.frames, fresh=fresh)
             self.maps.change_projection(self.health.projection)
         self.maps.compare_by(flat.voltages_V, flat.spread_V, flat.frames, step_V)
         self._prediction.use_reference(reference)
@@ -502,7 +502,7 @@ class Pipeline:
 
     def check_health(self) -> None:
         """Look at electrodes and drift in the last few frames; what changes acts on the next one."""
-        if self.health is not None and self.health.look(self.buffers.log_predicted[0]):
+        if self.health is not None and self.health.examine(self.buffers.log_predicted[0]):
             self.maps.change_projection(self.health.projection)
 
     @property

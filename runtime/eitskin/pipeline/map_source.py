@@ -136,7 +136,7 @@ class MapSource:
         """Hold frames against each other by another reference's noise; see :meth:`Stillness.use`."""
         self._held = ""
         if self.stillness is not None:
-            self.stillness.use(voltages_V, spread_V, frames, step_V)
+            self.stillness.use_reference(voltages_V, spread_V, frames, step_V)
 
     def infer(self, solver: str | None = None) -> bool:
         """Compute the map of the frame in hand, and return whether it is finite.

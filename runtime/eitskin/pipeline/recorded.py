@@ -54,9 +54,9 @@ class RecordedHealth(Health):
         self.by_hand: tuple[int, ...] | None = None
         """Electrodes that a program asked to exclude; None while none did."""
 
-    def use(self, *arguments: Any, **keywords: Any) -> None:
+    def use_reference(self, *arguments: Any, **keywords: Any) -> None:
         """Hold frames against another reference from now on."""
-        super().use(*arguments, **keywords)
+        super().use_reference(*arguments, **keywords)
         if self.gate_without_rows is not None:
             self.gate_without_rows.finish()  # nothing is done while the line rests
 
@@ -69,11 +69,11 @@ class RecordedHealth(Health):
         """Whether a program wants electrodes excluded."""
         return self._wanted is not None
 
-    def look(self, predicted: npt.NDArray[np.float32]) -> bool:
+    def examine(self, predicted: npt.NDArray[np.float32]) -> bool:
         """Exclude the electrodes that a program named, and return whether other rows are missing from now on."""
         if (wanted := self._wanted) is not None:
             self.by_hand = tuple(sorted(set(wanted)))
-        changed = super().look(predicted)
+        changed = super().examine(predicted)
         if changed and self.gate_without_rows is not None:
             self.gate_without_rows.finish()
         return changed
@@ -87,7 +87,7 @@ class RecordedHealth(Health):
             drift: (104,) what 1 + dV is multiplied with; None for nothing.
             electrodes: Number, state and partner of each that has failed or is excluded.
         """
-        self.drift.go_on_with(drift)
+        self.drift.hold(drift)
         findings = tuple(Finding(*finding) for finding in electrodes)
         if (by_hand := self.by_hand) is not None:
             recorded = (one for one in findings if one.state != "excluded" and one.electrode not in by_hand)
@@ -95,7 +95,7 @@ class RecordedHealth(Health):
             findings = tuple(sorted(both, key=lambda one: one.electrode))
         if findings == self.electrodes.findings:
             return False
-        self.electrodes.go_on_with(findings)
+        self.electrodes.set_findings(findings)
         self._rows_before = self.electrodes.missing
         if self.gate_without_rows is not None:
             self.gate_without_rows.leave_out(self.electrodes.missing)

@@ -52,7 +52,7 @@ class Stillness:
         self.holds = False
         """Whether there is a kept frame."""
 
-    def use(
+    def use_reference(
         self, voltages_V: npt.NDArray[np.float64], spread_V: npt.NDArray[np.float64], frames: int, step_V: float = 0.0
     ) -> None:
         """Judge by another reference from the next frame on.

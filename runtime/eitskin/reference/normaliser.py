@@ -55,7 +55,7 @@ class Normaliser:
         self._reciprocal = np.zeros(N_ROWS, dtype=np.int32)
         self._counts = np.zeros(N_ROWS)
 
-    def use(self, reference: npt.NDArray[np.float64], lost: npt.NDArray[np.intp] | None = None) -> None:
+    def use_reference(self, reference: npt.NDArray[np.float64], lost: npt.NDArray[np.intp] | None = None) -> None:
         """Normalise against a reference from the next frame on.
 
         Args:

@@ -79,7 +79,7 @@ class Tracker:
         """Whether no touch is known."""
         return not self._tracks
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Know no touch any more; numbers go on."""
         self._before[self._used] = 0
         self._used = self._used[:0]

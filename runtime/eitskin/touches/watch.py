@@ -35,12 +35,14 @@ class TouchWatch:
         self._map: object = None
         self._surface: Surface | None = None
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Begin anew: nobody has asked for a while."""
-        self.tracker.forget()
+        self.tracker.reset()
         self._found, self._map = self._finder.nothing, None
 
-    def look(self, values: npt.NDArray[np.floating] | None, which: object, surface: Surface, device_us: int) -> Packed:
+    def update(
+        self, values: npt.NDArray[np.floating] | None, which: object, surface: Surface, device_us: int
+    ) -> Packed:
         """Return the touches of a frame.
 
         Args:

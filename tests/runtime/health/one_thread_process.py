@@ -56,8 +56,8 @@ def fail(consistency, gate, failing):
     rng = np.random.default_rng(1)
     before = at_rest()
     health = Health(consistency)
-    health.use(reference, np.abs(reference) * 0.02, gate)  # noisy, so that the gate's threshold is set anew
-    health.use(reference, np.abs(reference) * 0.003, gate)
+    health.use_reference(reference, np.abs(reference) * 0.02, gate)  # noisy, so that the gate's threshold is set anew
+    health.use_reference(reference, np.abs(reference) * 0.003, gate)
     for number in range(FRAMES):
         change = (0.003 * rng.standard_normal(N_ROWS)).astype(np.float32)
         if number >= 20:
@@ -67,7 +67,7 @@ def fail(consistency, gate, failing):
         gate.touched()
         health.complete(change)
         health.put_aside(touched=False)
-        if health.due and health.look(np.zeros(N_ROWS, dtype=np.float32)):
+        if health.due and health.examine(np.zeros(N_ROWS, dtype=np.float32)):
             health.projection(PROJECTION)
     return at_rest() - before, health.electrodes.texts
 

@@ -26,7 +26,7 @@ class Sheet:
     def show(self, logs, looks, touched=False, frames=FRAMES):
         for _ in range(looks):
             noise = self.noise / np.sqrt(frames) * self.rng.standard_normal(N_ROWS)
-            self.resting.take(self.own + logs + noise, frames, touched=touched)
+            self.resting.add(self.own + logs + noise, frames, touched=touched)
         return self.resting
 
 

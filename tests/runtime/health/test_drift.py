@@ -47,7 +47,7 @@ def show(drift, logs, looks, predicted=NO_PREDICTION, touched=False, seed=0):
     rng, events = np.random.default_rng(seed), []
     for _ in range(looks):
         noise = NOISE * rng.standard_normal((TOGETHER, N_ROWS))
-        events += drift.look(np.expm1(logs + noise).astype(np.float32), predicted, touched=touched)
+        events += drift.update(np.expm1(logs + noise).astype(np.float32), predicted, touched=touched)
     return events
 
 
@@ -148,7 +148,7 @@ def test_uneven_drift_that_was_followed_is_told_and_taken_out():
     drift, field = followed(), 0.015 * np.linspace(-1.7, 1.7, N_ROWS)
     for number, part in enumerate(np.linspace(0.0, 1.0, 2000)):
         mean = np.expm1(part * field + NOISE / 11 * np.random.default_rng(number).standard_normal(N_ROWS))
-        drift.look(np.broadcast_to(mean.astype(np.float32), (120, N_ROWS)), NO_PREDICTION, touched=False)
+        drift.update(np.broadcast_to(mean.astype(np.float32), (120, N_ROWS)), NO_PREDICTION, touched=False)
     show(drift, field, 300)
     assert drift.known
     assert drift.uneven

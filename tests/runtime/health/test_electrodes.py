@@ -70,7 +70,7 @@ def show(looking, frames):
     for number, raw in enumerate(frames, start=1):
         change = raw.copy()
         looking.correct(change)
-        if looking.look(raw, change):
+        if looking.update(raw, change):
             changes.append(number)
     return changes
 

@@ -75,11 +75,11 @@ def test_a_frame_that_is_passed_over_quickly_would_have_surprised_nowhere():
 
 def test_a_stream_has_its_failure_named_within_20_frames():
     health = Health(consistency())
-    health.use(REFERENCE, NOISE * np.abs(REFERENCE))
+    health.use_reference(REFERENCE, NOISE * np.abs(REFERENCE))
     for number, frame in enumerate(np.concatenate([healthy(53), detached(healthy(20, seed=1), 6)])):
         health.prepare(frame.copy())
         health.put_aside(touched=True)
-        if health.due and health.look(NO_SCAN):
+        if health.due and health.examine(NO_SCAN):
             assert 53 + 10 <= number + 1 <= 53 + 20
             break
     assert health.electrodes.texts == ("6:detached:imputed",)
@@ -95,5 +95,5 @@ def test_frames_are_looked_at_in_any_case_if_the_line_never_rests():
         health.prepare(frame.copy())
         must.append(health.put_aside(touched=False))
     assert must == [False] * TOGETHER + [True]
-    assert not health.look(NO_SCAN)
+    assert not health.examine(NO_SCAN)
     assert not health.due

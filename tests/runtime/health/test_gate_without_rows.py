@@ -121,19 +121,19 @@ def test_a_later_reference_keeps_no_frame_waiting_and_its_threshold_comes_while_
     """Until then the one before holds for the same rows: a device does not become noisy by a new reference."""
     known, arrays = distance
     gate, health, spread = Gate(arrays), Health(known), 0.02 * np.abs(known.reference)
-    health.use(known.reference, spread, gate)
+    health.use_reference(known.reference, spread, gate)
     first = gate.threshold
     assert not health.due  # nobody waited for frames yet
     assert first > gate.usual_threshold
-    health.use(known.reference, spread, gate)
+    health.use_reference(known.reference, spread, gate)
     assert health.due
     assert gate.threshold == first
     looks = 0
     while health.due:
-        health.look(np.zeros(N_ROWS, dtype=np.float32))
+        health.examine(np.zeros(N_ROWS, dtype=np.float32))
         looks += 1
     assert looks == BLOCKS
     assert gate.threshold == first
-    health.use(known.reference, np.where(rows_of((4,)), 1e9, spread), gate)
+    health.use_reference(known.reference, np.where(rows_of((4,)), 1e9, spread), gate)
     assert not health.due  # what held for other rows says nothing
     assert gate.threshold not in (first, gate.usual_threshold)

@@ -62,7 +62,7 @@ def test_a_dead_electrode_does_not_touch_the_sheet(watching, counts):
 
 def test_a_row_that_does_not_stand_out_of_its_noise_is_filled_in_and_counted(watching, counts):
     watching.health.exclude(())
-    watching.health.look(np.zeros(104, dtype=np.float32))
+    watching.health.examine(np.zeros(104, dtype=np.float32))
     spread = np.abs(counts) * 3e-12
     spread[[7, 60]] = np.abs(counts[[7, 60]]) * [0.5e-9, 0.1e-9]  # one is lost, one is weighed
     watching.use_reference(Reference(counts * 1e-9, spread, 100, "TEST-1", 0xABCD, "paper", ""))

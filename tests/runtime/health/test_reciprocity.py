@@ -47,7 +47,7 @@ def test_a_reciprocal_sheet_is_never_suspected_under_noise(counts):
     sigma = 10 ** (-50 / 20) * np.sqrt(np.mean(np.square(counts, dtype=np.float64)))
     watched, largest = Reciprocity(), 0.0
     for _ in range(400):
-        watched.take(whole + np.rint(sigma * rng.standard_normal(N_FULL_ROWS)).astype(np.int32))
+        watched.add(whole + np.rint(sigma * rng.standard_normal(N_FULL_ROWS)).astype(np.int32))
         largest = max(largest, float(watched.gaps.max()))
         assert watched.suspect is None
     assert largest > 0.0
@@ -56,15 +56,15 @@ def test_a_reciprocal_sheet_is_never_suspected_under_noise(counts):
 def test_a_suspect_needs_its_frames_in_a_row(counts):
     watched, whole = Reciprocity(), both_ways(counts)
     for _ in range(20):
-        watched.take(whole)
+        watched.add(whole)
     took = 0
     while watched.suspect is None:
-        watched.take(weak(whole, 5, 0.8))
+        watched.add(weak(whole, 5, 0.8))
         took += 1
     assert watched.suspect == 5
     # The running mean passes 3 % of 11 % after three frames; then all of them count.
     assert NEEDED <= took <= NEEDED + 3
-    watched.take(weak(whole, 5, 0.8), frozenset({5}))
+    watched.add(weak(whole, 5, 0.8), frozenset({5}))
     assert watched.suspect is None, "what is out of use already is no news"
 
 

@@ -24,8 +24,8 @@ def packed():
     image = GRID.flat_cloud_mm()[2].copy()
     image[9:12, 19:22] = 1.0
     watch, surface = TouchWatch(GRID), Surface(GRID.flat_cloud_mm(), GRID)
-    watch.look(image.ravel(), 1, surface, 1_000_000)
-    return watch.look(image.ravel(), 2, surface, 1_250_000)
+    watch.update(image.ravel(), 1, surface, 1_000_000)
+    return watch.update(image.ravel(), 2, surface, 1_250_000)
 
 
 def test_a_client_written_from_the_specification_reads_them(packer, packed):

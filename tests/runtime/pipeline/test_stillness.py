@@ -20,7 +20,7 @@ SPREAD = 0.003 * np.abs(VOLTS)
 @pytest.fixture
 def stillness():
     found = Stillness()
-    found.use(VOLTS, SPREAD, 100_000)
+    found.use_reference(VOLTS, SPREAD, 100_000)
     return found
 
 
@@ -44,11 +44,11 @@ def test_a_spread_of_few_frames_is_allowed_for():
     answers = []
     for _ in range(100):
         found = Stillness()
-        found.use(VOLTS, np.abs(VOLTS) * noise(rng, 10).std(axis=0, ddof=1), 10)
+        found.use_reference(VOLTS, np.abs(VOLTS) * noise(rng, 10).std(axis=0, ddof=1), 10)
         found.keep(noise(rng, 1)[0])
         answers += [found.still(frame) for frame in noise(rng, 20)]
     assert np.mean(answers) > 0.97  # ten frames' spread without the allowance: less than 0.8
-    found.use(VOLTS, SPREAD, 5)
+    found.use_reference(VOLTS, SPREAD, 5)
     found.keep(np.zeros(104, np.float32))
     assert not found.still(np.zeros(104, np.float32))
 

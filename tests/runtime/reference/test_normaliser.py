@@ -11,7 +11,7 @@ from eitskin_proto.sensor.table import RECIPROCAL_IN_FULL, ROW_IN_FULL
 def test_change_is_the_relative_change_of_the_shared_definition(counts):
     normaliser, out = Normaliser(2e-9), np.zeros(104, np.float32)
     reference = counts * 1.9e-9
-    normaliser.use(reference)
+    normaliser.use_reference(reference)
     normaliser.load(counts)
     assert normaliser.change_into(out)
     # float64 until the end: the last digit of float32, of dV + 1, differs at most
@@ -30,7 +30,7 @@ def test_reciprocal_pairs_of_a_full_scan_are_averaged(counts):
 @pytest.mark.parametrize("volts_per_count", [np.nan, np.inf, 1e6])
 def test_what_is_not_plausible_is_reported_and_leaves_the_output_alone(counts, volts_per_count):
     normaliser, out = Normaliser(1e-9), np.full(104, 7, np.float32)
-    normaliser.use(counts * 1e-9)
+    normaliser.use_reference(counts * 1e-9)
     normaliser.use_scale(volts_per_count)
     normaliser.load(counts)
     assert not normaliser.change_into(out)
@@ -56,7 +56,7 @@ def test_no_counts_and_no_reference_make_a_change_that_is_small_but_not_0(seed, 
     if full:
         counts[RECIPROCAL_IN_FULL] = counts[ROW_IN_FULL]
     normaliser, out = Normaliser(volts_per_count), np.zeros(104, np.float32)
-    normaliser.use(reference)
+    normaliser.use_reference(reference)
     normaliser.load(counts)
     with np.errstate(all="ignore"):
         normaliser.change_into(out)

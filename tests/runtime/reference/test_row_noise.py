@@ -106,7 +106,7 @@ def test_a_watch_fills_in_lost_rows_and_is_not_alarmed_by_them():
         change = raw.copy()
         looking.correct(change)
         off[number] = change[[5, 40]] - true[number]
-        assert not looking.look(raw, change)
+        assert not looking.update(raw, change)
     assert not looking.findings
     rms = np.sqrt(np.mean(off**2, axis=0))
     assert rms[0] < 0.02  # of a row whose readings are off by 2

@@ -117,7 +117,7 @@ def test_frames_are_held_against_the_flat_one(flat_V, bent, scan, hello, tiny):
     pipeline = Pipeline(tiny, hello, None, solver="tikhonov")
     pipeline.use_reference(found)
     alone = Normaliser(hello.volts_per_count)
-    alone.use(found.flat().voltages_V)
+    alone.use_reference(found.flat().voltages_V)
     counts = np.round(flat_V / hello.volts_per_count).astype(np.int32)
     change = np.zeros((2, 104), dtype=np.float32)
     for one, out in ((pipeline.normaliser, change[0]), (alone, change[1])):

@@ -129,7 +129,7 @@ def test_touches_come_in_the_frame_of_the_robot(robot):
     path, skins = robot
     image = np.zeros(GRID.shape)
     image[9:12, 19:22] = 1.0
-    packed = TouchWatch(GRID).look(image.ravel(), 1, Surface(GRID.flat_cloud_mm(), GRID), 1_000_000)
+    packed = TouchWatch(GRID).update(image.ravel(), 1, Surface(GRID.flat_cloud_mm(), GRID), 1_000_000)
     x, y = 20.5 * 10 / 3, 10.5 * 10 / 3
     with eitskin.subscribe_all(path, "all", timeout_s=PATIENCE_S, touches=True) as frames:
         wait_for(skins, b"\xde")

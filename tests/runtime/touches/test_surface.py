@@ -28,7 +28,7 @@ def turned(cloud):
 
 
 def touched(cloud, image):
-    packed = TouchWatch(GRID).look(image.ravel(), 1, Surface(cloud, GRID), 0)
+    packed = TouchWatch(GRID).update(image.ravel(), 1, Surface(cloud, GRID), 0)
     (touch,) = unpack_touches(packed[0], 76, *packed[1:]).touches
     return touch
 

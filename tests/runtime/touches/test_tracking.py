@@ -23,7 +23,7 @@ class Film:
     def show(self, image, which=None):
         self.frame += 1
         values = None if image is None else image.astype(np.float32).ravel()
-        packed = self.watch.look(values, which or self.frame, FLAT, 5000 * self.frame)
+        packed = self.watch.update(values, which or self.frame, FLAT, 5000 * self.frame)
         return unpack_touches(packed[0], LAYOUT.size, *packed[1:])
 
 
@@ -91,7 +91,7 @@ def test_a_faint_touch_is_not_new_but_one_that_fades_goes_on(film):
 
 def test_numbers_are_never_used_twice_also_when_nobody_asked_for_a_while(film):
     film.show(square(50.0, 50.0))
-    film.watch.forget()
+    film.watch.reset()
     found = film.show(square(50.0, 50.0))
     assert said(found) == [("born", 2, 0)]
 
@@ -131,6 +131,6 @@ def test_a_malformed_list_is_named(values, named):
 
 
 def test_a_later_runtime_may_have_more_bytes_a_touch():
-    packed = TouchWatch(GRID).look(square(50.0, 50.0).ravel(), 1, FLAT, 0)
+    packed = TouchWatch(GRID).update(square(50.0, 50.0).ravel(), 1, FLAT, 0)
     found = unpack_touches(packed[0] + b"later", LAYOUT.size + 5, *packed[1:])
     assert ids(found) == [1]

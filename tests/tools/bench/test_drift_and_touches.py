@@ -72,7 +72,7 @@ def share_taken_out(consistency, logs, noise, looks, rng):
 
     def show(shown, frames):
         mean = np.expm1(own + shown + noise / np.sqrt(frames) * rng.standard_normal(len(logs))).astype(np.float32)
-        drift.look(np.broadcast_to(mean, (frames, len(logs))), np.zeros(N_ROWS, np.float32), touched=False)
+        drift.update(np.broadcast_to(mean, (frames, len(logs))), np.zeros(N_ROWS, np.float32), touched=False)
 
     for _ in range(UNTOUCHED):
         show(0.0, TOGETHER)

@@ -106,7 +106,7 @@ def measured(
                 skin.set_cloud(CLOUD, RATIO * volts, volts)
             if step.frame.seq == reference_at:
                 skin.loop.source.deferred.do()  # streams tell of the frame before, by what held for it
-                skin.loop.use(reference(1.01))
+                skin.loop.use_reference(reference(1.01))
 
         line.before = before
         for _ in skin.publish(taker):

@@ -91,7 +91,7 @@ class Runtime:
                 if made_of is not scene.cloud_mm:
                     surface, made_of = Surface(scene.cloud_mm, PAPER.grid), scene.cloud_mm
                 device_us = time.perf_counter_ns() // 1000
-                touches = watch.look(scene.map.ravel().astype(float), id(scene.map), surface, device_us)
+                touches = watch.update(scene.map.ravel().astype(float), id(scene.map), surface, device_us)
                 self._put(packer, scene, device_us, touches if publisher.asked.touches else None)
                 publisher.send(packer.message())
         finally:

@@ -303,7 +303,7 @@ class WatchedSkin:
         frames = np.array([self._rows(self._noisy(self._clean)) for _ in range(REFERENCE_FRAMES)])
         self._reference = frames.mean(axis=0)
         self._health = Health(consistency)
-        self._health.use(self._reference, frames.std(axis=0))
+        self._health.use_reference(self._reference, frames.std(axis=0))
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -319,7 +319,7 @@ class WatchedSkin:
         self._health.complete(change)
         counts = np.rint(volts / VOLTS_PER_COUNT).astype(np.int32)
         if self._health.put_aside(counts, touched=True):
-            self._health.look(UNPREDICTED)
+            self._health.examine(UNPREDICTED)
         return self.findings != before
 
     @staticmethod

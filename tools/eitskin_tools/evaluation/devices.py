@@ -77,7 +77,7 @@ class DriftRemoved:
         change = np.asarray(volts / self._reference - 1.0, dtype=np.float32)
         scan: Any = np.zeros(len(self._reference)) if predicted_log is None else predicted_log
         touched = self._judge(self.correct(volts[-1]), self._reference)
-        self._drift.look(change, scan.astype(np.float32), touched=touched)
+        self._drift.update(change, scan.astype(np.float32), touched=touched)
 
 
 KINDS: Final = {

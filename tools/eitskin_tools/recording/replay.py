@@ -336,7 +336,7 @@ class Player:
 
     def _use(self, reference: Reference) -> None:
         """Hold frames against a recorded reference."""
-        self.skin.loop.use(reference)
+        self.skin.loop.use_reference(reference)
         self._held_against = self.skin.loop.reference
 
     def _decide(self, step: Step) -> None:

@@ -189,7 +189,7 @@ class VerifierFeed:
         )  # fmt: skip
         self._setup += 1
         self._setup_packet = setup.packed(self._setup)
-        self._stillness.use(flat.voltages_V, flat.spread_V, flat.frames, step_V)
+        self._stillness.use_reference(flat.voltages_V, flat.spread_V, flat.frames, step_V)
         self._baseline.start(flat.voltages_V, flat.spread_V, flat.frames, step_V)
         self._withdraw()
         if self._verifier[0] != STARTING:

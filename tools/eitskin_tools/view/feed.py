@@ -169,14 +169,14 @@ class TouchLister:
     def listed(self, frame: Frame) -> Frame:
         """Return a frame with its touches: those that it brought, or else our own."""
         if frame.touch_list is not None or frame.map.shape != self._grid.shape or frame.run != self._run:
-            self._watch.forget()
+            self._watch.reset()
             self._run = frame.run
         if frame.touch_list is not None or frame.map.shape != self._grid.shape:
             return frame
         known = self._surfaces.get((frame.run, frame.cloud))
         surface = known or self._flat
         values = frame.map.reshape(-1) if frame.map.any() else None
-        raw, events, more = self._watch.look(values, (frame.solver, frame.map_sequence), surface, frame.device_us)
+        raw, events, more = self._watch.update(values, (frame.solver, frame.map_sequence), surface, frame.device_us)
         found = unpack_touches(raw, LAYOUT.size, events, more)
         if known is None and frame.cloud:
             found = replace(found, touches=tuple(replace(one, normal=NOWHERE) for one in found.touches))

@@ -116,7 +116,9 @@ class Film:
             if has_map and not stands:  # it stays while frames go out without one: a later one may have it
                 kept, shown = found.map, frame.seq if frame.map_seq is None else frame.map_seq
             values = kept if has_map else self._nothing
-            listed = watch.look(values.ravel().astype(float) if has_map else None, shown, surface, frame.device_us or 0)
+            listed = watch.update(
+                values.ravel().astype(float) if has_map else None, shown, surface, frame.device_us or 0
+            )
             touches = unpack_touches(listed[0], LAYOUT.size, *listed[1:])
             note = span.notes.get(-1 if frame.frame is None else frame.frame, {})
             told = published(step, note, found, self.first_ns)

@@ -147,7 +147,7 @@ def test_another_bundle_and_another_reference_judge_anew(tmp_path: Path, bundle:
         assert player.skin.pipeline.decisions.touched is False
         reference = player.skin.reference
         assert reference is not None
-        player.skin.loop.use(replace(reference))
+        player.skin.loop.use_reference(replace(reference))
         player.line.before(replace(step, conditions=None, reference=None, cloud=None))
         assert player.skin.pipeline.decisions.touched is None
 

@@ -33,7 +33,7 @@ class UntouchedBaseline:
 
     def start(self, voltages_V: Array, spread_V: Array, frames: int, step_V: float) -> None:
         """Start with another surface or reference; arguments as of :meth:`eitskin.pipeline.stillness.Stillness.use`."""
-        self._stillness.use(voltages_V, spread_V, frames, step_V)
+        self._stillness.use_reference(voltages_V, spread_V, frames, step_V)
         self._last = None
 
     def reset(self) -> None:
