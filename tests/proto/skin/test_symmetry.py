@@ -53,17 +53,6 @@ def test_a_ring_that_is_off_by_millimetres_is_nearly_symmetric_and_has_the_image
     assert len(near_images(_with(far))) == 1
 
 
-def test_near_images_are_a_group_however_far_electrodes_are_off():
-    generator = np.random.default_rng(3)
-    for _ in range(40):
-        found = near_images(_with(PAPER.arc_length_mm + generator.normal(0.0, 1.3, 16)))
-        turns = {one.electrodes: (one.x, one.y) for one in found}
-        for one in found:
-            for other in found:
-                both = tuple(one.electrodes[k] for k in other.electrodes)
-                assert turns[both] == (one.x != other.x, one.y != other.y)
-
-
 @pytest.mark.parametrize(("first", "count"), [(0.0, 4), (0.5, 4), (0.2, 2)])
 def test_a_disc_is_symmetric_where_its_ring_is(first, count):
     step = np.pi * 100.0 / 16
