@@ -24,15 +24,14 @@ def run(arguments: argparse.Namespace) -> int:
     import torch
 
     from eitskin_tools.command_line import files
-    from eitskin_tools.command_line.options import check_seed
+    from eitskin_tools.command_line.options import check_least, check_seed
     from eitskin_tools.errors import UsageError
     from eitskin_training import adapt
     from eitskin_training.gate import stored
     from eitskin_training.run_files import data_of, trained
 
     check_seed(arguments.seed)
-    if arguments.threads < 0:
-        raise UsageError(f"--threads is {arguments.threads}; expected 1 or more, or 0 for torch's choice")
+    check_least(arguments, threads=0)
     try:
         plan = adapt.Plan(fitting_steps=arguments.fitting_steps, steps=arguments.steps)
     except ValueError as error:

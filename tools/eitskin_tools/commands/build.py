@@ -80,13 +80,11 @@ def make(
     from eitskin_tools.build import folder as half_made
     from eitskin_tools.build import steps
     from eitskin_tools.build.making import SHARES, Making
-    from eitskin_tools.command_line import files, kinds
+    from eitskin_tools.command_line import files, kinds, options
     from eitskin_tools.console.progress import Stages
-    from eitskin_tools.errors import UsageError
     from eitskin_tools.evaluation import card
 
-    if arguments.threads < 0 or (arguments.workers is not None and arguments.workers < 1):
-        raise UsageError("--workers is at least 1, --threads at least 0")
+    options.check_least(arguments, workers=1, threads=0)
     files.writable(arguments.out, kinds.BUNDLE)
     work = arguments.work or arguments.out.with_name(f"{arguments.out.name}.build")
     others = asked.others()

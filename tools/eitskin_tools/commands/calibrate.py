@@ -128,11 +128,15 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
     from eitskin_tools.flash.full_scan import scanning_all_rows
     from eitskin_tools.guided import Guide, Plan, Terminal, frames_of
 
+    for name, usual in GUIDED.items():
+        if getattr(arguments, name) is None:
+            setattr(arguments, name, usual)
+    options.check_least(arguments, presses=0, bends=0, frames=4)
     plan = Plan(
-        places_mm=places(skin.outline.size_mm, _at_least(arguments, "presses", 0)),
+        places_mm=places(skin.outline.size_mm, arguments.presses),
         stamp_mm=_stamp(arguments.stamp),
-        bends=_at_least(arguments, "bends", 0),
-        frames=_at_least(arguments, "frames", 4),
+        bends=arguments.bends,
+        frames=arguments.frames,
         lying_mm=_lying(arguments.surface, skin),
     )
     if not arguments.port:
@@ -174,14 +178,6 @@ def _lying(path: Path | None, skin: Any) -> Any:
         return check_sheet(load_surface(path, skin).cloud_mm, skin)[0]
     except ValueError as error:
         raise UsageError(f"--surface {path}: {error}") from error
-
-
-def _at_least(arguments: argparse.Namespace, name: str, least: int) -> int:
-    said = getattr(arguments, name)
-    found = int(GUIDED[name] if said is None else said)
-    if found < least:
-        raise UsageError(f"--{name} is {found}, expected at least {least}")
-    return found
 
 
 def _stamp(text: str | None) -> tuple[float, ...]:

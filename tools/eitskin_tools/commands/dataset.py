@@ -74,8 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_sim.dataset.generate import generate
     from eitskin_sim.dataset.plan import make_plan
 
-    if arguments.workers < 1:
-        raise UsageError(f"--workers is {arguments.workers}; it must be at least 1")
+    options.check_least(arguments, workers=1)
     certificates = Certificates(arguments.tls_ca, arguments.tls_cert, arguments.tls_key)
     _check_scheduler(arguments.scheduler, certificates)
     files.folder(arguments.out)

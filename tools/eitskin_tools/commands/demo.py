@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 from eitskin_tools.command_line import files, kinds, options
-from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import endings
 
 
@@ -47,8 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     seconds = arguments.seconds if arguments.seconds is not None else 3600.0 if arguments.view else 20.0
     options.check_positive(arguments, "seconds")
-    if not 0.0 < arguments.rate <= 1e5:
-        raise UsageError(f"--rate is {arguments.rate:g}; expected above 0 frames/s")
+    options.check_positive(arguments, "rate", most=1e5)
     options.check_seed(arguments.seed)
     options.check_solver(arguments)
     scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)

@@ -24,14 +24,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Export and report."""
     from eitskin_export import package
     from eitskin_export.bundle import amend
-    from eitskin_tools.command_line import files, kinds
+    from eitskin_tools.command_line import files, kinds, options
     from eitskin_tools.console.progress import Stages
-    from eitskin_tools.errors import UsageError
     from eitskin_training.run_files import data_of, trained
 
     out = Path(arguments.out)
-    if arguments.seeds < 1:
-        raise UsageError(f"--seeds is {arguments.seeds}; expected at least 1")
+    options.check_least(arguments, seeds=1)
     files.writable(out, kinds.BUNDLE)
     for path in arguments.phantoms:
         files.find(path, files.PHANTOMS)

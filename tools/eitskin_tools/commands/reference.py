@@ -51,8 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         if arguments.out is None:
             raise UsageError("--port captures a reference; name the file that it goes to with --out")
-        if arguments.frames < 2:
-            raise UsageError(f"--frames is {arguments.frames}, expected at least 2")
+        options.check_least(arguments, frames=2)
         files.writable(arguments.out, kinds.REFERENCE)
         found = _capture(arguments)
         references.save(found, arguments.out)

@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
     import torch
 
     from eitskin_tools.command_line import files
-    from eitskin_tools.command_line.options import check_seed
+    from eitskin_tools.command_line.options import check_least, check_seed
     from eitskin_tools.console.progress import Stages
     from eitskin_tools.errors import UsageError
     from eitskin_training import curves, train
@@ -54,8 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         raise UsageError(str(error)) from error
     check_seed(arguments.seed)
-    if arguments.threads < 0:
-        raise UsageError(f"--threads is {arguments.threads}; expected 1 or more, or 0 for torch's choice")
+    check_least(arguments, threads=0)
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     out = files.folder(arguments.out)

@@ -43,8 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_tools.virtual_skin.faults import parse
     from eitskin_tools.virtual_skin.process import Options, serve
 
-    if not 0.0 < arguments.rate <= 1e5:
-        raise UsageError(f"--rate is {arguments.rate:g}; expected above 0 frames/s")
+    options.check_positive(arguments, "rate", most=1e5)
     options.check_positive(arguments, "seconds")
     if arguments.scene is not None and arguments.touches is not None:
         raise UsageError("--touches is what the script's touches do; those of --scene are as it says: leave it out")
