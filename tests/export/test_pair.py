@@ -80,13 +80,6 @@ def test_the_manifest_says_where_it_is_from_and_what_it_is_worth(large: Path, sm
     assert whole.manifest["metrics"] == before.manifest["metrics"]
 
 
-def test_a_head_whose_card_does_not_vouch_for_8_bits_goes_in_as_it_is(large: Path, tmp_path: Path) -> None:
-    doubtful = made(tmp_path / "doubtful.eitskin", 4)
-    big = made(tmp_path / "big.eitskin", 64)
-    pair(big, doubtful, tmp_path / "both.eitskin")
-    assert load_bundle(tmp_path / "both.eitskin").manifest["small"]["head"] == "head.onnx"
-
-
 @pytest.mark.parametrize(("share", "head"), [(0.99, "head_int8.onnx"), (1.01, "head.onnx"), (-1.0, "head.onnx")])
 def test_a_smaller_head_may_show_a_little_more_or_less_in_8_bits(
     large: Path, tmp_path: Path, share: float, head: str

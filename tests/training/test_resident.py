@@ -191,14 +191,6 @@ def test_it_learns_what_batches_made_beside_the_device_teach(
     assert losses[1] < 0.8 * there.history[0].validation_loss
 
 
-def test_a_loss_that_is_no_number_ends_the_run(toy_data: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    data = toy_data("area")
-    data.voltages[data.train[0]] = np.nan
-    monkeypatch.setattr(train, "held_by", lambda *_: True)
-    with pytest.raises(train.SkinError, match="not a number"):
-        train.train(data, replace(recipe("tiny"), epochs=1), tmp_path)
-
-
 def test_a_device_holds_the_data_if_it_is_a_gpu_with_memory_for_them(
     toy_data: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -94,12 +94,6 @@ def test_abutting_touches_leave_no_seam() -> None:
     assert np.linalg.norm(halves - whole) < 2e-3 * np.linalg.norm(whole)
 
 
-def test_overlapping_shapes_are_their_union() -> None:
-    whole = change(Rect(30.3, 40.2, 51.1, 50.7))
-    overlapping = change(Rect(30.3, 40.2, 45.1, 50.7), Rect(36.1, 40.2, 51.1, 50.7))
-    assert np.linalg.norm(overlapping - whole) < 2e-3 * np.linalg.norm(whole)
-
-
 def test_later_touch_covers_the_earlier() -> None:
     below, above = Touch((Disc(41.0, 45.0, 3.0),), 2.0), Touch((Rect(30.3, 40.2, 51.1, 50.7),), 50.0)
     both = factorise(SYSTEM, (below, above)).voltages()

@@ -54,13 +54,6 @@ def test_a_touch_that_lies_across_starts_turned_and_then_upright(angle_deg: floa
     assert not len(none)
 
 
-@pytest.mark.parametrize("angle_deg", [0.0, 90.0])
-def test_an_upright_touch_has_one_start(angle_deg: float) -> None:
-    one, none = starts_of(shares_of(across(angle_deg)), touch_prior("raise"))
-    assert not one[:, 5].any()
-    assert not len(none)
-
-
 def test_a_start_has_the_contrast_of_the_skin_and_a_press_a_graded_border() -> None:
     (hard, _), (press, _), (either, _) = (
         starts_of(shares_of(SQUARE), touch_prior(one)) for one in ("raise", "lower", "both")

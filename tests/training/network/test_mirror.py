@@ -82,13 +82,6 @@ def test_a_mirrored_cloud_is_the_cloud_of_the_mirrored_sheet(skin: Skin, mirror:
 
 
 @pytest.mark.parametrize(("skin", "mirror"), CASES)
-def test_a_mirror_undoes_itself(skin: Skin, mirror: Mirror) -> None:
-    for permutation in (mirror.rows, mirror.pixels, mirror.units):
-        np.testing.assert_array_equal(permutation[permutation], np.arange(len(permutation)))
-    assert (len(mirror.pixels), len(mirror.units)) == (skin.grid.n_pixels, skin.grid.n_units)
-
-
-@pytest.mark.parametrize(("skin", "mirror"), CASES)
 def test_pixels_and_units_go_where_their_places_go(skin: Skin, mirror: Mirror) -> None:
     grid = skin.grid
     centres = grid.pixel_centres_mm().reshape(-1, 2)
@@ -97,11 +90,3 @@ def test_pixels_and_units_go_where_their_places_go(skin: Skin, mirror: Mirror) -
     corners = [grid.unit_rect_mm(int(column), int(row)) for row, column in zip(rows, columns, strict=True)]
     middles = np.array(corners).reshape(-1, 2, 2).mean(axis=1)
     np.testing.assert_allclose(middles[mirror.units], mirrored(middles, mirror, skin), atol=1e-9)
-
-
-def test_one_column_of_the_papers_pixels_lies_on_a_border_between_units() -> None:
-    of_pixel = PAPER.grid.unit_of_pixel.reshape(-1)
-    for mirror in mirrors(PAPER):
-        # So hard labels are mirrored as units, never as pixels.
-        moved = of_pixel[mirror.pixels] != mirror.units[of_pixel]
-        assert moved.sum() == (30 if mirror.x else 0)
