@@ -10,7 +10,6 @@ import pytest
 
 import eitskin
 from eitskin.reference.captured import load
-from eitskin_tools.processes.signals import met_by
 
 from .command_line import command, finished, wait_until_ready
 
@@ -39,22 +38,6 @@ def test_run_publishes_reports_what_it_got_and_ends_cleanly_when_told_to(virtual
     assert set(summary["stages_us"]) == {"decode", "normalise", "gate", "infer", "pack", "publish"}
     assert not (tmp_path / "frames").exists()
     assert not (tmp_path / "control").exists()
-
-
-def test_a_subscriber_that_names_no_endpoint_finds_a_runtime_that_names_none(
-    virtual_skin, tiny_path, tmp_path, monkeypatch
-):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, met_by(signal.SIG_DFL, signal.SIGHUP):
-        process = command("run", "--port", port, "--bundle", tiny_path, "--reference-frames", 20)
-        wait_until_ready(process)
-        with eitskin.subscribe() as frames:
-            assert next(frames).map.shape == (30, 45)
-        code, out, err = finished("subscribe", "--frames", 5, "--json")
-        process.send_signal(signal.SIGHUP)
-        process.communicate(timeout=120)
-    assert (code, process.returncode) == (0, 0), err
-    assert json.loads(out)["frames"] == 5
 
 
 def test_run_ends_after_a_number_of_frames_and_uses_a_stored_reference(virtual_skin, tiny_path, tmp_path, endpoints):
@@ -97,19 +80,6 @@ def test_what_run_says_is_json_where_it_is_asked_to_and_nearly_nothing_where_qui
     assert json.loads(err.splitlines()[-1])["event"] == "error"
 
 
-def test_real_time_options_say_what_was_got(virtual_skin, tiny_path, endpoints):
-    cpu = min(os.sched_getaffinity(0))
-    words = ["--affinity", str(cpu), "--mlock", "--sched-fifo", "1"]
-    with virtual_skin() as port:
-        process = command("run", "--port", port, "--bundle", tiny_path, "--frames", "20", *words, *endpoints)
-        _, err = process.communicate(timeout=120)
-    assert process.returncode == 0, err
-    assert f"affinity: CPU {cpu}" in err
-    for name in ("mlockall: ", "SCHED_FIFO 1: "):
-        answer = err.partition(name)[2]
-        assert answer.startswith(("got", "refused"))
-
-
 def test_subscribe_prints_frames_and_one_object(virtual_skin, running, tmp_path):
     with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, running(port, tmp_path) as runtime:
         code, out, err = finished("subscribe", runtime.publisher.endpoint, "--frames", 20, "--mode", "all")
@@ -125,12 +95,6 @@ def test_subscribe_prints_frames_and_one_object(virtual_skin, running, tmp_path)
         summary = json.loads(out)
     assert (summary["frames"], summary["lost"], summary["rejected"]) == (20, 0, 0)
     assert "deliver" in summary["stages_us"]
-
-
-def test_a_region_outside_the_sheet_exits_2_and_names_the_sheet():
-    code, out, err = finished("subscribe", "ipc:///tmp/x", "--region", "0", "0", "200", "10")
-    assert (code, out) == (2, "")
-    assert "x is 0 to 150, y 0 to 100 mm" in err
 
 
 def test_ctrl_c_ends_subscribe_without_a_traceback_before_and_after_the_first_frame(

@@ -2,7 +2,6 @@ import subprocess
 import sys
 from importlib import metadata
 
-import numpy as np
 import pytest
 
 import eitskin
@@ -52,23 +51,6 @@ def test_the_version_is_that_of_the_installed_distribution_and_costs_a_subscribe
     except metadata.PackageNotFoundError:
         expected = eitskin.UNKNOWN_VERSION
     assert eitskin.__version__ == expected
-
-
-def test_a_tree_that_was_never_installed_says_so(monkeypatch):
-    def missing(name):
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "version", missing)
-    monkeypatch.delitem(vars(eitskin), "__version__", raising=False)
-    assert eitskin.__version__ == "0+unknown"
-    del eitskin.__version__
-
-
-def test_what_people_look_at_prints_one_short_line(tiny):
-    voltages = np.ones(104)
-    reference = eitskin.Reference(voltages, 0 * voltages, 100, "S-1", 7, "paper", "2026-01-01T00:00:00Z")
-    assert repr(reference) == "<Reference of 100 frames of S-1, captured 2026-01-01T00:00:00Z>"
-    assert repr(tiny) == f"<Bundle {tiny.id} of {tiny.labels} labels: {tiny.path}>"
 
 
 def test_every_public_name_exists_and_a_wrong_one_is_an_attribute_error():

@@ -4,8 +4,6 @@ import signal
 
 import pytest
 
-from eitskin.messaging.curve_keys import make_keys
-
 from .command_line import command, finished, wait_until_ready
 
 pytestmark = pytest.mark.process
@@ -38,14 +36,6 @@ def test_a_busy_port_is_one_line_and_exit_1(virtual_skin, tiny_path, endpoints):
     assert first.returncode == 0
     assert code == 1
     assert "open in another program" in err.splitlines()[-1]
-
-
-def test_a_port_that_vanishes_is_one_line_and_exit_1(virtual_skin, tiny_path, endpoints):
-    with virtual_skin(faults=["unplug@1.0:30"]) as port:
-        code, out, err = finished("run", "--port", port, "--bundle", tiny_path, *endpoints)
-    assert (code, out) == (1, "")
-    assert "vanished" in err.splitlines()[-1]
-    assert "Traceback" not in err
 
 
 def test_an_address_in_use_is_one_line_and_exit_1(virtual_skin, tiny_path, endpoints, tmp_path):
@@ -104,16 +94,3 @@ def test_what_cannot_be_bound_is_refused_before_the_port_is_opened(words, said):
     code, out, err = finished("run", "--port", "/dev/ttyNONE9", *words)
     assert (code, out, err.count("\n")) == (1, "", 1)
     assert said in err
-
-
-@pytest.mark.parametrize("words", [[], ["--quiet"]])
-def test_a_damaged_client_key_is_named_also_where_quiet(words, tmp_path):
-    make_keys(tmp_path / "keys")
-    damaged = tmp_path / "keys" / "clients" / "x.key"
-    damaged.write_text("no key")
-    damaged.chmod(0o600)
-    code, out, err = finished("run", "--port", "/dev/ttyNONE9", "--curve-keys", tmp_path / "keys", *words)
-    assert (code, out) == (1, "")
-    named, ended = err.splitlines()
-    assert named.startswith(f"eitskin run: {damaged} is left out: it holds no public key; copy the client's .key")
-    assert ended.startswith("eitskin run: no port /dev/ttyNONE9")

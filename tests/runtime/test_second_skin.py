@@ -115,23 +115,6 @@ def test_frames_have_its_shape_within_bounds():
     assert np.array_equal(unpack_frame(short, 0, frame).map, frame.map)
 
 
-def test_the_largest_map_fits_a_message():
-    packer = FramePacker(
-        configuration="c" * 128, bundle="b" * 16, serial_number="s" * 16, run="r" * 8, shape=(120, 120)
-    )
-    packer.put_map(bytes(57_600))
-    texts = tuple(f"{number:0128d}" for number in range(16))
-    packer.put_texts("vd2t", texts, texts, texts)
-    assert unpack_frame(bytes(packer.message()), 0).map.shape == (120, 120)
-
-
-def test_regions_are_of_its_pixels(tmp_path):
-    assert Region.from_mm(0, 0, 220, 90, SECOND.grid) == Region(0, 18, 0, 45)
-    assert Region.from_mm(0, 0, 9.7, 5.1, SECOND.grid) == Region(0, 2, 0, 2)
-    with pytest.raises(ValueError, match="x is 0 to 220, y 0 to 90 mm"):
-        eitskin.subscribe(f"ipc://{tmp_path}/none", region_mm=(0, 0, 220, 91), skin=SECOND)
-
-
 def test_a_prediction_of_a_stretched_sheet_of_any_proportions_passes():
     flat = np.linspace(1.0, 2.0, 104)
     square = replace(SECOND, outline=replace(SECOND.outline, size_mm=(155.0, 155.0)))
@@ -208,17 +191,3 @@ def test_a_device_that_states_its_skin_is_taken_for_no_other(virtual_skin, tmp_p
             Skin(port)
         with pytest.raises(MismatchError, match=rf"the device's skin: found {SECOND.digest}"):
             capture(port, 10)
-
-
-@pytest.mark.process
-def test_subscribers_name_a_region_by_its_skin(virtual_skin, running, tmp_path):
-    with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, running(port, tmp_path, bundle=PATH) as runtime:
-        endpoint = runtime.publisher.endpoint
-        with eitskin.subscribe(endpoint, region_mm=(0, 0, 50, 30), skin=SECOND, timeout_s=60) as first:
-            frame = next(frame for frame in first if frame.solver != "none")
-            assert frame.map.shape == SHAPE
-            assert frame.regions == (Region(0, 18, 0, 45),)
-            assert frame.map[first.region.slices].any()
-        wrong = eitskin.subscribe(endpoint, region_mm=(0, 0, 50, 30), timeout_s=60)
-        with wrong, pytest.raises(MismatchError, match=r"found \[18, 45\], expected \[30, 45\]; name .*--skin"):
-            next(wrong)

@@ -11,10 +11,8 @@ import numpy as np
 import pytest
 
 from eitskin.acquisition import device as devices
-from eitskin.errors import BadReference, HandshakeError, PortLost
+from eitskin.errors import BadReference, PortLost
 from eitskin.skin import Skin
-from eitskin_proto.wire.codes import MessageType
-from eitskin_proto.wire.framing import Deframer
 
 
 def opened(port, tiny_path, **options):
@@ -73,14 +71,6 @@ def test_the_first_frame_is_not_one_that_waited_since_before_anybody_asked(virtu
         assert skin.pipeline.intake.withheld["stale"] - stale == first.sequence - last - 1
         assert skin.pipeline.intake.withheld["stale"] == first.counts["withheld"]
         assert first.counts["lost"] == 0
-
-
-def test_the_device_streams_only_once_frames_are_asked_for(virtual_skin, tiny_path):
-    with virtual_skin() as port, Skin(port, bundle=tiny_path) as skin:
-        kinds = {payload[0] for payload in Deframer().feed(skin.transport.read(0.2))}
-        assert MessageType.FRAME not in kinds  # an event of its start may come at any time
-        skin.capture_reference(5)
-        assert next(skin.frames()).sequence >= 5
 
 
 def test_stages_are_stamped_in_order_and_ages_are_small_and_positive(virtual_skin, tiny_path):
@@ -149,47 +139,10 @@ def test_a_port_that_is_unplugged_is_lost_in_one_line(virtual_skin, tiny_path):
         collect(skin, 3.0)
 
 
-def test_a_device_that_falls_silent_for_good_ends_the_loop(virtual_skin, tiny_path, monkeypatch):
-    monkeypatch.setattr(devices, "SILENCE_S", 0.1)
-    monkeypatch.setattr(devices, "HANDSHAKE_S", 0.3)
-    with (
-        virtual_skin(faults=["stall@0.3:99", "mute@0.3:99"]) as port,
-        opened(port, tiny_path) as skin,
-        pytest.raises(HandshakeError, match="did not answer"),
-    ):
-        collect(skin, 3.0)
-
-
 def test_saturated_rows_are_an_event_of_their_frame(virtual_skin, tiny_path):
     with virtual_skin(faults=["saturate@0.3:5"]) as port, opened(port, tiny_path) as skin:
         frames = collect(skin, 0.6)
     assert sum("saturated" in frame.events for frame in frames) == 1
-
-
-def test_dead_rows_are_named_and_change_nothing(virtual_skin, tiny_path):
-    with virtual_skin(dead_rows=[2, 50]) as port, opened(port, tiny_path) as skin:
-        frames = collect(skin, 0.3)
-        assert skin.reference.weak.tolist() == [2, 50]
-    assert all(frame.weak_rows == 2 and np.isfinite(frame.map).all() and not frame.touched for frame in frames)
-
-
-def test_a_skin_without_any_voltage_has_no_reference(virtual_skin, tiny_path):
-    with (
-        virtual_skin(dead_rows=list(range(104))) as port,
-        Skin(port, bundle=tiny_path) as skin,
-        pytest.raises(BadReference, match="electrodes are connected"),
-    ):
-        skin.capture_reference(5)
-
-
-def test_a_sheet_that_is_touched_on_and_off_during_capture_is_refused(virtual_skin, tiny_path):
-    touches = [[0.05 * step, 0.05 * step + 0.025, 0.3] for step in range(40)]
-    with (
-        virtual_skin(touches=touches) as port,
-        Skin(port, bundle=tiny_path) as skin,
-        pytest.raises(BadReference, match="flat, untouched and at rest"),
-    ):
-        skin.capture_reference(100)
 
 
 def test_frames_without_a_reference_say_what_to_do(virtual_skin, tiny_path):
@@ -261,16 +214,6 @@ def test_of_a_front_end_that_hangs_nothing_is_published_and_the_next_frame_says_
     # What is stuck at one count repeats as well; a busy machine's skin skips scans
     assert kind == "failing" or withheld["stuck"] + withheld["frozen"] == missing - lost > 0
     assert skin.recoveries == 0
-
-
-def test_while_nothing_that_can_be_used_comes_the_status_says_why(virtual_skin, tiny_path):
-    with virtual_skin(faults=["stuck@0.5:60"]) as port, opened(port, tiny_path) as skin:
-        found = set()
-        looking = threading.Thread(target=lambda: [found.add(skin.status()["trouble"]) for _ in until(found, skin)])
-        looking.start()
-        list(skin.frames(timeout_s=120.0))
-        looking.join()
-    assert found == {"", "stuck"}
 
 
 def until(found, skin):

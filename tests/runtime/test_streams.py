@@ -220,32 +220,3 @@ def test_nothing_is_made_while_nobody_asks(virtual_skin, running, tmp_path):
             until(streams, lambda item: isinstance(item, WireFrame))
         assert sending.numbers["wire"] > 0
         assert sending.numbers["cloud"] == sending.numbers["state"] == 0
-
-
-def test_the_wire_alone_computes_no_map(virtual_skin, running, tmp_path):
-    """Who records need not make the runtime infer: what is not published is made again from the recording."""
-    with (
-        virtual_skin(touches=[[0.5, 600, 0.3]], rate_hz=100.0) as port,
-        running(port, tmp_path) as runtime,
-        eitskin.subscribe_streams(runtime.publisher.endpoint, clouds=False, state=False) as streams,
-    ):
-        (*_, found) = until(streams, lambda item: isinstance(item, WireFrame) and item.touched)
-        assert (found.frame, found.solver, found.map_seq) == (None, "none", None)
-        assert runtime.skin.published == 0
-
-
-def test_who_comes_while_a_map_is_kept_soon_gets_one_whose_frame_it_has(virtual_skin, running, tiny_path, tmp_path):
-    """A map is kept for up to 100 frames while only noise changes: a recording would begin with maps of nowhere."""
-    with (
-        virtual_skin(touches=[[0.5, 600, 0.3]], rate_hz=100.0, noise=3e-4) as port,
-        running(port, tmp_path, bundle=tiny_path, skip_unchanged=True) as runtime,
-        eitskin.subscribe_streams(runtime.publisher.endpoint) as streams,
-        eitskin.subscribe(runtime.publisher.endpoint, "all") as frames,
-    ):
-        next(frames)
-        until(streams, lambda item: isinstance(item, WireFrame) and item.solver != "none" and item.map_seq < item.seq)
-        for _ in range(4):
-            with eitskin.subscribe_streams(runtime.publisher.endpoint) as newcomer:
-                met = until(newcomer, is_made)
-            made = [item for item in met if isinstance(item, WireFrame) and item.solver != "none"]
-            assert len(made) < 50, "a map was made just before it came: the next would be 100 frames behind that one"
