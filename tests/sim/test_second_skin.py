@@ -24,7 +24,6 @@ from eitskin_sim.scene.bend import metric, surface
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_electrodes, nominal_scene, nominal_sheet
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, SceneError, Sheet, Touch
-from eitskin_sim.scene.published import is_published
 from eitskin_sim.scene.scene import parse_scene, scene_json
 from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.scene.touch_table import RECTANGLE, gather
@@ -32,7 +31,6 @@ from eitskin_sim.surface import predict as predicting
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.ordered_cloud import organise
 from eitskin_sim.surface.predict import fit_cloud, predict
-from eitskin_sim.unit_grid.patterns import pack, paper_touch_sets, rich_touch_sets, squares, unpack
 from eitskin_sim.unit_grid.units import UnitGenerator
 
 BEND = Bend(angle_deg=90.0, axis_deg=20.0)
@@ -165,17 +163,6 @@ def test_touches_anywhere_agree_with_a_solved_scene():
     assert np.linalg.norm(found - expected) < 0.03 * np.linalg.norm(expected)
 
 
-def test_a_contrast_is_one_whatever_the_layer_conducts():
-    salty = replace(SECOND, layer=Layer(conductivity_S_per_m=Quantity(3.0)))
-    table = gather([np.array([[RECTANGLE, 194.0, 62.0, 20.0, 20.0, 0.0, 20.0]])])
-    sheet = inverted_sheet(Bend(), 7.0, skin=salty)
-    found = set_voltages([sheet], table, 7.0, skin=salty)[0, 0] / sheet.untouched_V
-    touch = Touch((Rect(184.0, 52.0, 204.0, 72.0),), contrast=20.0)
-    scene = nominal_scene(salty, Bend(), (touch,), element_size_mm=4.0)
-    expected = solve_scene(scene).voltages / solve_scene(scene.untouched()).voltages
-    assert np.linalg.norm(found - expected) < 0.06 * np.linalg.norm(expected - 1.0)
-
-
 def test_touched_units_agree_with_a_solved_scene():
     bits = np.zeros(SECOND.grid.n_units, dtype=np.bool_)
     bits[[8 * 15 + 14, 4 * 15 + 7]] = True
@@ -185,17 +172,6 @@ def test_touched_units_agree_with_a_solved_scene():
     scene = nominal_scene(SECOND, BEND, touches, element_size_mm=4.0)
     expected = solve_scene(scene).voltages / solve_scene(scene.untouched()).voltages - 1.0
     assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected)
-
-
-def test_sets_of_units_are_of_the_skin_s_grid():
-    shape = SECOND.grid.units
-    assert squares(shape=(4, 3)).sum() == 6 * 4 + 2 * 9
-    sets = rich_touch_sets(40, 0, shape)
-    assert sets.shape == (40, 135)
-    assert np.array_equal(unpack(pack(sets), 135), sets)
-    assert not is_published([2 * 14 + 2], shape)
-    with pytest.raises(ValueError, match="touch sets are nearly all that 2 x 2 units have"):
-        paper_touch_sets(0, (2, 2))
 
 
 def test_bends_of_a_skin_do_not_come_from_another_s_cache():

@@ -8,7 +8,7 @@ from tests.second_skin import SECOND
 
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.toml import named
-from eitskin_sim.freeform.touches import CLASSES, pool_of, ranges_of
+from eitskin_sim.freeform.touches import pool_of, ranges_of
 from eitskin_sim.scene.gap import half_extents_mm
 from eitskin_sim.scene.touch_table import Array
 
@@ -53,14 +53,6 @@ def test_where_no_measured_strength_fits_sizes_are_drawn_by_themselves(
     pieces = drawn(skin(lowering_contrast=contrast, size_mm=size_mm))
     assert within(pieces[:, 6], contrast)
     assert within(pieces[:, 3:5], size_mm)
-
-
-def test_touches_that_raise_conductance_have_no_other_sizes_either() -> None:
-    own = skin(kind="raise", raising_contrast=(3.0, 9.0), size_mm=(9.0, 20.0))
-    pieces = drawn(own)
-    assert within(pieces[:, 6], (3.0, 9.0))
-    assert within(pieces[:, 3:5], (9.0, 20.0))
-    assert len(np.unique(pieces[:, 6])) == CLASSES
 
 
 def test_where_all_sizes_of_hard_touches_are_the_skin_s_half_have_their_shapes_too() -> None:
