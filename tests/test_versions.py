@@ -62,7 +62,7 @@ def test_a_word_that_the_wheels_test_does_not_know_is_named():
         ["sh", "tools/wheel-test.sh", sys.executable, "--lower"], check=False, cwd=ROOT, capture_output=True, text=True
     )
     assert done.returncode == 2
-    assert done.stderr == "wheel-test: --lower: expected --once, --lowest or --newest\n"
+    assert done.stderr == "wheel-test: --lower: expected --once, --short, --lowest or --newest\n"
 
 
 NO_INDEX = """#!/bin/sh

@@ -81,7 +81,7 @@ def test_element_size_of_the_command_line_overrides_the_scene(tmp_path: Path) ->
     [
         ({"touches": [{"rect_mm": [0, 0, 200, 10]}]}, "outside the sheet: x = 200 mm; it must be from 0 to 150"),
         ({"electrodes": {"size_mm": 40}}, "must be at least 40 mm"),
-        ({"sheet": {"conductivity_S_per_m": -1}}, "is -1; it must be above 0"),
+        ({"sheet": {"conductivity_S_per_m": -1}}, "conductivity_S_per_m is -1, expected a number from 1e-06 to 1e+08"),
         ({"bend": {"angle_deg": 370}}, "folds the sheet"),
         ({"touches": [{"disc_mm": [50, 50, 0.4]}]}, "smaller than an element"),
     ],
