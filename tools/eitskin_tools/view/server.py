@@ -218,6 +218,8 @@ class _Request(BaseHTTPRequestHandler):
             return
         board = self.server.board
         with board.page() as room, report_stalled_page():
+            if board.closed:
+                return  # the viewer ends: a page without an answer tries again
             if not room:
                 self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "as many pages as may be look on already; close one")
                 return
