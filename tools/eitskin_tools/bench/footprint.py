@@ -42,14 +42,14 @@ from eitskin.model.bundle import load_bundle
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin_proto.wire.messages import Hello
-import eitskin.skin, eitskin.messaging.publish, eitskin.messaging.control, eitskin.skin
+import eitskin.messaging.control, eitskin.messaging.publish, eitskin.skin
 bundle = load_bundle({path!r}, lazily=True)
 hello = Hello(firmware_version=(1, 0, 0), hardware_id=1, serial_number="", configuration_digest=0, generation=0,
               configuration_name="paper", rate_mHz=200_000, rows=104, sample_bytes=3, volts_per_count=1e-9)
 pipeline = Pipeline(bundle, hello, solver={solver!r})
 geometry = GeometryGraph(bundle)
 pipeline.start_with(geometry.geometry(None, None, 0))
-geometry.rest()
+geometry.close_sessions()
 realtime.settle()
 """
 
