@@ -92,7 +92,7 @@ def test_what_must_end_ends_the_process_if_it_does_not(make, ended):
     dog, _ = make()
     dog.watch("closing everything", limit_s=1.0)
     for _ in range(round(1.0 / LOOK_S)):
-        dog.look()
+        dog.check()
     assert ended == []
-    dog.look()
+    dog.check()
     assert ended[0][0].startswith("closing everything has stood still for 1 s")
