@@ -1,5 +1,5 @@
 # make demo    a virtual skin, the runtime and a subscriber, drawn live (installs no torch)
-# make test    lint, types, Python and C tests; four minutes on two cores
+# make test    lint, types, Python and C tests; under ten minutes on two cores
 # make test-quick | test-all    without processes and heavy sums, under a minute; with all that is slow
 # make check   the same
 # make coverage                            the lines of each file that the Python tests of `make test` run
