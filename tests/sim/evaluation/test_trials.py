@@ -56,6 +56,14 @@ def test_shift_of_units_or_by_more_than_a_pixel_is_refused(phantoms):
         shifted(phantoms[1], 1.5, np.random.default_rng(0))
 
 
+def test_each_seed_draws_other_deformations_and_touches():
+    first, again, other = (trials.single(10.0, 2, 1, seed=seed) for seed in (1, 1, 2))
+    assert first == again
+    for one, two in zip(first, other, strict=True):
+        assert one.scene.bend != two.scene.bend
+        assert one.scene.touches != two.scene.touches
+
+
 SMALL = Skin(
     outline=Outline("rectangle", (50.0, 50.0)),
     electrodes=replace(PAPER.electrodes, arc_length_mm=Quantity(tuple(12.5 * (k + 0.4) for k in range(16)))),

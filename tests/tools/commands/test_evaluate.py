@@ -100,3 +100,14 @@ def test_a_bundle_that_a_classical_solver_does_not_read_is_told_of(tiny, file, c
 def test_the_papers_table_has_the_means_that_its_text_gives():
     means = {name: np.mean(values) for name, values in PAPER_CC.items()}
     assert means == pytest.approx({"tikhonov": 0.6625, "l1": 0.6651, "sbl": 0.7417, "vd2t": 0.9912}, abs=1e-4)
+
+
+def test_people_read_the_verdict_before_the_table(tiny, file, capsys):
+    few = ["--deformations", "2", "--each", "1", "--seed", "3", "--bundle", str(tiny)]
+    assert cli.main(["evaluate", "--single", "10", *few]) == 0
+    verdict, conditions, *table = capsys.readouterr().out.splitlines()
+    assert verdict.startswith("vd2t: CC")
+    assert "2 deformations of family A, 1 maps at each, seed 3" in conditions
+    assert any(line.startswith("localisation_rms_mm") for line in table)
+    assert cli.main(["evaluate", "--phantoms", file, "--bundle", str(tiny)]) == 0
+    assert capsys.readouterr().out.startswith("vd2t: all touches right in ")

@@ -27,6 +27,8 @@ def run(arguments: argparse.Namespace) -> int:
     way = way_of(arguments)
     if arguments.seeds < 1:
         raise UsageError(f"--seeds {arguments.seeds}: expected at least 1")
+    if arguments.seed < 0:
+        raise UsageError(f"--seed {arguments.seed}: expected at least 0")
     if arguments.solver not in NAMES:
         raise UsageError(expected_one_of("--solver", arguments.solver, NAMES))
     if not 0.0 <= arguments.shift_px <= 1.0:
@@ -37,7 +39,13 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--at-rest {arguments.at_rest}: expected a number of frames")
     skin = options.chosen_skin(arguments)
     conditions = Conditions(
-        arguments.noise, arguments.snr_db, arguments.seeds, arguments.shift_px, arguments.cloud, skin
+        arguments.noise,
+        arguments.snr_db,
+        arguments.seeds,
+        arguments.shift_px,
+        arguments.cloud,
+        skin,
+        arguments.seed * arguments.seeds,
     )
     request = Request(arguments.solver, arguments.reference, arguments.bundle, arguments.prediction, arguments.at_rest)
     with ProgressBar(way, lines=False) as bar:
@@ -87,8 +95,8 @@ def _devices(arguments: argparse.Namespace, request: Any) -> int:
     from eitskin_sim.evaluation import device_runs as runs
     from eitskin_tools.evaluation.devices import KINDS, evaluate_devices, meant, rows_of, table, trials_of
 
-    if arguments.draws < 1 or arguments.seed < 0:
-        raise UsageError(f"--draws {arguments.draws} --seed {arguments.seed}: expected at least 1, and at least 0")
+    if arguments.draws < 1:
+        raise UsageError(f"--draws {arguments.draws}: expected at least 1")
     kinds = arguments.trials.split(",")
     if unknown := [kind for kind in kinds if kind not in KINDS]:
         raise UsageError(expected_one_of("--trials", unknown[0], KINDS))
@@ -152,20 +160,21 @@ def _trial(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:
     family, deformations, each = arguments.family, arguments.deformations, arguments.each
     labels: trials.Labels = arguments.labels
     trial: dict[str, Any] = {"family": family, "n_deformations": deformations, "each": each, "labels": labels}
-    softness = _softness(arguments)
+    trial["seed"] = arguments.seed
+    softness, skin = _softness(arguments), conditions.skin
     if arguments.untouched:
-        found = untouched_trial(deformations, family, labels, request, conditions, arguments.progress)
+        found = untouched_trial(deformations, family, labels, request, conditions, arguments.seed, arguments.progress)
         return print_trial({"trial": {"kind": "untouched", **trial, "each": 1}, **found}, arguments.json)
     if arguments.single is not None:
         trial = {"kind": "single", "size_mm": arguments.single, **asdict(softness), **trial}
-        phantoms = trials.single(arguments.single, deformations, each, family, softness, conditions.skin)
+        phantoms = trials.single(arguments.single, deformations, each, family, softness, skin, arguments.seed)
     elif arguments.pair is not None:
         trial = {"kind": "pair", "gap_mm": arguments.pair, **trial}
-        phantoms = trials.pair(arguments.pair, deformations, each, family, conditions.skin)
+        phantoms = trials.pair(arguments.pair, deformations, each, family, skin, arguments.seed)
     else:
         counts = _counts(arguments.random)
         trial = {"kind": "random", "touches": list(counts), **trial}
-        phantoms = trials.random(counts, deformations, each, family, labels, conditions.skin)
+        phantoms = trials.random(counts, deformations, each, family, labels, skin, arguments.seed)
     _tell_unknown(request, [(one.truth, one.scene.touch_kind) for one in phantoms])
     found = touched_trial(phantoms, each, request, conditions, arguments.progress)
     return print_trial({"trial": trial, **found}, arguments.json)

@@ -34,7 +34,7 @@ MODE_OPTIONS: Final = {
     "border": ModeOption(None, ("single",)),
     "disc": ModeOption(None, ("single",)),
     "draws": ModeOption(3, ("devices",)),
-    "seed": ModeOption(0, ("devices",)),
+    "seed": ModeOption(0, (*TRIALS, "devices")),
     "trials": ModeOption("mm,units,single,press04,press06", ("devices",)),
     "drift": ModeOption("left", ("devices",)),
 }
@@ -123,6 +123,12 @@ def _add_trials(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("trials")
     group.add_argument("--family", choices=("A", "B"), help="where deformations are drawn (default: A)")
     group.add_argument("--deformations", type=int, metavar="N", help="how many (default: 20)")
+    group.add_argument(
+        "--seed",
+        type=int,
+        metavar="S",
+        help="which draw of deformations, touches and noise, or of devices (default: 0)",
+    )
     group.add_argument("--each", type=int, metavar="N", help="touch sets at each of them (default: 5)")
     group.add_argument(
         "--labels",
@@ -136,7 +142,6 @@ def _add_trials(parser: argparse.ArgumentParser) -> None:
 
     devices = parser.add_argument_group("devices")
     devices.add_argument("--draws", type=int, metavar="N", help="devices of each mismatch (default: 3)")
-    devices.add_argument("--seed", type=int, metavar="S", help="names the devices drawn (default: 0)")
     devices.add_argument("--trials", metavar="A,B", help="which trials (default: all five)")
     drifts = "left in, or taken out as the runtime does: met after a start, or followed since the reference"
     devices.add_argument("--drift", choices=("left", "met", "followed"), help=drifts)

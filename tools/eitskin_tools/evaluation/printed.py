@@ -15,10 +15,14 @@ PAPER_CC: Final = {
 
 
 def print_report(found: dict[str, Any]) -> None:
-    """Print the scores of phantoms, beside the paper's where they are the paper's."""
+    """Print the verdict, and the scores of phantoms beside the paper's where they are the paper's."""
     besides = {"scan": " and V_pred", "true": " and the true untouched voltages"}.get(found["prediction"], "")
-    print(f"{found['solver']}, {found['noise']} at {found['snr_db']:g} dB, reference: {found['reference']}{besides}")
     paper = PAPER_CC.get(found["solver"].split("-")[0]) if len(found["phantoms"]) == len(PAPER_CC["vd2t"]) else None
+    mean, count = found["mean"], len(found["phantoms"])
+    verdict = f"{found['solver']}: all touches right in {mean['exact']:.0%} of the maps of {count} phantoms"
+    verdict += "" if mean["cc"] is None else f", mean CC {mean['cc']:.3f}"
+    print(verdict + (f" (the paper: {sum(paper) / len(paper):.3f})" if paper else ""))
+    print(f"{found['noise']} at {found['snr_db']:g} dB, reference: {found['reference']}{besides}\n")
     print(
         "phantom      CC  PSNR dB      RIE  localisation mm  exact  touches  of  two-point mm      DE"
         + ("  paper's CC" if paper else "")
@@ -46,22 +50,40 @@ def cell(value: float | None, width: int, form: str) -> str:
 
 
 def print_trial(found: dict[str, Any], as_json: bool) -> int:
-    """Print what a trial gave, as an object or a line each, and return 0."""
+    """Print what a trial gave, as an object or the verdict before a table, and return 0."""
     if as_json:
         print(json.dumps(found))
         return 0
+    trial, intervals = found["trial"], found.get("interval_95", {})
+    print(f"{found['solver']}: {_verdict(found)}")
+    print(
+        f"{trial['kind']}, {trial['n_deformations']} deformations of family {trial['family']}, {trial['each']} maps at "
+        f"each, seed {trial['seed']}; {found['noise']} at {found['snr_db']:g} dB, cloud: {found['cloud']}, "
+        f"reference: {found['reference']}\n"
+    )
     for name, value in found.items():
-        if name != "deformations":
-            print(f"{name:24} {_text(value)}")
+        if isinstance(value, int | float):
+            low_high = intervals.get(name)
+            between = (
+                f"  95 % of draws: {low_high[0]:.4f} to {low_high[1]:.4f}"
+                if low_high and low_high[0] < low_high[1]
+                else ""
+            )
+            print(f"{name:24} {value:10.4f}{between}" if isinstance(value, float) else f"{name:24} {value:>10}")
+    for name, value in found.get("verified", {}).items():
+        print(f"verified {name:15} {value:>10}" if isinstance(value, int) else f"verified {name:15} {value:10.4f}")
+    if intervals:
+        print("\nIntervals are clustered: whole deformations are drawn again, 2,000 times.")
     return 0
 
 
-def _text(value: Any) -> str:
-    """Return a value as people read it: what is not there is a dash, and nothing stands in brackets."""
-    if isinstance(value, float):
-        return f"{value:.4f}"
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {one}" for key, one in value.items())
-    if isinstance(value, list):
-        return ", ".join(map(str, value)) or "-"
-    return "-" if value is None else str(value)
+def _verdict(found: dict[str, Any]) -> str:
+    """Return what a trial says, in one sentence."""
+    maps = found["maps"]
+    if "peak" in found:
+        return f"{found['ghost_share']:.1%} of {maps} untouched maps show a touch; highest pixel {found['peak']:.2f}"
+    cc = "no CC" if found["cc"] is None else f"CC {found['cc']:.3f}"
+    return (
+        f"{cc}, touches {found['localisation_rms_mm']:.2f} mm off (rms) and {found['missed']:.1%} missed, "
+        f"in {maps} maps"
+    )

@@ -341,6 +341,7 @@ def untouched_trial(
     labels: trials.Labels,
     request: Request,
     conditions: Conditions,
+    seed: int,
     progress: Progress | None,
 ) -> dict[str, Any]:
     """Return how high the maps of bent sheets rise that nothing touches, of the network for the skin's touches."""
@@ -348,7 +349,7 @@ def untouched_trial(
     solver = named(request, labels, conditions.skin, touches, conditions)
     peaks: list[float] = []
     run = Run(_keeping_peaks(solver.run.solver, peaks), solver.run.reference)
-    evaluate_all(trials.untouched(deformations, family, labels, conditions.skin), [run], conditions, progress)
+    evaluate_all(trials.untouched(deformations, family, labels, conditions.skin, seed), [run], conditions, progress)
     found = np.array(peaks)
     return {
         **_head(request, conditions, solver),

@@ -72,13 +72,15 @@ class Conditions:
     snr_db: float = 50.0
     """Its level."""
     seeds: int = 1
-    """Draws of noise, cloud and shift for each phantom: 0 to seeds - 1."""
+    """Draws of noise, cloud and shift for each phantom: ``first_seed`` to ``first_seed + seeds - 1``."""
     shift_px: float = 0.0
     """Every touch is moved by up to this part of a pixel along x and y."""
     cloud: CloudKind = "scan"
     """What the solvers know of the shape; the others are ablations."""
     skin: Skin = PAPER
     """Whose model, map and clouds the solvers have; the voltages are those of the phantoms' own scenes."""
+    first_seed: int = 0
+    """The first draw of noise, cloud and shift."""
 
 
 @dataclass(slots=True)
@@ -239,7 +241,7 @@ def evaluate_all(
         flat = _solved(phantom.scene.reference(), where)
         scores: list[list[Score]] = [[] for _ in runs]
         shown, truth, clean = None, np.zeros(0), np.zeros(0)
-        for seed in range(conditions.seeds):
+        for seed in range(conditions.first_seed, conditions.first_seed + conditions.seeds):
             rng = np.random.default_rng([seed, number])
             own = np.random.default_rng([SHIFT_SEED, seed, number])
             moved = shifted(phantom, conditions.shift_px, own, grid)

@@ -34,6 +34,9 @@ MEASURES: Final = (
 NEAR_MM: Final = 5.0
 """Touches are told apart where as many are found as there are, this near to them: half the width of a touch."""
 
+RESAMPLES: Final = 2000
+"""Bootstrap draws of deformations behind an interval."""
+
 Row = dict[str, float | None]
 
 
@@ -86,10 +89,29 @@ def summary(results: Results, each: int, grid: Grid = PAPER.grid) -> dict[str, A
         "localisation_p95_mm": float(np.percentile(distance, 95)),
         "missed": float(np.mean(distance >= lost_mm(grid))),
         "told_apart": float(np.mean(right & (distance <= NEAR_MM))),
+        "interval_95": _intervals(groups, lost_mm(grid)),
         "deformations": [
             {"bend": _bend(group[0][0]), **_finite({"cc": mean})} for group, mean in zip(groups, cc, strict=True)
         ],
     }
+
+
+def _intervals(groups: Sequence[Results], lost: float) -> dict[str, list[float]]:
+    """Return 95 % intervals by bootstrap over deformations, since the maps of one deformation err alike."""
+    if len(groups) < 2:
+        return {}
+    cc = [[one.cc for _, scores in group for one in scores] for group in groups]
+    distance = [[one.localisation_mm for _, scores in group for one in scores] for group in groups]
+    sums = np.array(
+        [
+            (np.nansum(ccs), np.sum(~np.isnan(ccs)), np.sum(np.square(mm)), np.sum(np.array(mm) >= lost), len(mm))
+            for ccs, mm in zip(cc, distance, strict=True)
+        ]
+    )
+    drawn = np.random.default_rng(0).integers(len(groups), size=(RESAMPLES, len(groups)))
+    cc_sum, cc_count, square, missed, maps = sums[drawn].sum(axis=1).T
+    found = {"cc": cc_sum / cc_count, "localisation_rms_mm": np.sqrt(square / maps), "missed": missed / maps}
+    return {name: [float(end) for end in np.percentile(values, (2.5, 97.5))] for name, values in found.items()}
 
 
 def _bend(phantom: Phantom) -> dict[str, Any]:

@@ -72,6 +72,7 @@ def single(
     family: Family = "A",
     softness: TouchProfile = HARD,
     skin: Skin = PAPER,
+    seed: int = 0,
 ) -> list[Phantom]:
     """Return phantoms of one touch each.
 
@@ -82,6 +83,7 @@ def single(
         family: Where the deformations are drawn from.
         softness: Its contrast, border and outline.
         skin: What is touched.
+        seed: Which draw of deformations and touches.
 
     Raises:
         ValueError: The touch does not fit on the sheet, would change nothing, or its border cannot be represented.
@@ -100,10 +102,12 @@ def single(
         return (Touch(shapes, contrast=softness.contrast, border_mm=softness.border_mm),)
 
     check_touch(touches(np.random.default_rng(0))[0], nominal_sheet(skin), "the trial's touch")
-    return _phantoms(touches, deformations, each, family, "area", skin)
+    return _phantoms(touches, deformations, each, family, "area", skin, seed)
 
 
-def pair(gap_mm: float, deformations: int, each: int, family: Family = "A", skin: Skin = PAPER) -> list[Phantom]:
+def pair(
+    gap_mm: float, deformations: int, each: int, family: Family = "A", skin: Skin = PAPER, seed: int = 0
+) -> list[Phantom]:
     """Return phantoms of two square touches of ``PAIR_TOUCH_MM``, side by side along x or y.
 
     Args:
@@ -112,6 +116,7 @@ def pair(gap_mm: float, deformations: int, each: int, family: Family = "A", skin
         each: Pairs at each, one at a time.
         family: Where the deformations are drawn from.
         skin: What is touched.
+        seed: Which draw of deformations and touches.
 
     Raises:
         ValueError: The pair does not fit on the sheet.
@@ -127,11 +132,17 @@ def pair(gap_mm: float, deformations: int, each: int, family: Family = "A", skin
         x, y = rng.uniform((0.0, 0.0), (along - side - step[0], across - side - step[1]))
         return _square(float(x), float(y), side), _square(float(x + step[0]), float(y + step[1]), side)
 
-    return _phantoms(touches, deformations, each, family, "area", skin)
+    return _phantoms(touches, deformations, each, family, "area", skin, seed)
 
 
 def random(
-    counts: tuple[int, int], deformations: int, each: int, family: Family, labels: Labels, skin: Skin = PAPER
+    counts: tuple[int, int],
+    deformations: int,
+    each: int,
+    family: Family,
+    labels: Labels,
+    skin: Skin = PAPER,
+    seed: int = 0,
 ) -> list[Phantom]:
     """Return phantoms of several random touches.
 
@@ -142,6 +153,7 @@ def random(
         family: Where the deformations are drawn from.
         labels: "units" for units of the grid, "area" for rectangles and discs anywhere.
         skin: What is touched.
+        seed: Which draw of deformations and touches.
 
     Raises:
         ValueError: The counts are none, or the wrong way round, or the sheet has no room for so many.
@@ -173,29 +185,31 @@ def random(
             f"sheet of {along:g} x {across:g} mm; ask for fewer"
         )
 
-    return _phantoms(units if labels == "units" else anywhere, deformations, each, family, labels, skin)
+    return _phantoms(units if labels == "units" else anywhere, deformations, each, family, labels, skin, seed)
 
 
-def untouched(deformations: int, family: Family = "A", labels: Labels = "area", skin: Skin = PAPER) -> list[Phantom]:
+def untouched(
+    deformations: int, family: Family = "A", labels: Labels = "area", skin: Skin = PAPER, seed: int = 0
+) -> list[Phantom]:
     """Return bent sheets that nothing touches, one a deformation."""
-    return _phantoms(lambda rng: (), deformations, 1, family, labels, skin)
+    return _phantoms(lambda rng: (), deformations, 1, family, labels, skin, seed)
 
 
-def deformations_of(count: int, family: Family, skin: Skin = PAPER) -> tuple[Bend, ...]:
+def deformations_of(count: int, family: Family, skin: Skin = PAPER, seed: int = 0) -> tuple[Bend, ...]:
     """Return the deformations of the trials."""
     if count < 1:
         raise ValueError(f"{count} deformations: expected at least 1")
-    return draw(family, count, SEED, skin)
+    return draw(family, count, SEED + seed, skin)
 
 
 def _phantoms(
-    touches: Touches, deformations: int, each: int, family: Family, labels: Labels, skin: Skin
+    touches: Touches, deformations: int, each: int, family: Family, labels: Labels, skin: Skin, seed: int
 ) -> list[Phantom]:
     if each < 1:
         raise ValueError(f"{each} touch sets at each deformation: expected at least 1")
     found = []
-    for number, bend in enumerate(deformations_of(deformations, family, skin)):
-        rng = np.random.default_rng([SEED, ord(family), number])
+    for number, bend in enumerate(deformations_of(deformations, family, skin, seed)):
+        rng = np.random.default_rng([SEED + seed, ord(family), number])
         for index in range(each):
             scene = nominal_scene(skin, bend, touches(rng))
             found.append(Phantom(f"{family}{number}.{index}", scene, labels))
