@@ -3,7 +3,6 @@
 import argparse
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,16 +11,13 @@ from eitskin.model.bundle import default_path, load_bundle
 from eitskin_tools.bench.harness import chosen, several
 from eitskin_tools.bench.stability import (
     FAMILIES,
+    Stream,
+    Tally,
     crossing,
-    is_sound,
-    noisy,
     repeat_rows,
+    touched_sheets,
 )
-from eitskin_tools.bench.stability_inputs import attacks, strike
-from eitskin_tools.bench.stability_probe import Stream, Tally, samples
 from eitskin_tools.cli import main
-
-TINY = Path(__file__).parents[2] / "golden" / "tiny.eitskin"
 
 
 def test_where_values_fall_below_a_threshold_is_interpolated():
@@ -38,8 +34,8 @@ def test_the_tally_notices_every_map_that_must_not_be_published():
     for image in ([0.0, 1.0], [0.0, np.nan], [np.inf, 0.0], [-1e-9, 1.0], [0.5, 1.0000001]):
         tally.count(np.array(image))
     assert (tally.published, tally.not_finite, tally.out_of_range) == (5, 2, 2)
-    assert not is_sound(tally.summary())
-    assert is_sound(Tally().summary())
+    assert not tally.is_sound
+    assert Tally().is_sound
 
 
 def test_shipped_tikhonov_projections_are_stored_in_float32_and_finite():
@@ -50,63 +46,27 @@ def test_shipped_tikhonov_projections_are_stored_in_float32_and_finite():
 
 
 @pytest.fixture(scope="module")
-def sample():
-    return samples("units", 1, 6.0)[0]
+def sheet():
+    return touched_sheets("units", 1, 6.0)[0]
 
 
-def test_no_input_however_absurd_escapes_or_is_published_out_of_range(sample):
-    bundle, tally = load_bundle(TINY), Tally()
-    outcomes = [strike(attack, bundle, sample, tally) for attack in attacks(sample)]
-    assert tally.escaped == []
-    assert (tally.not_finite, tally.out_of_range) == (0, 0)
-    assert tally.published > 100
-    assert {"malformed", "duplicate", "configuration", "partial", "implausible", "no_signal"} <= set(tally.withheld)
-    for outcome in outcomes:  # whatever was not published was refused in one line, or is counted by its reason
-        sent = outcome.attack.group in ("counts", "reference", "volts per count")
-        if sent and not outcome.refused:
-            assert outcome.published + sum(outcome.withheld.values()) == len(outcome.attack.payloads), outcome
-
-
-def test_a_touch_published_of_voltages_that_no_touch_can_make_would_be_noticed(sample):
-    bundle, tally = load_bundle(TINY), Tally()
-    random = next(attack for attack in attacks(sample) if attack.name == "random")
-    outcome = strike(replace(random, touchless=True), bundle, sample, tally)
-    assert outcome.escaped
-    assert tally.escaped
-
-
-def test_what_the_stream_shows_is_what_the_pipeline_publishes(sample):
+def test_what_the_stream_shows_is_what_the_pipeline_publishes(sheet):
     tally = Tally()
     stream = Stream(load_bundle(default_path("units")), tally)
-    image = stream.show(sample)
+    case, _ = sheet
+    image = stream.show(case)
     assert image is not None
     assert image.shape == (30, 45)
-    assert np.array_equal(image, stream.show(sample))
+    assert np.array_equal(image, stream.show(case))
     assert tally.published == 2
-    assert stream.show(replace(sample, voltages=0.0 * sample.voltages)) is None
-    assert tally.withheld["no_signal"] == 1
-
-
-def test_rows_that_noise_drowns_cost_less_when_the_reference_says_how_much_they_vary():
-    # Four touched sheets, the same 40 frames of each: N3 at 35 dB drowns a fifth of the rows. Maps are compared, not
-    # scores, which saturate. Together 0.64 and 0.80 for two networks, a single sheet from 0.38 to 1.01.
-    rng = np.random.default_rng(2)
-    stream = Stream(load_bundle(default_path("units")), Tally())
-    off = np.zeros(2)
-    for one in samples("units", 4, 6.0):
-        calm = stream.show(one)
-        frames = [noisy(one, "N3", 35.0, rng) for _ in range(40)]
-        for number, said in enumerate((False, True)):
-            shown = [stream.show(frame if said else replace(frame, spread=None)) for frame in frames]
-            off[number] += np.mean([np.mean((image - calm) ** 2) for image in shown])
-    assert stream.pipeline.normaliser.weak_count > 3
-    assert off[1] < 0.9 * off[0]
+    assert stream.show(replace(case, voltages=0.0 * case.voltages)) is None
+    assert tally.withheld == {"no_signal": 1}
 
 
 @pytest.mark.process
 @pytest.mark.parametrize("labels", ["units", "area"])
-def test_a_frame_gives_the_same_map_again(sample, labels):
-    rows = repeat_rows(load_bundle(default_path(labels)), [sample])
+def test_a_frame_gives_the_same_map_again(sheet, labels):
+    rows = repeat_rows(load_bundle(default_path(labels)), [sheet])
     again = [row for row in rows if "run to run" in row["sweep"]]
     assert len(again) == 3
     assert all(row["bit_equal"] for row in again)
@@ -119,8 +79,8 @@ def test_the_quick_form_publishes_nothing_absurd(capsys):
     assert main(["bench", "stability", "--quick", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)  # one object, nothing else
     rows, summary = found["rows"], found["summary"]
-    assert is_sound(summary), summary["first_escaped"]
-    assert summary["published"] > 200
+    assert summary["published_not_finite"] == summary["published_out_of_range"] == 0
+    assert summary["published"] > 50
     assert {row["family"] for row in rows} == set(FAMILIES)
     assert all(row["why"] for row in rows)
     assert not any(isinstance(value, list | dict) for row in rows for value in row.values())
@@ -131,7 +91,7 @@ def test_the_quick_form_publishes_nothing_absurd(capsys):
 
 def test_several_names_may_be_asked_for_at_once_and_others_are_refused():
     read = several(FAMILIES)
-    assert chosen([read("inputs,noise"), read("repeat")], FAMILIES) == ("noise", "inputs", "repeat")
+    assert chosen([read("repeat"), read("noise")], FAMILIES) == ("noise", "repeat")
     assert chosen(None, FAMILIES) == FAMILIES
     with pytest.raises(argparse.ArgumentTypeError, match="'noises' is none of them"):
         read("noises")

@@ -34,7 +34,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation.harness import Case, Conditions, Run, Solver, evaluate_all
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.measurement.faults import Detached, Fault, Noisy, Shorted, Swapped, measure, response_of
-from eitskin_sim.measurement.noise import Kind, add_noise
+from eitskin_sim.measurement.noise import Kind, add_noise, spread_of
 from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.family import Family, draw
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
@@ -470,14 +470,6 @@ def accuracy(
 def _zeroed(solver: Solver, lost: Lost) -> Solver:
     rows = rows_of(lost)
     return lambda case: solver(replace(case, voltages=np.where(rows, case.flat_reference, case.voltages)))
-
-
-def spread_of(reference: Array, noise: Kind, snr_db: float) -> Array:
-    """Return (104,) V by which frames of the flat, untouched sheet vary; N1 is noise of a touch, and makes none."""
-    level = 10.0 ** (-snr_db / 20.0)
-    if noise == "N3":
-        return np.full_like(reference, level * np.sqrt(np.mean(reference**2)))
-    return level * np.abs(reference) if noise == "N2" else np.zeros_like(reference)
 
 
 def _imputed(solver: Solver, lost: Lost, consistency: Consistency, spread: Array) -> Solver:

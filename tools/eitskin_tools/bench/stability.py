@@ -1,14 +1,14 @@
-"""``eitskin bench stability``: noise, absurd inputs, and the same input twice.
+"""``eitskin bench stability``: at which level of noise each solver breaks, and the same input twice.
 
 ::
 
     noise       N1 to N3 from 80 to 20 dB through every engine of the runtime: the levels at which a tenth and half of
                 the accuracy are lost, interpolated
-    inputs      inputs that no working sheet gives (:mod:`eitskin_tools.bench.stability_inputs`)
     repeat      the same input in two sessions, in another process, with two threads
 
-Every published map passes a check: the summary counts those that are not finite, or not from 0 to 1. The command exits
-with 1 if there is one, or if an input ended in an exception that is no refusal.
+The noise rows send touched sheets at drawn deformations through the runtime's own pipeline, as FRAME payloads of a
+device with 32-bit converters. The summary counts the published maps that are not finite, or not from 0 to 1. The
+command exits with 1 if there is one.
 """
 
 import argparse
@@ -16,44 +16,64 @@ import math
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any, Final
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.health.monitor import health_of
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle, default_path, load_bundle
 from eitskin.model.engine import engines
 from eitskin.model.geometry import GeometryGraph
 from eitskin.model.session import onnxruntime, session_options
+from eitskin.pipeline.frame_pipeline import Pipeline
+from eitskin.reference.captured import Reference
+from eitskin.reference.predicted import log_ratio
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.wire.frames import Frame, full_scale, quantise
+from eitskin_proto.wire.messages import Hello
+from eitskin_sim.evaluation import trials
+from eitskin_sim.evaluation.harness import Case, Sheet
 from eitskin_sim.evaluation.metrics import correlation
+from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.fem.solve import solve_scene
-from eitskin_sim.measurement.noise import Kind, add_noise
+from eitskin_sim.measurement.noise import Kind, add_noise, spread_of
+from eitskin_sim.scene.nominal import nominal_scene
+from eitskin_sim.surface.measured_cloud import measured_cloud
+from eitskin_sim.surface.predict import flat_voltages
 from eitskin_tools.bench.harness import Row, chosen, report, say, several
-from eitskin_tools.bench.stability_inputs import input_rows
-from eitskin_tools.bench.stability_probe import Sample, Stream, Tally, samples
 from eitskin_tools.command_line import files
 
 Array = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
+TouchedSheet = tuple[Case, Array]
+"""A touched sheet without noise, and its true (rows, columns) map."""
 
-FAMILIES: Final = ("noise", "inputs", "repeat")
+FAMILIES: Final = ("noise", "repeat")
 """What ``--only`` takes."""
 
 KINDS: Final[tuple[Kind, ...]] = ("N1", "N2", "N3")
 SNR_DB: Final = (80.0, 70.0, 60.0, 50.0, 45.0, 40.0, 35.0, 30.0, 25.0, 20.0)
 
-INPUTS: Final = 16
-"""That are repeated."""
+REPEATED_INPUTS: Final = 16
+
+CLOUD_SEED: Final = 71_903
+
+SERIAL_NUMBER: Final = "STRESS-0001"
+SAMPLE_BYTES: Final = 4
+
+HEADROOM: Final = 8.0
+"""The converters' full scale, relative to the largest voltage of the reference."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--quick", action="store_true", help="thinned: under a minute of one core")
+    parser.add_argument("--quick", action="store_true", help="fewer sheets and levels: under a minute of one core")
     parser.add_argument(
         "--only", action="append", type=several(FAMILIES), metavar="NAME[,NAME]", help=f"of {', '.join(FAMILIES)}"
     )
@@ -64,32 +84,154 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure and print; return 0 if nothing absurd was published and nothing escaped."""
+    """Measure and print; return 0 if every published map is finite and from 0 to 1."""
     start = time.process_time()
     bundle, tally, quick = load_bundle(arguments.bundle or default_path("units")), Tally(), arguments.quick
-    shown = samples("units" if bundle.labels == "units" else "area", 2 if quick else 8, 6.0 if quick else 3.0)
+    sheets = touched_sheets(
+        "units" if bundle.labels == "units" else "area", 2 if quick else 8, element_size_mm=6.0 if quick else 3.0
+    )
     makers: dict[str, Callable[[], list[Row]]] = {
-        "noise": lambda: noise_rows(Stream(bundle, tally), shown, quick=quick),
-        "inputs": lambda: input_rows(bundle, shown[0], tally),
-        "repeat": lambda: repeat_rows(bundle, shown),
+        "noise": lambda: noise_rows(Stream(bundle, tally), sheets, quick=quick),
+        "repeat": lambda: repeat_rows(bundle, sheets),
     }
     rows: list[Row] = []
     for family in chosen(arguments.only, FAMILIES):
         say("stability", family)
         rows += [{"family": family, **row} for row in makers[family]()]
-    counts = tally.summary()
     summary = {
-        "rows": len(rows), "broken": sum(row["breaks_at"] is not None for row in rows), **counts,
-        "first_escaped": tally.escaped[0] if tally.escaped else "", "cpu_s": round(time.process_time() - start, 1),
+        "rows": len(rows), "broken": sum(row["breaks_at"] is not None for row in rows), **tally.summary(),
+        "cpu_s": round(time.process_time() - start, 1),
     }  # fmt: skip
     report(arguments, rows, summary)
-    return 0 if is_sound(counts) else 1
+    return 0 if tally.is_sound else 1
 
 
-def is_sound(counts: Row) -> bool:
-    """Return whether nothing absurd was published and nothing escaped."""
-    faults = ("published_not_finite", "published_out_of_range", "published_saturated_unmarked", "escaped")
-    return not any(counts[name] for name in faults)
+def touched_sheets(labels: Literal["units", "area"], count: int, element_size_mm: float) -> list[TouchedSheet]:
+    """Return sheets with one to three touches, each at its own deformation; a larger count begins with the same ones.
+
+    Args:
+        labels: "units" for touched units, "area" for touches anywhere.
+        count: How many.
+        element_size_mm: Of their meshes.
+    """
+    found = []
+    for phantom in trials.random((1, 3), count, 1, "A", labels):
+        scene = replace(phantom.scene, element_size_mm=element_size_mm)
+        voltages, flat, untouched = (solve_scene(one).voltages for one in (scene, scene.reference(), scene.untouched()))
+        cloud = measured_cloud(scene.bend, np.random.default_rng(CLOUD_SEED))
+        sheet = Sheet(np.asarray(cloud, dtype=np.float64), untouched)
+        found.append((Case(voltages, flat, flat, sheet, labels), truth_map(phantom)))
+    return found
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counts of the maps that were published, and of the frames that were not."""
+
+    published: int = 0
+    """Maps."""
+    not_finite: int = 0
+    """Maps with a value that is NaN or infinite."""
+    out_of_range: int = 0
+    """Maps with a value below 0 or above 1."""
+    withheld: Counter[str] = field(default_factory=Counter)
+    """Frames that were not published, by reason."""
+
+    def count(self, image: npt.NDArray[np.floating]) -> None:
+        """Count a published map, of any shape."""
+        self.published += 1
+        low, high = float(np.min(image)), float(np.max(image))  # both NaN if any value is
+        if not (np.isfinite(low) and np.isfinite(high)):
+            self.not_finite += 1
+        elif low < 0.0 or high > 1.0:
+            self.out_of_range += 1
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether every published map is finite and from 0 to 1."""
+        return not (self.not_finite or self.out_of_range)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the counts as one flat object."""
+        return {
+            "published": self.published,
+            "published_not_finite": self.not_finite,
+            "published_out_of_range": self.out_of_range,
+            "withheld": sum(self.withheld.values()),
+            **{f"withheld_{reason}": count for reason, count in sorted(self.withheld.items())},
+        }
+
+
+class Stream:
+    """The runtime's pipeline without its gate, so that every frame is computed, and the device before it.
+
+    Args:
+        bundle: The solvers.
+        tally: Counts what is published.
+    """
+
+    def __init__(self, bundle: Bundle, tally: Tally) -> None:
+        without_gate = {name: data for name, data in bundle.files.items() if name != "gate.npz"}
+        self.bundle, self.tally = replace(bundle, files=without_gate), tally
+        self.pipeline = Pipeline(self.bundle, _hello(1e-9), health=health_of(self.bundle))
+        self._engines = {engine.name: engine for engine in engines(self.bundle, self.pipeline.buffers)}
+        self._graph = GeometryGraph(self.bundle)
+        self._sequence = 0
+        self._sheet: Sheet | None = None
+        self._reference: Array = np.zeros(0)
+        self._volts_per_count = 0.0
+
+    @property
+    def engines(self) -> tuple[str, ...]:
+        """The names that :meth:`show` takes, the most accurate first."""
+        return tuple(self._engines)
+
+    def show(self, case: Case, engine: str = "vd2t", spread: Array | None = None) -> Array | None:
+        """Return the (rows, columns) map that is published of a case, None if the frame is withheld.
+
+        Args:
+            case: Its voltages beyond full scale are cut off and marked.
+            engine: Which computes it.
+            spread: (104,) V by which single frames of the reference vary; None where they do not.
+        """
+        self._prepare(case, np.zeros_like(case.flat_reference) if spread is None else spread)
+        pipeline = self.pipeline
+        pipeline.engines[0] = self._engines[engine]
+        counts, saturation = quantise(case.voltages, self._volts_per_count, SAMPLE_BYTES)
+        self._sequence += 1
+        frame = Frame(self._sequence, self._sequence * 5000 % (1 << 32), counts, saturation=saturation)
+        before = Counter(pipeline.intake.withheld)
+        if not (pipeline.accept(frame.pack(), time.perf_counter_ns()) and pipeline.compute(True)):
+            self.tally.withheld += Counter(pipeline.intake.withheld) - before
+            return None
+        image = np.frombuffer(pipeline.record.map, dtype=np.float32).reshape(self.bundle.skin.grid.shape)
+        self.tally.count(image)
+        return image.astype(np.float64)
+
+    def _prepare(self, case: Case, spread: Array) -> None:
+        """Give the pipeline the case's scale, reference and cloud, where they changed."""
+        flat = case.flat_reference
+        volts_per_count = HEADROOM * float(np.abs(flat).max()) / full_scale(SAMPLE_BYTES)
+        if volts_per_count != self._volts_per_count:
+            self.pipeline.greet(_hello(volts_per_count))
+            self._volts_per_count = volts_per_count
+        reference = np.stack([flat, spread])
+        if not np.array_equal(reference, self._reference):
+            self.pipeline.use_reference(Reference(flat, spread, 100, SERIAL_NUMBER, 0, "stress", ""))
+            self._reference = reference
+        if case.sheet is not self._sheet:
+            uses_prediction, skin = self.bundle.uses_prediction, self.bundle.skin
+            predicted = log_ratio(case.sheet.predicted(), flat_voltages(skin)) if uses_prediction else None
+            self.pipeline.start_with(self._graph.geometry(case.sheet.cloud_mm, predicted, 0))
+            self._sheet = case.sheet
+
+
+def _hello(volts_per_count: float) -> Hello:
+    return Hello(
+        firmware_version=(1, 0, 0), hardware_id=1, serial_number=SERIAL_NUMBER, configuration_digest=0, generation=0,
+        configuration_name="stress", rate_mHz=200_000, rows=N_ROWS, sample_bytes=SAMPLE_BYTES,
+        volts_per_count=volts_per_count,
+    )  # fmt: skip
 
 
 def short(value: float | None) -> float | None:
@@ -112,65 +254,54 @@ def crossing(levels: Sequence[float], values: Sequence[float], threshold: float)
     return None
 
 
-def noise_rows(stream: Stream, shown: Sequence[Sample], *, quick: bool) -> list[Row]:
+def noise_rows(stream: Stream, sheets: Sequence[TouchedSheet], *, quick: bool) -> list[Row]:
     """Return a row for each definition of noise and engine; a withheld frame counts as no accuracy.
 
-    The reference says how much each row varies, as one that was captured under the same noise would; N1 is noise of
-    what a touch changes, of which a reference has none.
+    The reference says how much each row varies, as a reference captured under the same noise does. N1 is noise of what
+    a touch changes, which a reference does not have.
     """
     levels, draws = SNR_DB[:: 3 if quick else 1], 1 if quick else 3
     rows = []
     for kind in KINDS:
         for engine in stream.engines:
-            calm = float(np.mean([_cc(stream.show(sample, engine), sample) for sample in shown]))
-            accuracy = [
-                float(
-                    np.mean(
-                        [
-                            _cc(
-                                stream.show(noisy(sample, kind, snr_db, np.random.default_rng([draw, number])), engine),
-                                sample,
-                            )
-                            for draw in range(draws)
-                            for number, sample in enumerate(shown)
-                        ]
-                    )
-                )
-                for snr_db in levels
-            ]
+            calm = float(np.mean([_cc(stream.show(case, engine), truth) for case, truth in sheets]))
+            accuracy = [_noisy_cc(stream, sheets, engine, kind, snr_db, draws) for snr_db in levels]
             degraded, broken = (crossing(levels, accuracy, share * calm) for share in (0.9, 0.5))
             rows.append(
                 {"sweep": f"noise {kind}", "solver": engine, "unit": "dB", "from": levels[0], "to": levels[-1],
                  "unstressed": short(calm), "worst": short(min(accuracy)), "degrades_10pct_at": short(degraded),
-                 "breaks_at": short(broken), "why": f"mean correlation with the truth of {len(shown)} sheets"}
+                 "breaks_at": short(broken), "why": f"mean correlation with the truth of {len(sheets)} sheets"}
             )  # fmt: skip
     return rows
 
 
-def noisy(sample: Sample, kind: Kind, snr_db: float, rng: np.random.Generator) -> Sample:
-    """Return a sample with noise, against a reference whose frames vary by the same."""
-    spread = None if kind == "N1" else spread_of(sample, kind, snr_db)
-    return replace(sample, voltages=add_noise(sample.voltages, sample.flat, kind, snr_db, rng), spread=spread)
+def _noisy_cc(
+    stream: Stream, sheets: Sequence[TouchedSheet], engine: str, kind: Kind, snr_db: float, draws: int
+) -> float:
+    found = []
+    for number, (case, truth) in enumerate(sheets):
+        spread = spread_of(case.flat_reference, kind, snr_db)
+        for draw in range(draws):
+            shown = noisy(case, kind, snr_db, np.random.default_rng([draw, number]))
+            found.append(_cc(stream.show(shown, engine, spread), truth))
+    return float(np.mean(found))
 
 
-def spread_of(sample: Sample, kind: Kind, snr_db: float) -> Array:
-    """Return (104,) V by which frames of the flat sheet vary under noise N2 or N3."""
-    level = 10.0 ** (-snr_db / 20.0)
-    if kind == "N2":
-        return np.asarray(level * np.abs(sample.flat))
-    return np.full_like(sample.flat, level * float(np.sqrt(np.mean(sample.flat**2))))
+def noisy(case: Case, kind: Kind, snr_db: float, rng: np.random.Generator) -> Case:
+    """Return a case with noise."""
+    return replace(case, voltages=add_noise(case.voltages, case.flat_reference, kind, snr_db, rng))
 
 
-def _cc(image: Array | None, sample: Sample) -> float:
+def _cc(image: Array | None, truth: Array) -> float:
     """Return a map's correlation with the truth; 0 for a map that was not shown."""
-    return 0.0 if image is None else float(correlation(image, sample.truth))
+    return 0.0 if image is None else float(correlation(image, truth))
 
 
-def inputs_of(samples: Sequence[Sample]) -> Floats:
-    """Return (n, 104) dV of some samples, repeated with small changes."""
-    base = np.stack([relative_change(s.read, s.flat) for s in samples])
+def inputs_of(sheets: Sequence[TouchedSheet]) -> Floats:
+    """Return (n, 104) dV of some sheets, repeated with small changes."""
+    base = np.stack([relative_change(case.voltages, case.flat_reference) for case, _ in sheets])
     rng = np.random.default_rng(0)
-    more = base[np.arange(INPUTS) % len(base)]
+    more = base[np.arange(REPEATED_INPUTS) % len(base)]
     return np.asarray(more + 0.01 * rng.standard_normal(more.shape), dtype=np.float32)
 
 
@@ -187,9 +318,9 @@ def maps_of(bundle: Bundle, changes: Floats, engine: int = 0) -> Floats:
     return np.stack(maps)
 
 
-def repeat_rows(bundle: Bundle, samples: Sequence[Sample]) -> list[Row]:
+def repeat_rows(bundle: Bundle, sheets: Sequence[TouchedSheet]) -> list[Row]:
     """Return a row for each way of repeating."""
-    changes = inputs_of(samples)
+    changes = inputs_of(sheets)
     first = maps_of(bundle, changes)
     rows = [
         _repeat_row("run to run, a new session", "vd2t", first, maps_of(bundle, changes)),
@@ -198,7 +329,7 @@ def repeat_rows(bundle: Bundle, samples: Sequence[Sample]) -> list[Row]:
     for index, name in enumerate(name for name in ("head.onnx", "head_int8.onnx") if name in bundle.files):
         single, two = maps_of(bundle, changes, index), _two_threads(bundle, name, changes)
         rows.append(_repeat_row("one thread, two threads", "vd2t" if index == 0 else "vd2t-int8", single, two))
-    scene = samples[0].scene
+    scene = nominal_scene(bundle.skin)
     once, again = (solve_scene(scene).voltages for _ in range(2))
     return [*rows, _repeat_row("run to run", "forward model", once, again)]
 

@@ -21,7 +21,7 @@ BENCHMARKS: Final[dict[str, str]] = {
     "tradeoff": "accuracy against latency: networks, int8, classical solvers",
     "physics": "the sheet model against convergence, independent triangles and what must not change",
     "dataset": "samples a second of the data generators, beside one solve a sample and pyEIT",
-    "stability": "noise, absurd inputs and repeats: what breaks, and that nothing absurd is published",
+    "stability": "the noise at which each solver breaks, and the same input twice",
     "electrodes": "failing electrodes: named from the frames, and what is left without them",
     "peer": "another tactile library beside ours: age of frames, damaged frames accepted",
 }

@@ -61,5 +61,19 @@ def add_noise(
     return np.asarray(clean + level * _rms(relative_change(clean, reference)) * draw * reference)
 
 
+def spread_of(reference: npt.NDArray[np.float64], kind: Kind, snr_db: float) -> npt.NDArray[np.float64]:
+    """Return (rows,) V by which noisy frames of the flat, untouched sheet vary; N1 is noise of a touch, and adds none.
+
+    Args:
+        reference: (rows,) V of that sheet.
+        kind: Definition of the noise.
+        snr_db: Its level.
+    """
+    level = 10.0 ** (-snr_db / 20.0)
+    if kind == "N3":
+        return np.asarray(np.full_like(reference, level * _rms(reference)))
+    return np.asarray(level * np.abs(reference) if kind == "N2" else np.zeros_like(reference))
+
+
 def _rms(rows: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return np.asarray(np.sqrt(np.mean(np.square(rows), axis=-1, keepdims=True)))
