@@ -3,8 +3,10 @@
 - view.png: one skin, in front of the demonstration
 - view_skins.png: two skins of a robot, in one scene
 - view_file.png: a recording, at a moment in the middle of it
+- view.gif: eight seconds of one skin, for the README
 
-Needs the extra ``dev`` and Chromium (``tools/system-packages.sh chromium``): ``python docs/pictures/draw_view.py``.
+Needs the extra ``dev`` and Chromium (``tools/system-packages.sh chromium``). ``python docs/pictures/draw_view.py``
+draws all of them, or those that are named behind it.
 """
 
 import io
@@ -25,6 +27,9 @@ sys.path.insert(0, str(ROOT / "tests" / "tools" / "view"))
 from chromium import Browser  # noqa: E402
 
 PATIENCE_S = 300.0
+
+MOVING_MS, STEP_MS = 8000, 160
+"""What the moving picture shows, and how far apart its frames are."""
 
 GOOD = """(() => {
     const shown = window.eitskin && eitskin.history && eitskin.history.shown;
@@ -101,12 +106,27 @@ def draw(page: Any, name: str) -> None:
 
 
 def one() -> None:
-    """Draw one skin."""
+    """Draw one skin, still and moving."""
     with started("demo", "--view", "--rate", 100, until="http://") as line, Browser(1280, 720) as page:
         page.open(address_in(line))
         wait(page, GOOD)
         page.evaluate("document.getElementById('pause').click()")
         draw(page, "view.png")
+        page.resize(1120, 630)
+        end = page.evaluate("eitskin.history.newest.t")
+        shots = []
+        for back in range(MOVING_MS, 0, -STEP_MS):
+            page.evaluate(f"eitskin.clock.go({end} - {back}), eitskin.page.changed = true")
+            drawn = page.evaluate("eitskin.page.changed = true, eitskin.page.slowAt = 0, eitskin.page.drawings")
+            page.wait(f"eitskin.page.drawings > {drawn} + 1")
+            shots.append(
+                Image.open(io.BytesIO(page.picture())).convert("RGB").resize((960, 540), Image.Resampling.LANCZOS)
+            )
+    # One palette for all frames: still pixels stay equal from frame to frame, so that only what moves is stored.
+    palette = shots[len(shots) // 2].quantize(200, Image.Quantize.MAXCOVERAGE, kmeans=3)
+    frames = [shot.quantize(palette=palette, dither=Image.Dither.NONE) for shot in shots]
+    target = Path(__file__).with_name("view.gif")
+    frames[0].save(target, save_all=True, append_images=frames[1:], duration=STEP_MS, loop=0, optimize=True)
 
 
 def several_and_file() -> None:
@@ -139,5 +159,8 @@ def several_and_file() -> None:
 
 
 if __name__ == "__main__":
-    several_and_file()
-    one()
+    wanted = set(sys.argv[1:]) or {"view.png", "view_file.png"}
+    if wanted & {"view_skins.png", "view_file.png"}:
+        several_and_file()
+    if wanted & {"view.png", "view.gif"}:
+        one()
