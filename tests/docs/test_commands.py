@@ -39,8 +39,8 @@ def understood(words):
 
 
 def all_commands():
-    # The changelog and the decisions name what was before as well.
-    today = [path for path in pages() if path.name != "CHANGELOG.md" and path.parent.name != "decisions"]
+    # The changelog names what was before as well.
+    today = [path for path in pages() if path.name != "CHANGELOG.md"]
     return sorted({command for path in today for command in commands(path) if not is_form(command)})
 
 

@@ -1,4 +1,4 @@
-"""What pages name of the packages is there; decisions and results tell of their time, and are left out."""
+"""What pages name of the packages is there; results tell of their time, and are left out."""
 
 import importlib
 import re
@@ -12,7 +12,7 @@ NAMED = re.compile(r"`(eitskin(?:_\w+)?(?:\.[A-Za-z_]\w*)+)")
 FILES = {"eitskin.service"}
 """What looks like a name and is a file."""
 
-OF_THEIR_TIME = (ROOT / "docs/decisions", ROOT / "docs/results", ROOT / "CHANGELOG.md")
+OF_THEIR_TIME = (ROOT / "docs/results", ROOT / "CHANGELOG.md")
 
 
 def named() -> list[tuple[str, str]]:

@@ -41,8 +41,8 @@ def test_no_line_of_any_text_file_is_longer_than_120_characters():
 
 
 def test_the_numbers_of_decisions_have_no_gap_and_the_index_names_each_of_them():
-    names = sorted(path.name for path in (ROOT / "docs/decisions").glob("0*.md"))
-    assert [int(name[:4]) for name in names] == list(range(1, len(names) + 1))
+    names = sorted(path.name for path in (ROOT / "docs/decisions").glob("[0-9]*.md"))
+    assert [int(name[:2]) for name in names] == list(range(1, len(names) + 1))
     assert sorted(links(ROOT / "docs/decisions/index.md")) == names
 
 

@@ -2,10 +2,10 @@
 
 A touch of 10 mm that doubles the conductance answers as one of 6 mm that raises it fifty times: the frame tells the
 product of size and contrast, as long as a touch is small. A network that learned hard touches draws the second one,
-and one that learned both draws hard ones worse (decision 137). So the bundle's own network answers first, and a second
+and one that learned both draws hard ones worse. So the bundle's own network answers first, and a second
 one where that shows nothing large. A touch of 20 mm that doubles the conductance is shown as 12 mm, with edges that are
 wide for a touch of that size. Where edges are, the second one is asked as well, and where it shows much more than the
-first, the touch is gentle (decision 154) ::
+first, the touch is gentle ::
 
     shown = most of the touched area of the map in any window, mm2        edges = how wide they are, pixels
     more  = area of the gentle network's map over that of the own one
