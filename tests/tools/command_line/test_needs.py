@@ -56,7 +56,7 @@ def without(monkeypatch):
     [
         (
             ["bench", "skip"],
-            "eitskin bench: bench skip needs scipy, torch: pip install torch==2.13.0 && pip install 'eitskin[train]' (",
+            "eitskin bench: bench skip needs scipy: pip install 'eitskin[sim]'",
         ),
         (
             ["train", "--recipe", "tiny", "--data", "x", "--out", "y"],

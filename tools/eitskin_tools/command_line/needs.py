@@ -40,7 +40,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "adapt": ("scipy", "torch"),
     "export": ("scipy", "torch", "onnx", "onnxscript"),
     "bench frame": ("scipy",),
-    "bench skip": ("scipy", "torch"),
+    "bench skip": ("scipy",),
     "bench tradeoff": ("scipy",),
     "bench physics": ("scipy", "skfem"),
     "bench dataset": ("scipy",),
