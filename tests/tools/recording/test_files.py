@@ -28,7 +28,7 @@ class Clock:
 def written(path: Path, chunks: int = 4, each: int = 20) -> list[bytes]:
     """Write chunks of messages, and return their contents."""
     clock, rng = Clock(), random.Random(1)
-    writer = RecordingWriter(path, HEAD, now_s=clock)
+    writer = Series(path, HEAD, now_s=clock)
     contents = [rng.randbytes(200) for _ in range(chunks * each)]
     for number, content in enumerate(contents):
         if number % each == each - 1:
@@ -121,7 +121,7 @@ def test_bytes_changed_anywhere_never_give_a_message_that_was_not_written(tmp_pa
 
 def test_a_chunk_is_on_its_way_to_the_disk_after_a_quarter_of_a_second(tmp_path: Path) -> None:
     clock = Clock()
-    writer = RecordingWriter(tmp_path / "a.mcap", HEAD, now_s=clock)
+    writer = Series(tmp_path / "a.mcap", HEAD, now_s=clock)
     for number in range(100):
         writer.add(WIRE, b"x", number, number)
         clock.now += 0.02
@@ -179,7 +179,7 @@ def test_where_the_disk_is_full_the_file_is_ended_whole(tmp_path: Path, monkeypa
     disk = SmallDisk(150_000, reserve)
     clock, path = Clock(), tmp_path / "a.mcap"
     held = sinks.Reserve(tmp_path, reserve)
-    writer = RecordingWriter(path, HEAD, reserve=held, now_s=clock)
+    writer = RecordingWriter(path, HEAD, held, clock)
     disk.sink, disk.used = writer._sink, writer.size
     monkeypatch.setattr(sinks.os, "write", disk.write)
     contents = []

@@ -15,13 +15,11 @@ import errno
 import os
 import re
 import tempfile
-import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Final
 
 from mcap.writer import Writer
 
@@ -76,71 +74,36 @@ class Reserve:
 class Sink:
     """A new file, written without a buffer of its own; has what :class:`mcap.writer.Writer` needs of a stream.
 
-    What is written before ``begin`` waits for it.
-
     Args:
         path: Of the file, which must not be there.
+        reserve: See above; whoever made it gives it up in the end.
 
     Raises:
         RecordingError: It is there.
         FileError: It is no file.
+        OSError: It cannot be made.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, reserve: Reserve) -> None:
         self.path = check_target(path)
         self.full = False
         """The reserve is being used: end the file now."""
         self.bytes = 0
         """Written so far."""
-        self._reserve: Reserve | None = None
-        self._head, self._begun = bytearray(), False
-        self._handle = -1
-        self._asked, self._closing = threading.Event(), False
-        self._failed: OSError | None = None
-        self._thread = threading.Thread(target=self._sync, name="recording-sync", daemon=True)
-        if os.path.lexists(self.path):
-            raise self._is_there()
-
-    def begin(self, reserve: Reserve | None = None) -> None:
-        """Make the file, with what was written so far.
-
-        Args:
-            reserve: See above; whoever made it gives it up in the end.
-
-        Raises:
-            RecordingError: It is there.
-            OSError: It cannot be made.
-        """
-        self._reserve, self._begun = reserve, True
+        self._reserve = reserve
         try:
-            self._with_room(self._make)
+            self._handle = self._with_room(lambda: os.open(self.path, NEW, 0o666))
         except FileExistsError:
-            raise self._is_there() from None
-        self._thread.start()
+            raise RecordingError(f"{self.path} exists already; name another file, or move it away") from None
+        _sync_folder(self.path.parent)
 
-    def _make(self) -> None:
-        """Make the file, and write its head in one go; of one that has no room for it leave nothing."""
-        handle = os.open(self.path, NEW, 0o666)
-        try:
-            rest = memoryview(self._head)
-            while rest:
-                rest = rest[os.write(handle, rest) :]
-        except OSError:
-            os.close(handle)
-            self.path.unlink()
-            raise
-        self._handle = handle
-
-    def _is_there(self) -> RecordingError:
-        return RecordingError(f"{self.path} exists already; name another file, or move it away")
-
-    def _with_room(self, write: Callable[[], int | None]) -> int:
-        """Write, if need be into the room of the reserve, and return how much it was."""
+    def _with_room(self, write: Callable[[], int]) -> int:
+        """Write, if need be into the room of the reserve, and return what came of it."""
         while True:
             try:
-                return write() or 0
+                return write()
             except OSError as error:
-                if error.errno not in FULL or self._reserve is None or not self._reserve.held:
+                if error.errno not in FULL or not self._reserve.held:
                     raise
             self.full = True
             self._reserve.give_up()
@@ -151,10 +114,6 @@ class Sink:
         Raises:
             OSError: It cannot be written, or even the reserve is used up.
         """
-        if not self._begun:
-            self._head += data
-            self.bytes += len(data)
-            return len(data)
         rest = memoryview(data)
         while rest:
             written = self._with_room(lambda: os.write(self._handle, rest))  # noqa: B023 -- called at once
@@ -169,67 +128,47 @@ class Sink:
     def flush(self) -> None:
         """Do nothing: nothing is held back."""
 
-    def sync_soon(self) -> None:
-        """Have everything written forced onto the disk, by a thread of its own: a busy disk takes a second for that.
+    def sync(self) -> None:
+        """Force everything written onto the disk.
 
         Raises:
-            OSError: It could not be, the last time.
+            OSError: It cannot be.
         """
-        failed, self._failed = self._failed, None
-        if failed is not None:
-            raise failed
-        self._asked.set()
+        os.fdatasync(self._handle)
 
-    def _sync(self) -> None:
-        """Force the head onto the disk, then the name, content whenever asked; at the end all, and close the file."""
-        with suppress(OSError):
-            os.fsync(self._handle)
-            _sync_folder(self.path.parent)
-        while not self._closing:
-            self._asked.wait()
-            self._asked.clear()
-            if not self._closing:
-                try:
-                    os.fdatasync(self._handle)
-                except OSError as error:
-                    self._failed = error
-        try:
-            os.fsync(self._handle)
-        except OSError as error:
-            self._failed = error
+    def discard(self) -> None:
+        """Leave nothing of the file."""
         os.close(self._handle)
+        self._handle = -1
+        self.path.unlink()
 
-    def close(self, *, wait: bool = True) -> None:
-        """End the file, which takes no more; closing twice is fine.
-
-        Args:
-            wait: Until it is on the disk; else that is done behind, and closing again waits.
+    def close(self) -> None:
+        """End the file once it is on the disk; closing twice is fine.
 
         Raises:
             OSError: It could not be forced onto the disk.
         """
         if self._handle < 0:
             return
-        self._closing = True
-        self._asked.set()
-        if wait:
-            self._thread.join()
-            self._handle = -1
-            if self._failed is not None:
-                raise self._failed
+        handle, self._handle = self._handle, -1
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def _sync_folder(folder: Path) -> None:
-    """Force the names in a folder onto the disk."""
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    """Force the names in a folder onto the disk, where the system can."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 FLUSH_S: Final = 0.25
-"""So much waits in memory, and is lost with the process; with the power goes what is on its way to the disk besides."""
+"""Data of so long waits in memory, and is lost with the process."""
 
 CHUNK_BYTES: Final = 1 << 20
 """A chunk may be smaller, for ``FLUSH_S``; more is written at once."""
@@ -241,11 +180,11 @@ class RecordingWriter:
     Args:
         path: Of the file, which must not be there.
         head: Of the metadata: ids, host, clock offset.
-        reserve: See :mod:`eitskin_tools.recording.writer`; whoever made it gives it up. None for one of its own.
+        reserve: See :mod:`eitskin_tools.recording.writer`; whoever made it gives it up.
         now_s: The clock of ``FLUSH_S``.
 
     Raises:
-        RecordingError: It is there, or there is not even room for a reserve.
+        RecordingError: It is there.
         OSError: It cannot be made.
     """
 
@@ -253,21 +192,18 @@ class RecordingWriter:
         self,
         path: Path,
         head: Mapping[str, str],
-        *,
-        reserve: Reserve | None = None,
+        reserve: Reserve,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._sink = Sink(path)
-        self._own = None if reserve is not None else Reserve(path.parent)
+        self._sink = Sink(path, reserve)
         self._now_s = now_s
         self._open = True
         self._writer = Writer(self._sink, chunk_size=CHUNK_BYTES, enable_data_crcs=False)  # type: ignore[arg-type]
-        self._writer.start(profile="", library="eitskin")
-        self._writer.add_metadata(HEAD, {"format": FORMAT, "version": str(VERSION), **head})
         try:
-            self._sink.begin(reserve or self._own)
-        except BaseException:
-            self._give_up()
+            self._writer.start(profile="", library="eitskin")
+            self._writer.add_metadata(HEAD, {"format": FORMAT, "version": str(VERSION), **head})
+        except OSError:
+            self._sink.discard()
             raise
         self._ids = {channel.topic: self._register(channel) for channel in CHANNELS}
         self._flushed_s = now_s()
@@ -326,20 +262,17 @@ class RecordingWriter:
         return self._writer.register_channel(channel.topic, channel.encoding, schema)
 
     def sync(self) -> None:
-        """End the chunk, and have it forced onto the disk.
+        """End the chunk, and force it onto the disk.
 
         Raises:
             OSError: It cannot be written, for another reason than a full disk.
         """
         self._writer.flush()  # type: ignore[no-untyped-call]
-        self._sink.sync_soon()
+        self._sink.sync()
         self._flushed_s = self._now_s()
 
-    def close(self, *, wait: bool = True) -> None:
+    def close(self) -> None:
         """Write the summary and end the file; closing twice is fine.
-
-        Args:
-            wait: Until all of it is on the disk; else that is done behind, and closing again waits.
 
         Raises:
             OSError: It cannot be written, or not forced onto the disk; what came before can be read all the same.
@@ -349,17 +282,7 @@ class RecordingWriter:
                 self._open = False
                 self._writer.finish()  # type: ignore[no-untyped-call]
         finally:
-            self._give_up()
-            self._sink.close(wait=wait)
-
-    def _give_up(self) -> None:
-        """Free the reserve, if it is our own."""
-        if self._own is not None:
-            self._own.give_up()
-
-
-MOST_ENDING: Final = 4
-"""Files that may be on their way to the disk beside the one in hand."""
+            self._sink.close()
 
 
 def path_of(first: Path, number: int) -> Path:
@@ -383,7 +306,7 @@ class Series:
         head: Metadata of each.
         most_bytes: A file that has more is followed by another; None for no bound.
         most_s: The same for its age.
-        options: Of :class:`RecordingWriter`.
+        now_s: The clock of ``FLUSH_S`` and of ``most_s``.
 
     Raises:
         RecordingError: The first file is there, or there is no room.
@@ -397,10 +320,10 @@ class Series:
         *,
         most_bytes: int | None = None,
         most_s: float | None = None,
-        **options: Any,
+        now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._first, self._head = first, head
-        self._most_bytes, self._most_s, self._options = most_bytes, most_s, options
+        self._most_bytes, self._most_s, self._now_s = most_bytes, most_s, now_s
         self._lasting: dict[str, tuple[Channel, bytes, int]] = {}
         self._attached: tuple[str, str, bytes] | None = None
         self.files: list[Path] = []
@@ -409,7 +332,6 @@ class Series:
         self._holds_frames = False
         """Whether there is one of the wire in the file in hand."""
         self._number = 1
-        self._ended: deque[RecordingWriter] = deque()
         self._reserve = Reserve(first.parent)
         try:
             self._writer = self._begin(first)
@@ -451,7 +373,7 @@ class Series:
 
     def _begin(self, path: Path) -> RecordingWriter:
         head = {**self._head, "file": str(len(self.files) + 1)}
-        writer = RecordingWriter(path, head, reserve=self._reserve, **self._options)
+        writer = RecordingWriter(path, head, self._reserve, self._now_s)
         self.files.append(path)
         self._holds_frames = False
         return writer
@@ -490,16 +412,13 @@ class Series:
         return self._most_s is not None and writer.age_s >= self._most_s
 
     def _next(self, log_ns: int) -> bool:
-        """End the file in hand and begin the next with whatever still holds; the disk need not have all of it yet.
+        """End the file in hand and begin the next with whatever still holds.
 
         Returns:
             Whether there is a next one: not where the disk was full before.
         """
         before = self._writer
-        if len(self._ended) >= MOST_ENDING:
-            self._ended.popleft().close()
-        before.close(wait=False)
-        self._ended.append(before)
+        before.close()
         if before.full:
             return False
         self._before += before.size
@@ -511,17 +430,16 @@ class Series:
         return True
 
     def sync(self) -> None:
-        """Have everything forced onto the disk."""
+        """Force everything onto the disk."""
         self._writer.sync()
 
     def close(self) -> None:
-        """End the file in hand, and wait until all are on the disk; closing twice is fine.
+        """End the file in hand; closing twice is fine.
 
         Raises:
-            OSError: One of them could not be written, or not forced onto the disk; the others are closed all the same.
+            OSError: It could not be written, or not forced onto the disk.
         """
-        with ExitStack() as left:
-            left.callback(self._reserve.give_up)
-            while self._ended:
-                left.callback(self._ended.pop().close)
+        try:
             self._writer.close()
+        finally:
+            self._reserve.give_up()

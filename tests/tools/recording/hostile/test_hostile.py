@@ -14,7 +14,7 @@ from eitskin_tools.recording.reader import Recording, unpacked
 from eitskin_tools.recording.replay import Player, ReplayOptions
 from eitskin_tools.recording.script import Script
 from eitskin_tools.recording.seek import SeekableRecording
-from eitskin_tools.recording.writer import RecordingWriter, Reserve
+from eitskin_tools.recording.writer import Series
 from eitskin_tools.view.film import number
 
 from ..conftest import TINY, Taker
@@ -27,7 +27,7 @@ def rewritten(file, changed, attached=True):
     found = Recording(file)
     entries = list(found.entries())
     path = file.with_name("b.mcap")
-    writer = RecordingWriter(path, found.head, reserve=(reserve := Reserve(path.parent, 4096)))
+    writer = Series(path, found.head)
     for name, data in found.attached.items() if attached else ():
         writer.attach(name, "application/json", data, 0)
     channels = {channel.topic: channel for channel in CHANNELS}
@@ -35,7 +35,6 @@ def rewritten(file, changed, attached=True):
         if (made := changed(one.topic, one.data, one.log_ns)) is not None:
             writer.add(channels[one.topic], *made, one.sequence)
     writer.close()
-    reserve.give_up()
     return path
 
 
