@@ -15,8 +15,7 @@ from eitskin_tools.recording.convert import table_of
 from eitskin_tools.recording.layout import RecordingError
 from eitskin_tools.recording.reinfer import others, reinfer
 from eitskin_tools.recording.replay import Player, ReplayOptions
-from eitskin_tools.recording.script import Script
-from eitskin_tools.recording.seek import SeekableRecording
+from eitskin_tools.recording.script import Script, SeekableRecording
 from eitskin_tools.view.film import Film
 
 from .conftest import TINY, Taker, recorded

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from eitskin_tools.recording.layout import CLOUD, WIRE
-from eitskin_tools.recording.script import Script, Step
-from eitskin_tools.recording.seek import ChunkIndex, SeekableRecording
+from eitskin_tools.recording.reader import Recording
+from eitskin_tools.recording.script import Script, SeekableRecording, Step
 
 from .conftest import recorded
 
@@ -36,7 +36,7 @@ def at_s(found: SeekableRecording, step: Step) -> float:
 
 def test_parts_together_are_the_whole_and_each_begins_with_what_held(chunked: Path) -> None:
     script, found = Script(chunked), SeekableRecording(chunked)
-    assert len(ChunkIndex(chunked).chunks) > 20
+    assert len(Recording(chunked).chunks) > 20
     assert (found.first_ns, found.last_ns, found.seconds) == (script.first_ns, script.last_ns, script.seconds)
     whole = list(script.steps())
     begins = [at_s(found, whole[k]) for k in range(0, 150, 20)]
@@ -51,13 +51,13 @@ def test_parts_together_are_the_whole_and_each_begins_with_what_held(chunked: Pa
 
 def test_a_part_is_found_without_reading_the_others(chunked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found, read = SeekableRecording(chunked), []
-    plain = ChunkIndex.read
-    monkeypatch.setattr(ChunkIndex, "read", lambda self, number: read.append(number) or plain(self, number))
     whole = list(Script(chunked).steps())
+    plain = Recording.read
+    monkeypatch.setattr(Recording, "read", lambda self, number: read.append(number) or plain(self, number))
     steps = found.span(at_s(found, whole[100]), at_s(found, whole[104])).steps
     assert [step.frame for step in steps] == [step.frame for step in whole[100:104]]
     assert steps[0].cloud is not None
-    assert len(set(read)) < len(ChunkIndex(chunked).chunks) / 2
+    assert len(set(read)) < len(Recording(chunked).chunks) / 2
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
@@ -72,7 +72,7 @@ def test_a_cut_file_is_looked_at_as_far_as_it_goes(chunked: Path, share: float) 
 
 
 def test_a_damaged_chunk_is_left_out_and_said(chunked: Path) -> None:
-    places = ChunkIndex(chunked)
+    places = Recording(chunked)
     middle = places.chunks[len(places.chunks) // 2]
     data = bytearray(chunked.read_bytes())
     data[middle.at + middle.length - 20] ^= 0xFF
@@ -84,7 +84,7 @@ def test_a_damaged_chunk_is_left_out_and_said(chunked: Path) -> None:
 
 
 def test_the_index_says_which_chunks_have_clouds(chunked: Path) -> None:
-    places = ChunkIndex(chunked)
+    places = Recording(chunked)
     clouds = places.having(CLOUD.topic)
     assert 0 < len(clouds) < len(places.having(WIRE.topic))
     assert all(any(entry.topic == CLOUD.topic for entry in places.read(number)) for number in clouds)

@@ -1,13 +1,15 @@
 """Reads a recording: a whole one, one that was cut off anywhere, one of which a part is damaged.
 
-The file is read from its beginning to its end, a chunk at a time; its summary is not needed. What ends before its time
-ends the reading (``cut``); a chunk whose checksum is wrong is left out and counted (``damaged``). Sizes are bounded
-before anything is unpacked, and nothing is executed.
+The heads of the file's records are read once. A chunk's head says when its first and its last message came, and the
+index behind it which channels it has: 60 bytes for each quarter of a second are kept, and any part is found without
+the file's summary. A file that ends before its time is read as far as it goes (``cut``); a chunk whose checksum is
+wrong is left out and counted (``damaged``). Sizes are bounded before anything is unpacked, and nothing is executed.
 """
 
 import struct
 import zlib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -17,8 +19,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Footer, McapRecord, Message, Metadata
-from mcap.stream_reader import StreamReader
+from mcap.records import Attachment, Channel, Chunk, Message, Metadata
 
 from eitskin_proto.files.plain import stated
 from eitskin_proto.files.reading import opened
@@ -37,6 +38,15 @@ LATEST_NS: Final = (1 << 63) - 1
 MOST_ATTACHED: Final = 1000
 """References that are kept."""
 
+RECORD: Final = struct.Struct("<BQ")
+"""Opcode and length, before each record."""
+
+SPAN: Final = struct.Struct("<QQ")
+"""How a chunk begins: log times of its first and its last message."""
+
+INDEX: Final = struct.Struct("<HI")
+"""How an index begins: its channel, and the bytes of its entries."""
+
 UNREADABLE: Final = (McapError, struct.error, ValueError, IndexError, OverflowError, zstandard.ZstdError, RuntimeError)
 """What the parts of the library raise at bytes that make no sense."""
 
@@ -53,26 +63,20 @@ class Entry:
     data: bytes
 
 
-class _Bounded(BytesIO):
-    """Hands on what is read, unless a length within a record says more than a record may have."""
+@dataclass(frozen=True, slots=True)
+class ChunkPlace:
+    """One chunk."""
 
-    def __init__(self, stream: BinaryIO) -> None:
-        super().__init__()
-        self._from = stream
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        """Return so many bytes, fewer at the end.
-
-        Raises:
-            ValueError: It is less than none, or more than :data:`LARGEST_RECORD`.
-        """
-        if size is None or not 0 <= size <= LARGEST_RECORD:
-            raise ValueError(f"{size} bytes within a record")
-        return self._from.read(size)
+    at: int
+    """Where its content begins in the file."""
+    length: int
+    start_ns: int
+    end_ns: int
+    """Wall clock of its first and its last message."""
 
 
 class Recording:
-    """A recording that was looked at: head and attachments are known, messages are read anew each time.
+    """A recording of which head, attachments and the places of its chunks are known; messages are read each time.
 
     Args:
         path: Of the file.
@@ -88,20 +92,65 @@ class Recording:
         self.head: dict[str, str] = {}
         """Metadata ``eitskin``."""
         self.attached: dict[str, bytes] = {}
-        """Attachments met so far, by name; all of them behind a reading to the end."""
-        self.cut = False
-        """The last reading ended before the file's own end."""
-        self.damaged = 0
-        """Chunks that the last reading left out."""
-        for _ in self._records():
-            if self.head:
-                break
+        """References by name."""
+        self.chunks: list[ChunkPlace] = []
+        """In their order."""
+        self.cut = True
+        """The file ends before its own end."""
+        self._damaged: set[int] = set()
+        self._having: dict[int, list[int]] = {}
+        self._names = dict(TOPICS)
+        with opened(self.path, LARGEST_RECORDING) as stream:
+            check_magic(stream, self.path)
+            size = stream.seek(0, 2)
+            stream.seek(len(MAGIC))
+            self._scan(stream, size)
         if not self.head:
             raise RecordingError(
                 f"{path} holds no recording of a skin: expected a file made by 'eitskin record'"
                 + ("; this one ends before it says what it is" if self.cut else "; this is another program's MCAP file")
             )
         self._check_version()
+
+    def _scan(self, stream: BinaryIO, size: int) -> None:
+        """Read the heads of the file's records: a file of hours is known in a fraction of a second."""
+        while len(head := stream.read(RECORD.size)) == RECORD.size:
+            opcode, length = RECORD.unpack(head)
+            at = stream.tell()
+            if length > LARGEST_RECORD or at + length > size:
+                return
+            if opcode == Opcode.FOOTER:
+                self.cut = False
+                return
+            if opcode == Opcode.CHUNK and length >= SPAN.size:
+                self.chunks.append(ChunkPlace(at, length, *SPAN.unpack(stream.read(SPAN.size))))
+            elif opcode == Opcode.MESSAGE_INDEX and length >= INDEX.size and self.chunks:
+                channel, entries = INDEX.unpack(stream.read(INDEX.size))
+                if entries:
+                    self._having.setdefault(channel, []).append(len(self.chunks) - 1)
+            elif opcode in (Opcode.METADATA, Opcode.ATTACHMENT, Opcode.CHANNEL):
+                with suppress(*UNREADABLE):
+                    self._keep(opcode, ReadDataStream(BytesIO(stream.read(length))))
+            stream.seek(at + length)
+
+    def _keep(self, opcode: int, record: ReadDataStream) -> None:
+        """Keep the head, a reference, or the name of a channel."""
+        if opcode == Opcode.METADATA:
+            metadata = Metadata.read(record)
+            if metadata.name == HEAD and not self.head:
+                self.head = metadata.metadata
+        elif opcode == Opcode.ATTACHMENT:
+            attachment = Attachment.read(record)
+            if attachment.name.startswith(REFERENCE) and len(self.attached) < MOST_ATTACHED:
+                self.attached[attachment.name] = attachment.data
+        else:
+            channel = Channel.read(record)
+            self._names[channel.id] = channel.topic
+
+    @property
+    def damaged(self) -> int:
+        """Chunks that were left out so far."""
+        return len(self._damaged)
 
     def _check_version(self) -> None:
         found, version = self.head.get("format"), self.head.get("version", "")
@@ -138,70 +187,58 @@ class Recording:
         Raises:
             OSError: The file cannot be read.
         """
-        names = dict(TOPICS)
-        for record in self._records():
-            if isinstance(record, Chunk):
-                outside = (from_ns is not None and record.message_end_time < from_ns) or (
-                    to_ns is not None and record.message_start_time > to_ns
-                )
-                for inner in self._unpacked(record, channels_only=outside):
-                    if isinstance(inner, Channel):
-                        names[inner.id] = inner.topic
-                    else:
-                        yield from entry_of(inner, names, topics)
-            elif isinstance(record, Channel):
-                names[record.id] = record.topic
-            elif isinstance(record, Message):
-                yield from entry_of(record, names, topics)
+        first, last = 0 if from_ns is None else from_ns, LATEST_NS if to_ns is None else to_ns
+        for number in self.between(first, last):
+            yield from (entry for entry in self.read(number) if topics is None or entry.topic in topics)
 
-    def _records(self) -> Iterator[McapRecord]:
-        """Yield what the file is made of, chunks as they are; keeps head and attachments."""
-        self.cut, self.damaged = True, 0
+    def between(self, begin_ns: int, end_ns: int) -> list[int]:
+        """Return the numbers of the chunks that may hold messages of a span, on the wall clock."""
+        return [k for k, one in enumerate(self.chunks) if one.end_ns >= begin_ns and one.start_ns <= end_ns]
+
+    def having(self, topic: str) -> list[int]:
+        """Return the numbers of the chunks with messages of a channel; all, where the file has no index."""
+        if not self._having:
+            return list(range(len(self.chunks)))
+        channels = [number for number, name in self._names.items() if name == topic]
+        return sorted({chunk for number in channels for chunk in self._having.get(number, [])})
+
+    def read(self, number: int) -> list[Entry]:
+        """Return the messages of a chunk; none of one that is damaged.
+
+        Args:
+            number: Of the chunk.
+
+        Raises:
+            OSError: The file cannot be read any more.
+        """
+        place = self.chunks[number]
         with opened(self.path, LARGEST_RECORDING) as stream:
-            check_magic(stream, self.path)
-            records = StreamReader(
-                _Bounded(stream), skip_magic=True, emit_chunks=True, record_size_limit=LARGEST_RECORD
-            ).records
-            while True:
-                try:
-                    record = next(records, None)
-                except UNREADABLE:
-                    return
-                if record is None:
-                    return
-                if isinstance(record, Metadata):
-                    if record.name == HEAD and not self.head:
-                        self.head = record.metadata
-                elif isinstance(record, Attachment) and record.name.startswith(REFERENCE):
-                    if len(self.attached) < MOST_ATTACHED:
-                        self.attached[record.name] = record.data
-                elif isinstance(record, Footer):
-                    self.cut = False  # its magic follows, and whoever comes so far has everything
-                    yield record
-                    return
-                yield record
-
-    def _unpacked(self, chunk: Chunk, *, channels_only: bool) -> Iterator[Channel | Message]:
-        """Yield channels and messages of a chunk, all or none: of a damaged one nothing is believed."""
+            stream.seek(place.at)
+            data = stream.read(place.length)
         try:
-            found = unpacked(chunk, channels_only=channels_only)
+            found = unpacked(Chunk.read(ReadDataStream(BytesIO(data))))
         except UNREADABLE:
-            self.damaged += 1
-            return
-        yield from found
+            self._damaged.add(number)
+            return []
+        entries: list[Entry] = []
+        for one in found:
+            if isinstance(one, Channel):
+                self._names[one.id] = one.topic
+            elif (topic := self._names.get(one.channel_id)) is not None and one.log_time <= LATEST_NS:
+                entries.append(Entry(topic, one.log_time, one.sequence, one.data))
+        return entries
 
 
-def unpacked(chunk: Chunk, *, channels_only: bool = False) -> list[Channel | Message]:
+def unpacked(chunk: Chunk) -> list[Channel | Message]:
     """Return channels and messages of a chunk.
 
     Args:
         chunk: As it stands in the file.
-        channels_only: Leave messages out.
 
     Raises:
         Exception: One of ``UNREADABLE``: it is damaged, or too large.
     """
-    return list(_inner(_bytes_of(chunk), channels_only=channels_only))
+    return list(_inner(_bytes_of(chunk)))
 
 
 def check_magic(stream: BinaryIO, path: Path) -> None:
@@ -217,13 +254,6 @@ def check_magic(stream: BinaryIO, path: Path) -> None:
         raise RecordingError(
             f"{path} is no MCAP file: it begins with {stated(found)}, expected a file made by 'eitskin record'"
         )
-
-
-def entry_of(message: Message, names: Mapping[int, str], topics: Collection[str] | None) -> Iterator[Entry]:
-    """Yield a message, if it is of a channel that is known and asked for, and its time is one of this era."""
-    topic = names.get(message.channel_id)
-    if topic is not None and (topics is None or topic in topics) and message.log_time <= LATEST_NS:
-        yield Entry(topic, message.log_time, message.sequence, message.data)
 
 
 def _bytes_of(chunk: Chunk) -> bytes:
@@ -252,7 +282,7 @@ def _bytes_of(chunk: Chunk) -> bytes:
     return data
 
 
-def _inner(data: bytes, *, channels_only: bool) -> Iterator[Channel | Message]:
+def _inner(data: bytes) -> Iterator[Channel | Message]:
     stream = ReadDataStream(BytesIO(data))
     while stream.count < len(data):
         opcode, length = stream.read1(), stream.read8()
@@ -262,8 +292,7 @@ def _inner(data: bytes, *, channels_only: bool) -> Iterator[Channel | Message]:
         if opcode == Opcode.CHANNEL:
             yield Channel.read(stream)
         elif opcode == Opcode.MESSAGE:
-            if not channels_only:
-                yield Message.read(stream, length)
+            yield Message.read(stream, length)
         elif opcode != Opcode.SCHEMA:  # a kilobyte can unpack to millions of what means nothing
             raise ValueError(f"a record of kind {opcode} within a chunk")
         stream.read(end - stream.count)

@@ -40,7 +40,7 @@ from eitskin_tools.command_line import needs
 from eitskin_tools.pictures import save
 from eitskin_tools.recording.codec import digest_of, unpack_json
 from eitskin_tools.recording.layout import FRAME, RecordingError
-from eitskin_tools.recording.script import RecordedHead, Script, Step, bundle_of, reference_of
+from eitskin_tools.recording.script import Script, SeekableRecording, Step, bundle_of, reference_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +121,7 @@ class Rerun:
         ValueError: It has no such solver.
     """
 
-    def __init__(self, script: RecordedHead, bundle: Bundle, solver: str | None = None) -> None:
+    def __init__(self, script: SeekableRecording, bundle: Bundle, solver: str | None = None) -> None:
         self._script, self._bundle = script, bundle
         self.as_recorded = bundle.id == script.head_text("bundle")
         """The bundle is the one that was running."""

@@ -1,15 +1,19 @@
 """A recording as what happened to a runtime, frame by frame: which cloud, reference and conditions each one met.
 
-The file is gone through once to learn what there is; then the frames are read again, a chunk at a time, so that hours
-of them take no more memory than seconds. Surfaces are kept, some 20 kB each: ten a second for an hour take 700 MB.
+:class:`SeekableRecording` returns any part: its frames, what was published of them, and what held at its beginning,
+without reading what comes before it. It keeps the clouds and conditions that were read last, so its memory does not
+grow with the file. :class:`Script` has gone through the whole file once, and knows what is wrong with it.
 """
 
 import hashlib
-from abc import ABC, abstractmethod
+from bisect import bisect_right
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from eitskin.errors import FrameError
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
@@ -23,52 +27,15 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_proto.wire.messages import Hello
 from eitskin_tools.recording.codec import unpack_json
-from eitskin_tools.recording.layout import CLOUD, CONDITIONS, STATE, WIRE, RecordingError
-from eitskin_tools.recording.reader import Recording
+from eitskin_tools.recording.layout import CLOUD, CONDITIONS, FRAME, STATE, WIRE, RecordingError
+from eitskin_tools.recording.reader import LATEST_NS, Entry, Recording
 
+MAX_CACHED: Final = 256
+"""Clouds, and conditions, that are kept: some megabytes."""
 
-class RecordedHead(ABC):
-    """Head and device of a recording.
-
-    Args:
-        recording: It.
-
-    Raises:
-        RecordingError: The device's HELLO cannot be read.
-        MismatchError: It is of another protocol.
-    """
-
-    def __init__(self, recording: Recording) -> None:
-        self.recording = recording
-        self.path = recording.path
-        self.hello = self._hello()
-
-    def head_text(self, name: str) -> str:
-        """Return a text of the head: ``bundle``, ``configuration``, ``serial``, ..."""
-        return self.recording.head.get(name, "")
-
-    @abstractmethod
-    def reference(self) -> bytes:
-        """Return what the first frame is held against of which that is known, as ``eitskin reference`` writes it.
-
-        Raises:
-            RecordingError: There is none.
-        """
-
-    def _hello(self) -> Hello:
-        head = self.recording.head
-        protocol = head.get("protocol_id", PROTOCOL_ID)
-        hint = "install the release that made the recording ('eitskin --version' names a release's ids)"
-        if protocol != PROTOCOL_ID:
-            raise MismatchError(f"{self.path}: protocol_id", found=stated(protocol), expected=PROTOCOL_ID, hint=hint)
-        try:
-            found = Hello.unpack(bytes.fromhex(head.get("hello", "")))
-            found.check()
-        except MismatchError:
-            raise
-        except (ValueError, IndexError, SkinError) as error:
-            raise RecordingError(f"{self.path}: the device's HELLO cannot be read: {error}") from error
-        return found
+MAX_DISTANCE: Final = 16
+"""Chunks before a frame's, and behind it, that are searched for what held; the one before has it, unless it is
+damaged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,8 +53,233 @@ class Step:
     then, and of those behind a damaged chunk."""
 
 
-class Script(RecordedHead):
-    """What a recording tells of a stream.
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Some of a recording."""
+
+    steps: tuple[Step, ...]
+    """The frames of the wire; the first of which it is known has all that held then."""
+    notes: dict[int, dict[str, Any]]
+    """What was published, by the number of the published frame; as far as it was recorded."""
+
+
+class SeekableRecording:
+    """A recording of which parts are read.
+
+    Args:
+        path: Of the file.
+
+    Raises:
+        RecordingError: It cannot be used, or holds no frame.
+        MismatchError: It is of another protocol.
+        OSError: It cannot be read.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.recording = Recording(path)
+        self.path = self.recording.path
+        self.hello = self._hello()
+        self._references = {hashlib.sha256(data).hexdigest(): data for data in self.recording.attached.values()}
+        self._clouds = _ByRevision(CLOUD.topic, CloudInUse.of)
+        self._conditions = _ByRevision(CONDITIONS.topic, Conditions.of)
+        first, last = self._end(1), self._end(-1)
+        if first is None or last is None:
+            raise RecordingError(f"{path} holds no frame of the wire{self.ending}")
+        self.first_ns, self.last_ns = first, last
+        """Wall clock of the first and the last frame."""
+
+    def _hello(self) -> Hello:
+        head = self.recording.head
+        protocol = head.get("protocol_id", PROTOCOL_ID)
+        hint = "install the release that made the recording ('eitskin --version' names a release's ids)"
+        if protocol != PROTOCOL_ID:
+            raise MismatchError(f"{self.path}: protocol_id", found=stated(protocol), expected=PROTOCOL_ID, hint=hint)
+        try:
+            found = Hello.unpack(bytes.fromhex(head.get("hello", "")))
+            found.check()
+        except MismatchError:
+            raise
+        except (ValueError, IndexError, SkinError) as error:
+            raise RecordingError(f"{self.path}: the device's HELLO cannot be read: {error}") from error
+        return found
+
+    def _end(self, way: int) -> int | None:
+        for number in self.recording.having(WIRE.topic)[::way]:
+            if found := [entry.log_ns for entry in self.recording.read(number) if entry.topic == WIRE.topic]:
+                return found[0] if way > 0 else found[-1]
+        return None
+
+    def head_text(self, name: str) -> str:
+        """Return a text of the head: ``bundle``, ``configuration``, ``serial``, ..."""
+        return self.recording.head.get(name, "")
+
+    @property
+    def ending(self) -> str:
+        """What is wrong with the file's end or middle, as a clause; "" if nothing is known to be."""
+        found = "; it was cut off, what is there ends before its time" if self.recording.cut else ""
+        damaged = self.recording.damaged
+        return found + (f"; {damaged} damaged chunks are left out" if damaged else "")
+
+    @property
+    def seconds(self) -> float:
+        """From the first frame to the last."""
+        return max(self.last_ns - self.first_ns, 0) * 1e-9
+
+    def reference(self) -> bytes:
+        """Return what the first frame is held against of which that is known, as ``eitskin reference`` writes it.
+
+        Raises:
+            RecordingError: There is none.
+        """
+        for step in self.steps():
+            if step.reference is not None:
+                return step.reference
+        raise RecordingError(f"{self.path} lacks its reference{self.ending}; record a runtime that has one")
+
+    def steps(self, from_s: float | None = None, to_s: float | None = None) -> Iterator[Step]:
+        """Yield the frames of the wire, and what changed before each.
+
+        Args:
+            from_s: Begin so long after the first frame, with everything that held then.
+            to_s: End so long after the first frame.
+
+        Raises:
+            RecordingError: No frame lies between the two.
+            OSError: The file cannot be read any more.
+        """
+        begin_ns = self.first_ns + int((from_s or 0.0) * 1e9)
+        end_ns = LATEST_NS if to_s is None else self.first_ns + int(to_s * 1e9)
+        count = 0
+        for step in self._steps(begin_ns, end_ns):
+            count += 1
+            yield step
+        if not count:
+            raise RecordingError(
+                f"{self.path} has no frame from {from_s or 0:g} s to {self.seconds if to_s is None else to_s:g} s; it "
+                f"lasts {self.seconds:.1f} s"
+            )
+
+    def span(self, from_s: float, to_s: float) -> Span:
+        """Return a part.
+
+        Args:
+            from_s: Its beginning, after the first frame.
+            to_s: Its end, which belongs to the next part.
+
+        Raises:
+            OSError: The file cannot be read any more.
+        """
+        begin_ns, end_ns = self.first_ns + round(from_s * 1e9), self.first_ns + round(to_s * 1e9)
+        notes: dict[int, dict[str, Any]] = {}
+        return Span(tuple(self._steps(begin_ns, end_ns - 1, notes)), notes)
+
+    def _steps(self, begin_ns: int, end_ns: int, notes: dict[int, dict[str, Any]] | None = None) -> Iterator[Step]:
+        """Yield the frames of a span of the wall clock, and put what was published of them into ``notes``."""
+        before: Conditions | None = None
+        for number in self.recording.between(begin_ns, end_ns):
+            for entry in self._read(number):
+                if not begin_ns <= entry.log_ns <= end_ns:
+                    continue
+                if entry.topic == FRAME.topic and notes is not None:
+                    _add_note(notes, entry.data)
+                elif entry.topic == WIRE.topic:
+                    try:
+                        frame = WireFrame.of(entry.data, n=entry.sequence)
+                    except FrameError:
+                        continue
+                    now = self._held(self._conditions, frame.conditions, number)
+                    step = self._step(frame, entry.log_ns, now, before, number)
+                    yield step
+                    before = now if step.known else before
+
+    def _step(
+        self, frame: WireFrame, log_ns: int, now: Conditions | None, before: Conditions | None, number: int
+    ) -> Step:
+        """Return a frame with what changed before it; with nothing where the recording lacks some of what it met.
+
+        Args:
+            frame: It.
+            log_ns: When it was read, on the wall clock.
+            now: What held; None if it is not there.
+            before: What held when everything was known last; None at the beginning.
+            number: Of its chunk.
+        """
+        if now is None:
+            return Step(frame, log_ns, known=False)
+        if now is before:
+            return Step(frame, log_ns)
+        new_cloud = before is None or before.cloud != now.cloud
+        new_reference = before is None or before.reference != now.reference
+        cloud = self._held(self._clouds, now.cloud, number) if new_cloud else None
+        reference = self._references.get(now.reference) if new_reference else None
+        if (new_cloud and cloud is None) or (new_reference and reference is None):
+            return Step(frame, log_ns, known=False)
+        return Step(frame, log_ns, now, cloud, reference)
+
+    def _held(self, cache: "_ByRevision", revision: int, number: int) -> Any:
+        """Return what had a revision when a chunk was written; None where it is not near that chunk."""
+        if (found := cache.get(revision)) is not None or revision in cache.missing:
+            return found
+        having = self.recording.having(cache.topic)
+        at = bisect_right(having, number)
+        for one in (*having[max(at - MAX_DISTANCE, 0) : at][::-1], *having[at : at + MAX_DISTANCE]):
+            self._read(one)
+            if (found := cache.get(revision)) is not None:
+                return found
+        cache.missing.add(revision)
+        return None
+
+    def _read(self, number: int) -> list[Entry]:
+        """Return the messages of a chunk, having kept what lasts."""
+        entries = self.recording.read(number)
+        for entry in entries:
+            for cache in (self._clouds, self._conditions):
+                if entry.topic == cache.topic:
+                    cache.add(entry.data)
+        return entries
+
+
+def _add_note(notes: dict[int, dict[str, Any]], data: bytes) -> None:
+    """Add what was published of a frame, unless it makes no sense."""
+    with suppress(RecordingError, KeyError, TypeError, ValueError, OverflowError):
+        note = unpack_json(data)
+        notes[int(note["number"])] = note
+
+
+class _ByRevision:
+    """What has a revision, the newest of it.
+
+    Args:
+        topic: Of its messages.
+        parse: Makes it of a message.
+    """
+
+    def __init__(self, topic: str, parse: Callable[[bytes], Any]) -> None:
+        self.topic, self._parse = topic, parse
+        self._found = OrderedDict[int, Any]()
+        self.missing: set[int] = set()
+        """Revisions that were searched for in vain."""
+        self.malformed = 0
+        """Messages that make no sense."""
+
+    def add(self, data: bytes) -> None:
+        try:
+            found = self._parse(data)
+        except FrameError:
+            self.malformed += 1
+            return
+        if found.revision not in self._found:  # the same one stays the same object, which says that nothing changed
+            self._found[found.revision] = found
+        self._found.move_to_end(found.revision)
+        while len(self._found) > MAX_CACHED:
+            self._found.popitem(last=False)
+
+    def get(self, revision: int) -> Any:
+        return self._found.get(revision)
+
+
+class Script(SeekableRecording):
+    """A recording that was gone through once.
 
     Args:
         path: Of the recording.
@@ -99,129 +291,40 @@ class Script(RecordedHead):
     """
 
     def __init__(self, path: str | Path) -> None:
-        super().__init__(Recording(path))
+        self.malformed = 0
+        """Messages that make no sense."""
+        super().__init__(path)
         self.states: list[dict[str, Any]] = []
         """All that was said of the skin, in order."""
         self.frames = 0
         """Of the wire."""
-        self.first_ns = self.last_ns = 0
-        """``log_ns`` of the first and the last frame of the wire."""
-        self.clouds: dict[int, CloudInUse] = {}
-        """By revision."""
-        self.conditions: dict[int, Conditions] = {}
-        """By revision."""
-        self.malformed = 0
-        """Messages that make no sense."""
-        self._look()
-        self.references = {hashlib.sha256(data).hexdigest(): data for data in self.recording.attached.values()}
-        """Files as ``eitskin reference`` writes them, by SHA-256."""
-        self.ending = self._ending()
-        """What is wrong with the file's end or middle, as a clause; "" if nothing is."""
-        if not self.frames:
-            raise RecordingError(f"{path} holds no frame of the wire{self.ending}")
-
-    def _ending(self) -> str:
-        found = "; it was cut off, what is there ends before its time" if self.recording.cut else ""
-        if self.recording.damaged:
-            found += f"; {self.recording.damaged} damaged chunks are left out"
-        return found + (f"; {self.malformed} messages make no sense" if self.malformed else "")
+        for number in range(len(self.recording.chunks)):
+            for entry in self._read(number):
+                self.frames += entry.topic == WIRE.topic
+                if entry.topic == STATE.topic:
+                    try:
+                        self.states.append(unpack_json(entry.data))
+                    except RecordingError:
+                        self.malformed += 1
+        self.malformed += self._clouds.malformed + self._conditions.malformed
 
     @property
-    def seconds(self) -> float:
-        """From the first frame to the last."""
-        return (self.last_ns - self.first_ns) * 1e-9
+    def ending(self) -> str:
+        """What is wrong with the file's end or middle, as a clause; "" if nothing is."""
+        return super().ending + (f"; {self.malformed} messages make no sense" if self.malformed else "")
 
-    def reference(self) -> bytes:
-        """Return what the first frame is held against of which that is known, as in :class:`RecordedHead`."""
-        for step in self.steps():
-            if step.reference is not None:
-                return step.reference
-        raise RecordingError(f"{self.path} lacks its reference{self.ending}; record a runtime that has one")
-
-    def _look(self) -> None:
-        """Go through the file once."""
-        for entry in self.recording.entries({WIRE.topic, CLOUD.topic, CONDITIONS.topic, STATE.topic}):
-            try:
-                if entry.topic == WIRE.topic:
-                    self.first_ns = self.first_ns or entry.log_ns
-                    self.last_ns = entry.log_ns
-                    self.frames += 1
-                elif entry.topic == CLOUD.topic:
-                    cloud = CloudInUse.of(entry.data)
-                    self.clouds[cloud.revision] = cloud
-                elif entry.topic == CONDITIONS.topic:
-                    found = Conditions.of(entry.data)
-                    self.conditions[found.revision] = found
-                else:
-                    self.states.append(unpack_json(entry.data))
-            except (RecordingError, FrameError):
-                self.malformed += 1
-
-    def steps(self, from_s: float | None = None, to_s: float | None = None) -> Iterator[Step]:
-        """Yield the frames of the wire, and what changed before each.
-
-        Args:
-            from_s: Begin so long after the first frame, with everything that held then.
-            to_s: End so long after the first frame.
-
-        Raises:
-            RecordingError: No frame lies between the two.
-        """
-        begin_ns = self.first_ns + int((from_s or 0.0) * 1e9)
-        end_ns = None if to_s is None else self.first_ns + int(to_s * 1e9)
-        before: Conditions | None = None
-        count = 0
-        for entry in self.recording.entries({WIRE.topic}, begin_ns, end_ns):
-            if entry.log_ns < begin_ns or (end_ns is not None and entry.log_ns > end_ns):
-                continue
-            try:
-                frame = WireFrame.of(entry.data, n=entry.sequence)
-            except FrameError:
-                continue
-            count += 1
-            now = self.conditions.get(frame.conditions)
-            step = step_of(frame, entry.log_ns, now, before, self.clouds.get, self.references.get)
-            yield step
-            before = now if step.known else before
-        if not count:
-            raise RecordingError(
-                f"{self.path} has no frame from {from_s or 0:g} s to {self.seconds if to_s is None else to_s:g} s; it "
-                f"lasts {self.seconds:.1f} s"
-            )
+    @cached_property
+    def clouds(self) -> dict[int, CloudInUse]:
+        """All clouds, by revision: some 20 kB each."""
+        found = {}
+        for entry in self.recording.entries({CLOUD.topic}):
+            with suppress(FrameError):
+                cloud = CloudInUse.of(entry.data)
+                found[cloud.revision] = cloud
+        return found
 
 
-def step_of(
-    frame: WireFrame,
-    log_ns: int,
-    now: Conditions | None,
-    before: Conditions | None,
-    cloud_of: Callable[[int], CloudInUse | None],
-    reference_by: Callable[[str], bytes | None],
-) -> Step:
-    """Return a frame with what changed before it; with nothing where the recording lacks some of what it met.
-
-    Args:
-        frame: It.
-        log_ns: When it was read, on the wall clock.
-        now: What held; None if it is not there.
-        before: What held when everything was known last; None at the beginning.
-        cloud_of: Returns the cloud of a revision; None if it is not there.
-        reference_by: Returns the reference of a SHA-256; None if it is not there.
-    """
-    if now is None:
-        return Step(frame, log_ns, known=False)
-    if now is before:
-        return Step(frame, log_ns)
-    new_cloud = before is None or before.cloud != now.cloud
-    new_reference = before is None or before.reference != now.reference
-    cloud = cloud_of(now.cloud) if new_cloud else None
-    reference = reference_by(now.reference) if new_reference else None
-    if (new_cloud and cloud is None) or (new_reference and reference is None):
-        return Step(frame, log_ns, known=False)
-    return Step(frame, log_ns, now, cloud, reference)
-
-
-def bundle_of(script: RecordedHead, named: str | Path | None = None) -> Bundle:
+def bundle_of(script: SeekableRecording, named: str | Path | None = None) -> Bundle:
     """Return the bundle that a recording was made with.
 
     Args:
@@ -246,7 +349,7 @@ def bundle_of(script: RecordedHead, named: str | Path | None = None) -> Bundle:
     )
 
 
-def for_skin(bundle: Bundle, script: RecordedHead) -> Bundle:
+def for_skin(bundle: Bundle, script: SeekableRecording) -> Bundle:
     """Return a bundle, or refuse it.
 
     Raises:
@@ -262,7 +365,7 @@ def for_skin(bundle: Bundle, script: RecordedHead) -> Bundle:
     return bundle
 
 
-def reference_of(script: RecordedHead, content: bytes, skin: Skin | None = None) -> Reference:
+def reference_of(script: SeekableRecording, content: bytes, skin: Skin | None = None) -> Reference:
     """Return a recorded reference.
 
     Raises:

@@ -33,8 +33,7 @@ from eitskin_tools.recording.codec import unpack_json
 from eitskin_tools.recording.layout import FRAME, WIRE, RecordingError
 from eitskin_tools.recording.reader import Entry, Recording
 from eitskin_tools.recording.reinfer import NOTHING, Computed, Rerun
-from eitskin_tools.recording.script import RecordedHead, Step, bundle_of
-from eitskin_tools.recording.seek import SeekableRecording
+from eitskin_tools.recording.script import SeekableRecording, Step, bundle_of
 from eitskin_tools.view.messages import frame_message, packed, skin_message, status_message, surface_message
 from eitskin_tools.view.server import PageServer
 
@@ -145,7 +144,7 @@ LARGEST: Final = 1 << 53
 """Of a count that a page understands."""
 
 
-def blank(told: RecordedHead, nothing: npt.NDArray[np.float32]) -> Frame:
+def blank(told: SeekableRecording, nothing: npt.NDArray[np.float32]) -> Frame:
     """Return a frame of which only that is known which all of a recording have.
 
     Args:

@@ -12,8 +12,7 @@ from eitskin_tools.cli import main
 from eitskin_tools.recording.layout import CHANNELS, FRAME, STATE, WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording, unpacked
 from eitskin_tools.recording.replay import Player, ReplayOptions
-from eitskin_tools.recording.script import Script
-from eitskin_tools.recording.seek import SeekableRecording
+from eitskin_tools.recording.script import Script, SeekableRecording
 from eitskin_tools.recording.writer import Series
 from eitskin_tools.view.film import number
 
