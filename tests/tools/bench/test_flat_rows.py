@@ -37,14 +37,14 @@ def test_readers_are_flat_rows() -> None:
 
 def test_variants_of_all_panels_are_flat_rows() -> None:
     rows = [
-        {"variant": "vd2t", "error": 0.02, "p50": 400.0, "whole": True},
-        {"variant": "gate alone", "error": 0.0, "p50": 1.0, "whole": False},
+        {"variant": "vd2t", "error": 0.02, "p50": 400.0},
+        {"variant": "sbl", "error": 0.03, "p50": 500.0},
     ]
     front.mark_front(rows)
     panels = {"paper_mm": rows, "paper_units": rows[:1]}
     flat = front.flat_rows(panels)
     assert is_flat(flat)
     assert [(row["panel"], row["variant"]) for row in flat] == [
-        ("paper_mm", "vd2t"), ("paper_mm", "gate alone"), ("paper_units", "vd2t"),
+        ("paper_mm", "vd2t"), ("paper_mm", "sbl"), ("paper_units", "vd2t"),
     ]  # fmt: skip
     assert front.summary(panels)["paper_mm"] == {"most_accurate": "vd2t", "on_front": ["vd2t"]}

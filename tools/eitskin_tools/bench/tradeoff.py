@@ -4,7 +4,7 @@ The error is 1 - CC: the mean over the phantoms of each file and the noise draws
 devices unlike the nominal one (``--devices``), which no solver knows of. The run time is that of one call every 5 ms,
 the variants taking turns on one thread, as on a robot. Classical solvers have their operators of the sheet ready, as
 the network has its geometry, and V_pred as reference, which a robot can have. A variant is on the Pareto front
-(``pareto``) if no other one that gives a map beats it in both; the gate gives none (``whole`` is false).
+(``pareto``) if no other one beats it in both.
 
 ::
 
@@ -13,11 +13,10 @@ the network has its geometry, and V_pred as reference, which a robot can have. A
     vd2t, vd2t-int8                 of the shipped bundles, and of every --bundle (other widths)
     vd2t, geometry a frame          without the skip "cloud unchanged"
     verified                        the network's map checked by physics, with the search, without its set-up
-    gate alone                      an untouched frame, or one without a subscriber; its error counts missed touches
 """
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,14 +28,22 @@ import numpy.typing as npt
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import load_bundle
 from eitskin.model.engine import engines
-from eitskin.model.gate import Gate
 from eitskin.model.geometry import GeometryGraph
 from eitskin.reference.predicted import log_ratio
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.device import Device
 from eitskin_sim.evaluation.device_runs import Plan, Trial, cases, devices
-from eitskin_sim.evaluation.harness import Case, Conditions, Run, evaluate_all, solve_l1, solve_sbl, solve_tikhonov
+from eitskin_sim.evaluation.harness import (
+    Case,
+    Conditions,
+    Run,
+    Solver,
+    evaluate_all,
+    solve_l1,
+    solve_sbl,
+    solve_tikhonov,
+)
 from eitskin_sim.evaluation.metrics import correlation
 from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.measurement.noise import Kind
@@ -50,9 +57,6 @@ from eitskin_tools.errors import UsageError
 from eitskin_tools.evaluation.devices import rows_of, trials_of
 from eitskin_tools.evaluation.solvers import VERIFIED, Request, bundle_for, named
 from eitskin_tools.pictures import save
-
-GATE: Final = "gate alone"
-"""Judges and gives no map; its error is of another kind."""
 
 L1_STEPS: Final = (10, 50, 200, 400)
 """Iterations of FISTA that are compared; the last is the solver's own."""
@@ -81,21 +85,6 @@ class Panel:
     labels: Literal["units", "area"]
     touches: TouchKind
     cases: list[tuple[Case, npt.NDArray[np.float64]]]
-
-
-@dataclass(frozen=True, slots=True)
-class Variant:
-    """One way from a case to a map.
-
-    Args:
-        name: What the table calls it.
-        solve: Gives the (rows, columns) map of a case.
-        error: Gives the error of a case, where it is not 1 - CC of the whole map.
-    """
-
-    name: str
-    solve: Callable[[Case], Any]
-    error: Callable[[Case, Any, Any], float]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -162,16 +151,14 @@ def measure(panel: Panel, bundles: Sequence[Path], noise: Any, calls: int) -> li
     """
     ways = variants(panel.labels, panel.touches, bundles, Conditions(noise=noise))
     errors = {
-        way.name: float(np.mean([way.error(case, truth, way.solve(case)) for case, truth in panel.cases]))
-        for way in ways
+        name: float(np.mean([1.0 - correlation(solve(case), truth) for case, truth in panel.cases]))
+        for name, solve in ways.items()
     }
     case = panel.cases[-1][0]
-    spans = paced({way.name: partial(way.solve, case) for way in ways}, calls)
+    spans = paced({name: partial(solve, case) for name, solve in ways.items()}, calls)
     rows: list[Row] = [
-        {"variant": way.name, "error": round(errors[way.name], 5), **percentiles_us(spans[way.name])} for way in ways
+        {"variant": name, "error": round(errors[name], 5), **percentiles_us(spans[name])} for name in ways
     ]
-    for row, way in zip(rows, ways, strict=True):
-        row["whole"] = way.error is whole_error
     mark_front(rows)
     return rows
 
@@ -231,12 +218,7 @@ def _of_device(number: int, device: Device, kind: Trial, plan: Plan) -> list[tup
     return [(case, truth_map(phantom)) for case, phantom in cases(device, kind, "predicted", plan, number)]
 
 
-def whole_error(case: Case, truth: Any, image: Any) -> float:
-    """Return 1 - CC of a map (rows, columns)."""
-    return 1.0 - float(correlation(image, truth))
-
-
-def variants(labels: str, touches: TouchKind, more: Sequence[Path], conditions: Conditions) -> list[Variant]:
+def variants(labels: str, touches: TouchKind, more: Sequence[Path], conditions: Conditions) -> dict[str, Solver]:
     """Return all ways to maps of some labels.
 
     Args:
@@ -245,20 +227,20 @@ def variants(labels: str, touches: TouchKind, more: Sequence[Path], conditions: 
         more: Networks beside the shipped one; those of other labels are left out.
         conditions: With the noise that the verifier assumes.
     """
-    found = [Variant("tikhonov", solve_tikhonov, whole_error), Variant("sbl", solve_sbl, whole_error)]
-    found += [Variant(f"l1, {steps} steps", partial(solve_l1, iterations=steps), whole_error) for steps in L1_STEPS]
+    found: dict[str, Solver] = {"tikhonov": solve_tikhonov, "sbl": solve_sbl}
+    found |= {f"l1, {steps} steps": partial(solve_l1, iterations=steps) for steps in L1_STEPS}
     shipped = bundle_for(Request("vd2t"), labels, touches).path
     for path in [shipped, *map(Path, more)]:
-        found += _networks(path, labels, "" if path == shipped else f" of {path.name}")
+        found |= _networks(path, labels, "" if path == shipped else f" of {path.name}")
     verified = named(Request(VERIFIED), labels, touches=touches, conditions=conditions)
-    return [*found, Variant(VERIFIED, verified.run.solver, whole_error)]
+    return {**found, VERIFIED: verified.run.solver}
 
 
-def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
+def _networks(path: Path, labels: str, suffix: str) -> dict[str, Solver]:
     """Return the variants that a bundle offers; none where its labels are not these."""
     bundle = load_bundle(path)
     if bundle.labels != labels:
-        return []
+        return {}
     buffers, graph = Buffers(bundle), GeometryGraph(bundle)
     shown: list[Any] = [None]
 
@@ -267,7 +249,7 @@ def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
         buffers.use_geometry(graph.geometry(case.sheet.cloud_mm, predicted, buffers.revision + 1))
         shown[0] = case.sheet
 
-    def solver(engine: Any, *, every: bool = False) -> Callable[[Case], Any]:
+    def solver(engine: Any, *, every: bool = False) -> Solver:
         def solve(case: Case) -> Any:
             if every or shown[0] is not case.sheet:
                 geometry(case)
@@ -278,35 +260,16 @@ def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
         return solve
 
     whole = engines(bundle, buffers)
-    found = [
-        Variant(("tikhonov, one matrix" if one.name == "tikhonov" else one.name) + suffix, solver(one), whole_error)
-        for one in whole
-    ]
-    found.append(Variant(f"{whole[0].name}, geometry a frame{suffix}", solver(whole[0], every=True), whole_error))
-    arrays = bundle.gate_arrays()
-    if arrays is not None:
-        gate = Gate(arrays)
-
-        def judge(case: Case) -> bool:
-            gate.change[:] = relative_change(case.voltages, case.flat_reference).astype(np.float32)
-            return gate.touched()
-
-        found.append(Variant(f"{GATE}{suffix}", judge, lambda case, truth, touched: float(not touched)))
-    return found
+    found = {("tikhonov, one matrix" if one.name == "tikhonov" else one.name) + suffix: solver(one) for one in whole}
+    return {**found, f"{whole[0].name}, geometry a frame{suffix}": solver(whole[0], every=True)}
 
 
 def mark_front(rows: Sequence[Row]) -> None:
-    """Say of each row in ``pareto`` whether it gives a map and nothing that gives one beats it in both."""
+    """Say of each row in ``pareto`` whether no other row is as good as it in both error and time."""
     for row in rows:
-        row["pareto"] = row["whole"] and not _beaten(row, rows)
-
-
-def _beaten(row: Row, rows: Sequence[Row]) -> bool:
-    """Return whether another variant, one that gives a whole map, is as good in both and not the same."""
-    return any(
-        other["whole"] and other["error"] <= row["error"] and other["p50"] <= row["p50"] and other is not row
-        for other in rows
-    )
+        row["pareto"] = not any(
+            other["error"] <= row["error"] and other["p50"] <= row["p50"] and other is not row for other in rows
+        )
 
 
 def flat_rows(panels: Mapping[str, Sequence[Row]]) -> list[Row]:
@@ -315,10 +278,10 @@ def flat_rows(panels: Mapping[str, Sequence[Row]]) -> list[Row]:
 
 
 def summary(panels: Mapping[str, Sequence[Row]]) -> Row:
-    """Return, by panel, what gives the most accurate whole map, and what is on the front."""
+    """Return, by panel, what gives the most accurate map, and what is on the front."""
     return {
         name: {
-            "most_accurate": min((row for row in rows if row["whole"]), key=lambda row: row["error"])["variant"],
+            "most_accurate": min(rows, key=lambda row: row["error"])["variant"],
             "on_front": [row["variant"] for row in rows if row["pareto"]],
         }
         for name, rows in panels.items()
@@ -346,7 +309,7 @@ def plot(found: Mapping[str, Sequence[Row]], path: Path) -> None:
     for empty in panels[len(found) :]:
         empty.set_axis_off()
     for axes, (name, rows) in zip(panels, found.items(), strict=False):
-        shown = [(row["p50"], max(row["error"], SMALLEST_ERROR), row) for row in rows if row["whole"]]
+        shown = [(row["p50"], max(row["error"], SMALLEST_ERROR), row) for row in rows]
         front = sorted((x, y) for x, y, row in shown if row["pareto"])
         axes.plot(*zip(*front, strict=True), color="tab:red", zorder=1)
         for number, (x, y, row) in enumerate(sorted(shown, key=lambda point: point[:2])):
