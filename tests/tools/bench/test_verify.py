@@ -8,9 +8,8 @@ from eitskin_sim.scene.shapes import Ellipse
 from eitskin_tools.bench.verify import LEVELS, matched, of_rows
 from eitskin_tools.bench.verify_conditions import (
     across,
-    anywhere_conditions,
+    conditions,
     paper_like,
-    unit_conditions,
 )
 
 UNITS = {"what": "1 to 6 units, N2", "p_values": [0.2, 0.6]}
@@ -30,7 +29,7 @@ def test_p_keeps_its_word_where_the_model_is_right() -> None:
 
 
 def test_every_row_has_a_name_of_its_own() -> None:
-    names = [one.name for one in unit_conditions()] + [one.name for one in anywhere_conditions()]
+    names = [one.name for one in conditions()]
     assert len(set(names)) == len(names)
 
 

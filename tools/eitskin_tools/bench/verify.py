@@ -8,49 +8,33 @@ the JSON object come last. Times are CPU times of one core.
 
 import argparse
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from math import sqrt
-from typing import Any, Final
+from typing import Final, Literal
 
 import numpy as np
 
 from eitskin_proto.sensor.row_gaussian import RowGaussian, rows_of
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation import trials
-from eitskin_sim.evaluation.device import Device
 from eitskin_sim.evaluation.harness import Case, Run, Sheet
-from eitskin_sim.evaluation.metrics import TOUCHED, Score, lost_mm, score
+from eitskin_sim.evaluation.metrics import Score, lost_mm, score
 from eitskin_sim.evaluation.mismatch import IDEAL
 from eitskin_sim.evaluation.near import NEAR_MM
 from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.measurement.consistency import RowImputation
 from eitskin_sim.measurement.noise import Kind, add_noise
-from eitskin_sim.scene.nominal import nominal_scene
-from eitskin_sim.scene.parts import Bend, Touch
-from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.scene.touch_table import RECTANGLE
 from eitskin_sim.verification.residual import Noise, Whitener
-from eitskin_sim.verification.shape_verifier import BUDGET_S
 from eitskin_sim.verification.sheet_model import model_of_cloud
-from eitskin_sim.verification.snapped_units import unit_shares
 from eitskin_sim.verification.verdict import p_value
 from eitskin_tools.bench.harness import Row, report, row_text, say
-from eitskin_tools.bench.verify_conditions import (
-    SEED,
-    Anywhere,
-    Array,
-    Condition,
-    anywhere_conditions,
-    cloud_of,
-    device_of,
-    unit_conditions,
-    volts,
-)
+from eitskin_tools.bench.verify_conditions import SEED, Array, Condition, cloud_of, conditions, device_of, volts
 from eitskin_tools.errors import UsageError
 from eitskin_tools.evaluation.solvers import Request, bundle_for, named
-from eitskin_tools.evaluation.verified.solver import VerifiedNetwork
+from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork
 
 CALIBRATION = "calibration of p"
 """What ``--only`` calls the table of p."""
@@ -61,14 +45,16 @@ LEVELS: Final = (0.001, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9)
 DRAWS: Final = 20
 """Draws of noise for each set of touches."""
 
+Labels = Literal["units", "area"]
+
+Judged = tuple[Score, Score, MapVerdict]
+"""Scores of the network's map and of the verified one, and the verdict."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--deformations", type=int, default=6, metavar="N", help="of family A (default 6)")
     parser.add_argument("--each", type=int, default=4, metavar="N", help="touch sets at each of them (default 4)")
-    parser.add_argument(
-        "--budget-ms", type=float, metavar="T", help="for each frame of touched units (default: the verifier's own)"
-    )
     parser.add_argument(
         "--only", action="append", metavar="ROW", help="rows whose name has this in it; may be given again"
     )
@@ -84,13 +70,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
-    budget_ms = arguments.budget_ms or 0.0
-    if arguments.deformations < 1 or arguments.each < 1 or arguments.sets < 0 or not budget_ms >= 0.0:
-        raise UsageError("--deformations and --each must be at least 1, --sets and --budget-ms at least 0")
-    units, anywhere = _rows(arguments, _chosen(arguments.only))
-    every = [*units, *anywhere]
-    summary = {key: sum(row[key] for row in every) for key in ("maps", "wrong", "wrong_unflagged")}
-    return report(arguments, every + _calibration(arguments, units), summary)
+    if arguments.deformations < 1 or arguments.each < 1 or arguments.sets < 0:
+        raise UsageError("--deformations and --each must be at least 1, --sets at least 0")
+    chosen = _chosen(arguments.only)
+    rows: list[Row] = []
+    for condition in conditions():
+        if condition.name in chosen:
+            start = time.process_time()
+            rows.append(measured(condition, arguments.deformations, arguments.each))
+            _say(row_text(rows[-1]), start)
+    summary = {key: sum(row[key] for row in rows) for key in ("maps", "wrong", "wrong_unflagged")}
+    return report(arguments, rows + _calibration(arguments, rows), summary)
 
 
 def _chosen(only: list[str] | None) -> set[str]:
@@ -99,8 +89,7 @@ def _chosen(only: list[str] | None) -> set[str]:
     Raises:
         UsageError: There is none.
     """
-    units, anywhere = unit_conditions(), anywhere_conditions()
-    known = [*(one.name for one in units), *(one.name for one in anywhere), CALIBRATION]
+    known = [*(one.name for one in conditions()), CALIBRATION]
     found = {name for name in known if not only or any(text in name for text in only)}
     if not found:
         texts = " ".join(repr(text) for text in only or ())
@@ -108,32 +97,12 @@ def _chosen(only: list[str] | None) -> set[str]:
     return found
 
 
-def _rows(arguments: argparse.Namespace, chosen: set[str]) -> tuple[list[Row], list[Row]]:
-    """Return the rows of touched units and those of touches anywhere, each shown as it is found."""
-    units: list[Row] = []
-    anywhere: list[Row] = []
-    measured: Units | None = None
-    budget_s = None if arguments.budget_ms is None else 1e-3 * arguments.budget_ms
-    for condition in unit_conditions():
-        if condition.name in chosen:
-            measured = measured or Units(arguments.deformations, arguments.each, budget_s)
-            start = time.process_time()
-            units.append(measured.row(condition))
-            _say(row_text(units[-1]), start)
-    for place in anywhere_conditions():
-        if place.name in chosen:
-            start = time.process_time()
-            anywhere.append(anywhere_row(place, arguments.deformations, arguments.each))
-            _say(row_text(anywhere[-1]), start)
-    return units, anywhere
-
-
-def _calibration(arguments: argparse.Namespace, units: list[Row]) -> list[Row]:
+def _calibration(arguments: argparse.Namespace, rows: list[Row]) -> list[Row]:
     """Return the calibration of p; no rows unless it was asked for."""
     if CALIBRATION not in _chosen(arguments.only) or not arguments.sets:
         return []
     start = time.process_time()
-    stated = matched(arguments.sets) + of_rows(units)
+    stated = matched(arguments.sets) + of_rows(rows)
     _say(CALIBRATION, start)
     return stated
 
@@ -142,147 +111,94 @@ def _say(line: str, start_s: float) -> None:
     say("verify", f"{line} {time.process_time() - start_s:.0f} CPU-s")
 
 
-class Units:
-    """Measures one row after another; what rows share is made once.
+def measured(condition: Condition, deformations: int, each: int) -> Row:
+    """Return the figures of a condition, its p-values among them.
 
-    Args:
-        deformations: How many of family A.
-        each: Touch sets at each of them.
-        budget_s: The verifier's, for each frame; None is its own.
+    Frames of one sheet come one after another: what the first of them show of its material serves the next.
     """
-
-    def __init__(self, deformations: int, each: int, budget_s: float | None) -> None:
-        self._bends = trials.deformations_of(deformations, "A")
-        self._each, self._budget_s = each, BUDGET_S if budget_s is None else budget_s
-        self._network = named(Request("vd2t"), "units").run
-        arrays = bundle_for(Request("vd2t"), "units").consistency_arrays()
-        assert arrays is not None, "the shipped bundle of units fills in rows"
-        self._filler = RowImputation(
-            RowGaussian(np.asarray(arrays["mean"], float), np.asarray(arrays["covariance"], float))
-        )
-        self._image: Array = np.zeros(PAPER.grid.shape)
-
-    def row(self, condition: Condition) -> Row:
-        """Return the figures of a condition, its p-values among them.
-
-        Frames of one sheet come one after another: what the first of them show of its material serves the next.
-        """
-        found, grid = [], PAPER.grid
-        network = Run(lambda case: self._image, "pre")
-        verified = VerifiedNetwork(
-            network, Noise(condition.noise), "units", "raise", PAPER, self._budget_s, at_rest=condition.at_rest
-        )
-        for number, bend in enumerate(self._bends):
-            device = device_of(condition.mismatch, number)
-            flat = volts(device.reference())
-            untouched = _volts(device, bend) if condition.at_rest else np.full(len(flat), np.nan)
-            sheet = Sheet(cloud_of(device, bend, number), untouched)
-            touches = np.random.default_rng([SEED, number, *condition.counts])
-            rng = np.random.default_rng([SEED, number, 1])
-            for _ in range(self._each):
-                units, clean = _touched(condition, device, bend, touches)
-                gone = (int(rng.integers(N_ELECTRODES)),) if condition.missing else ()
-                noisy = add_noise(clean, flat, condition.noise, 50.0, rng)
-                self._image = self._network.solver(Case(self._filled(noisy, flat, gone), flat, flat, sheet, "units"))
-                kept = np.where(rows_of(gone), 0.0, flat)
-                image = verified.solve(Case(noisy, kept, kept, sheet, "units"))
-                alone, right = (
-                    set(np.flatnonzero(unit_shares(one, grid) >= TOUCHED).tolist()) == set(units)
-                    for one in (self._image, image)
-                )
-                found.append((alone, right, verified.checked[-1]))
-        return {"what": condition.name, **figures(found), **counted(found)}
-
-    def _filled(self, voltages_V: Array, flat_V: Array, gone: tuple[int, ...]) -> Array:
-        """Return voltages with the rows of electrodes that are gone filled in, as the runtime does for its network."""
-        change = (voltages_V / flat_V - 1.0)[None]
-        if gone:
-            self._filler.fill(change, gone)
-        return np.asarray(flat_V * (1.0 + change[0]))
-
-
-def _touched(condition: Condition, device: Device, bend: Bend, rng: np.random.Generator) -> tuple[list[int], Array]:
-    """Return drawn units, the same whatever the device and the contrast, and the (104,) V of the sheet."""
-    grid = PAPER.grid
-    count = int(rng.integers(condition.counts[0], condition.counts[1] + 1))
-    units = np.sort(rng.choice(grid.n_units, count, replace=False)).tolist()
-    touches = []
-    for unit in units:
-        row, column = divmod(unit, grid.units[1])
-        rect = Rect(*grid.unit_rect_mm(column, row))
-        touches.append(Touch((rect,), contrast=condition.contrast, border_mm=condition.border_mm))
-    return units, _volts(device, bend, tuple(touches))
-
-
-def _volts(device: Device, bend: Bend, touches: tuple[Touch, ...] = ()) -> Array:
-    return volts(device.scene(nominal_scene(PAPER, bend, touches), as_it_is=True))
-
-
-def figures(maps: list[tuple[bool, bool, Any]]) -> Row:
-    """Return shares of what is right: (network right, verifier right, verdict) of each map."""
-    alone, right = (np.array([one[index] for one in maps]) for index in (0, 1))
-    return {"maps": len(maps), "network_exact": float(alone.mean()), "exact": float(right.mean())}
-
-
-def counted(maps: list[tuple[bool, bool, Any]]) -> Row:
-    """Return what is wrong and not flagged, what it took, and the p-values of what is right."""
-    right = np.array([one[1] for one in maps])
-    flagged = np.array([one.verdict.flagged for _, _, one in maps])
-    cpu = np.array([one.cpu_ms for _, _, one in maps])
-    setup = [one.setup_ms for _, _, one in maps if one.setup_ms]
-    return {
-        "wrong": int((~right).sum()),
-        "wrong_unflagged": int((~right & ~flagged).sum()),
-        "right_flagged": int((right & flagged).sum()),
-        "chi_squared_median": float(np.median([one.verdict.chi_squared for _, _, one in maps])),
-        "cpu_ms_median": float(np.median(cpu)),
-        "cpu_ms_p95": float(np.percentile(cpu, 95)),
-        "setup_ms_median": float(np.median(setup)) if setup else 0.0,
-        "p_values": [one.verdict.p_value for _, exact, one in maps if exact],
-    }
-
-
-def anywhere_row(condition: Anywhere, deformations: int, each: int) -> Row:
-    """Return the figures of a condition, its p-values among them."""
     phantoms = condition.phantoms(deformations, each)
-    kind = phantoms[0].scene.touch_kind
-    network = named(Request("vd2t"), "area", touches=kind).run
-    verified = VerifiedNetwork(network, Noise(condition.noise), "area", kind, PAPER, at_rest=condition.at_rest)
-    found, scores = [], []
+    kind, labels = phantoms[0].scene.touch_kind, phantoms[0].truth
+    network, filler = named(Request("vd2t"), labels, touches=kind).run, _filler(labels, kind)
+    image: Array = np.zeros(PAPER.grid.shape)
+    verified = VerifiedNetwork(
+        Run(lambda case: image, "pre"), Noise(condition.noise), labels, kind, PAPER, at_rest=condition.at_rest
+    )
+    judged: list[Judged] = []
     for number in range(deformations):
         own = phantoms[number * each : (number + 1) * each]
         device = device_of(condition.mismatch, number)
         flat = volts(device.reference())
-        untouched = (
-            volts(device.scene(own[0].scene.untouched(), as_it_is=True))
-            if condition.at_rest
-            else np.full(len(flat), np.nan)
-        )
+        untouched = np.full(len(flat), np.nan)
+        if condition.at_rest:
+            untouched = volts(device.scene(own[0].scene.untouched(), as_it_is=True))
         sheet = Sheet(cloud_of(device, own[0].scene.bend, number), untouched)
-        rng = np.random.default_rng([SEED, number, 2])
+        rng = np.random.default_rng([SEED, number, 1 if labels == "units" else 2])
         for phantom in own:
-            scene = device.scene(phantom.scene, as_it_is=kind != "raise")
+            scene = device.scene(phantom.scene, as_it_is=labels == "units" or kind != "raise")
+            gone = (int(rng.integers(N_ELECTRODES)),) if condition.missing else ()
             noisy = add_noise(volts(scene), flat, condition.noise, 50.0, rng)
-            case = Case(noisy, flat, flat, sheet, "area", kind == "lower")
+            case = Case(_filled(filler, noisy, flat, gone), flat, flat, sheet, labels, kind == "lower")
+            image = network.solver(case)
+            kept = np.where(rows_of(gone), 0.0, flat)
+            checked = verified.solve(replace(case, voltages=noisy, reference=kept, flat_reference=kept))
             truth = truth_map(replace(phantom, scene=replace(phantom.scene, touches=scene.touches)))
-            alone, checked = (score(solve(case), truth, labels="area") for solve in (network.solver, verified.solve))
-            found.append((is_right(alone), is_right(checked), verified.checked[-1]))
-            scores.append((alone, checked))
-    return {"what": condition.name, **_figures(scores), **counted(found)}
+            alone, found = (score(one, truth, labels=labels) for one in (image, checked))
+            judged.append((alone, found, verified.checked[-1]))
+    return {"what": condition.name, **_figures(judged, labels), **_counted(judged, labels)}
 
 
-def is_right(one: Score) -> bool:
-    """Return whether a map has as many touches as there are, each where it is."""
+def _filler(labels: Labels, kind: TouchKind) -> RowImputation:
+    arrays = bundle_for(Request("vd2t"), labels, kind).consistency_arrays()
+    assert arrays is not None, "the shipped bundles fill in rows"
+    return RowImputation(RowGaussian(np.asarray(arrays["mean"], float), np.asarray(arrays["covariance"], float)))
+
+
+def _filled(filler: RowImputation, voltages_V: Array, flat_V: Array, gone: tuple[int, ...]) -> Array:
+    """Return voltages with the rows of electrodes that are gone filled in, as the runtime does for its network."""
+    if not gone:
+        return voltages_V
+    change = (voltages_V / flat_V - 1.0)[None]
+    filler.fill(change, gone)
+    return np.asarray(flat_V * (1.0 + change[0]))
+
+
+def _counted(judged: list[Judged], labels: Labels) -> Row:
+    """Return what is wrong and not flagged, what it took, and the p-values of what is right."""
+    right = np.array([is_right(found, labels) for _, found, _ in judged])
+    verdicts = [one for *_, one in judged]
+    flagged = np.array([one.verdict.flagged for one in verdicts])
+    cpu = np.array([one.cpu_ms for one in verdicts])
+    setup = [one.setup_ms for one in verdicts if one.setup_ms]
+    return {
+        "wrong": int((~right).sum()),
+        "wrong_unflagged": int((~right & ~flagged).sum()),
+        "right_flagged": int((right & flagged).sum()),
+        "chi_squared_median": float(np.median([one.verdict.chi_squared for one in verdicts])),
+        "cpu_ms_median": float(np.median(cpu)),
+        "cpu_ms_p95": float(np.percentile(cpu, 95)),
+        "setup_ms_median": float(np.median(setup)) if setup else 0.0,
+        "p_values": [one.verdict.p_value for one, exact in zip(verdicts, right, strict=True) if exact],
+    }
+
+
+def is_right(one: Score, labels: Labels) -> bool:
+    """Return whether a map shows just the touched units, or as many touches as there are, each where it is."""
+    if labels == "units":
+        return one.exact == 1.0
     return one.touches == one.true_touches and one.localisation_mm <= NEAR_MM
 
 
-def _figures(scores: Sequence[tuple[Score, Score]]) -> Row:
-    found: Row = {"maps": len(scores)}
+def _figures(judged: list[Judged], labels: Labels) -> Row:
+    found: Row = {"maps": len(judged)}
     for index, name in ((0, "network_"), (1, "")):
-        own = [one[index] for one in scores]
+        own = [one[index] for one in judged]
+        right = float(np.mean([is_right(one, labels) for one in own]))
+        if labels == "units":
+            found[f"{name}exact"] = right
+            continue
         distance = np.array([one.localisation_mm for one in own if one.localisation_mm < lost_mm(PAPER.grid)])
         found |= {
-            f"{name}right": float(np.mean([is_right(one) for one in own])),
+            f"{name}right": right,
             f"{name}cc": float(np.mean([one.cc for one in own])),
             f"{name}cc_worst": float(np.min([one.cc for one in own])),
             f"{name}localisation_median_mm": float(np.median(distance)) if len(distance) else None,
@@ -318,13 +234,13 @@ def matched(sets: int) -> list[Row]:
     return rows
 
 
-def of_rows(units: list[Row]) -> list[Row]:
+def of_rows(rows: list[Row]) -> list[Row]:
     """Return the same of the right answers of rows in which nothing but the scan's noise is off."""
-    rows = []
-    for row in units:
+    found = []
+    for row in rows:
         if row["what"].startswith("1 to 6 units") and row["p_values"]:
-            rows += _below_levels(f"p, {row['what']}, scanned", row["p_values"])
-    return rows
+            found += _below_levels(f"p, {row['what']}, scanned", row["p_values"])
+    return found
 
 
 def _below_levels(what: str, p_values: list[float]) -> list[Row]:

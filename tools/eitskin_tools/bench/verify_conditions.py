@@ -24,7 +24,7 @@ from eitskin_sim.scene.family import Family
 from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.parts import Bend, Phantom, Scene, Touch
 from eitskin_sim.scene.scene import load_phantoms
-from eitskin_sim.scene.shapes import Ellipse
+from eitskin_sim.scene.shapes import Ellipse, Rect
 from eitskin_sim.scene.shift import shifted
 from eitskin_tools.command_line import files
 from eitskin_tools.evaluation.verified.untouched_baseline import FRAMES
@@ -36,6 +36,9 @@ ELEMENT_MM: Final = 2.0
 
 SEED: Final = 61_007
 """Names touches, noise and scans; deformations are those of the trials."""
+
+UNIT_COUNTS: Final = (1, 6)
+"""Least and most touched units of a map."""
 
 SINGLE_MM: Final = 10.0
 """Side of a single touch."""
@@ -69,72 +72,52 @@ PAPER_SEED: Final = 61_011
 """Names which phantom is taken, and how it is moved."""
 
 
+Draw = Callable[[int, int], list[Phantom]]
+"""From a number of deformations and touch sets at each to as many phantoms, deformation after deformation."""
+
+
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """One row of touched units."""
+    """One row: touches, and how the true device differs."""
 
     name: str
+    phantoms: Draw
     mismatch: Mismatch = IDEAL
     noise: Kind = "N2"
-    counts: tuple[int, int] = (1, 6)
-    """Least and most units."""
-    contrast: float = 50.0
-    """Of all units."""
-    border_mm: float = 0.0
-    """Width of the units' graded borders."""
     missing: bool = False
     """One electrode is gone, another one for each map."""
     at_rest: int = 0
     """Frames of each deformation that are seen untouched first."""
 
 
-@dataclass(frozen=True, slots=True)
-class Anywhere:
-    """One row of touches anywhere."""
-
-    name: str
-    phantoms: Callable[[int, int], list[Phantom]]
-    """From a number of deformations and touch sets at each to as many phantoms, deformation after deformation."""
-    mismatch: Mismatch = IDEAL
-    noise: Kind = "N2"
-    at_rest: int = 0
-    """Frames of each deformation that are seen untouched first."""
-
-
-def unit_conditions() -> list[Condition]:
-    """Return the rows of touched units; those of the ideal device stand together."""
-    lab = replace(LAB, contrast=None, border_mm=0.0)
+def conditions() -> list[Condition]:
+    """Return the rows: those of touched units, those of touches anywhere, and those seen untouched before."""
+    hard_lab = replace(LAB, contrast=None, border_mm=0.0)
     return [
-        *(Condition(f"1 to 6 units, {noise}", noise=noise) for noise in ("N1", "N2", "N3")),
-        Condition("one electrode gone", missing=True),
-        *(Condition(f"contrast {contrast:g}", contrast=contrast) for contrast in (3.0, 10.0, 200.0)),
-        Condition("soft borders of 2 mm", border_mm=2.0),
-        Condition("scan noise 1 mm", Mismatch(scan_noise_mm=1.0)),
-        Condition("lab device, hard touches", lab),
-        Condition("seen at rest: lab device, hard touches", lab, at_rest=FRAMES),
-    ]
-
-
-def anywhere_conditions() -> list[Anywhere]:
-    """Return the rows of touches anywhere."""
-    return [
-        *(Anywhere(f"paper-like touches, {noise}", paper_like, noise=noise) for noise in ("N2", "N3")),
-        Anywhere("singles of 10 mm", _singles()),
-        *(Anywhere(f"pairs 10 mm apart, {family}", _pairs(family)) for family in FAMILIES),
-        *(Anywhere(f"presses of contrast {contrast:g}", _presses(contrast)) for contrast in (0.4, 0.6)),
-        Anywhere("lab-like, singles", _singles(), LAB),
-        *(Anywhere(f"lab-like, presses of contrast {contrast:g}", _presses(contrast), LAB) for contrast in (0.4, 0.6)),
-        *(Anywhere(f"contrast {contrast:g}, singles", _singles(contrast)) for contrast in (5.0, 3.0, 2.0, 1.5)),
+        *(Condition(f"1 to 6 units, {noise}", _units(), noise=noise) for noise in ("N1", "N2", "N3")),
+        Condition("one electrode gone", _units(), missing=True),
+        *(Condition(f"contrast {contrast:g}", _units(contrast)) for contrast in (3.0, 10.0, 200.0)),
+        Condition("soft borders of 2 mm", _units(border_mm=2.0)),
+        Condition("scan noise 1 mm", _units(), Mismatch(scan_noise_mm=1.0)),
+        Condition("lab device, hard touches", _units(), hard_lab),
+        Condition("seen at rest: lab device, hard touches", _units(), hard_lab, at_rest=FRAMES),
+        *(Condition(f"paper-like touches, {noise}", paper_like, noise=noise) for noise in ("N2", "N3")),
+        Condition("singles of 10 mm", _singles()),
+        *(Condition(f"pairs 10 mm apart, {family}", _pairs(family)) for family in FAMILIES),
+        *(Condition(f"presses of contrast {contrast:g}", _presses(contrast)) for contrast in (0.4, 0.6)),
+        Condition("lab-like, singles", _singles(), LAB),
+        *(Condition(f"lab-like, presses of contrast {contrast:g}", _presses(contrast), LAB) for contrast in (0.4, 0.6)),
+        *(Condition(f"contrast {contrast:g}, singles", _singles(contrast)) for contrast in (5.0, 3.0, 2.0, 1.5)),
         *(
-            Anywhere(f"across, of contrast {contrast:g}", _across(contrast, border))
+            Condition(f"across, of contrast {contrast:g}", _across(contrast, border))
             for contrast, border in ((50.0, 0.0), (0.4, PRESS_BORDER_MM))
         ),
-        *(Anywhere(f"contrast {contrast:g}, of {side:g} mm", _singles(contrast, side)) for contrast, side in LARGER),
+        *(Condition(f"contrast {contrast:g}, of {side:g} mm", _singles(contrast, side)) for contrast, side in LARGER),
         *_seen_at_rest(),
     ]
 
 
-def _seen_at_rest() -> list[Anywhere]:
+def _seen_at_rest() -> list[Condition]:
     """Return rows of deformations that were seen untouched before, for as long as the stream does."""
     rows = {
         "paper-like touches": (paper_like, IDEAL),
@@ -147,26 +130,46 @@ def _seen_at_rest() -> list[Anywhere]:
         "lab-like, presses of contrast 0.6": (_presses(0.6), LAB),
     }
     return [
-        Anywhere(f"seen at rest: {name}", phantoms, mismatch, at_rest=FRAMES)
+        Condition(f"seen at rest: {name}", phantoms, mismatch, at_rest=FRAMES)
         for name, (phantoms, mismatch) in rows.items()
     ]
 
 
-def _singles(contrast: float = 50.0, side_mm: float = SINGLE_MM) -> Callable[[int, int], list[Phantom]]:
+def _units(contrast: float = 50.0, border_mm: float = 0.0) -> Draw:
+    """Return what draws one to six touched units, the same whatever their contrast and border."""
+
+    def draw(deformations: int, each: int) -> list[Phantom]:
+        found, grid = [], PAPER.grid
+        for number, bend in enumerate(trials.deformations_of(deformations, "A")):
+            rng = np.random.default_rng([SEED, number, *UNIT_COUNTS])
+            for index in range(each):
+                count = int(rng.integers(UNIT_COUNTS[0], UNIT_COUNTS[1] + 1))
+                touches = []
+                for unit in np.sort(rng.choice(grid.n_units, count, replace=False)).tolist():
+                    row, column = divmod(unit, grid.units[1])
+                    rect = Rect(*grid.unit_rect_mm(column, row))
+                    touches.append(Touch((rect,), contrast=contrast, border_mm=border_mm))
+                found.append(Phantom(f"A{number}.{index}", nominal_scene(PAPER, bend, tuple(touches)), "units"))
+        return found
+
+    return draw
+
+
+def _singles(contrast: float = 50.0, side_mm: float = SINGLE_MM) -> Draw:
     return lambda deformations, each: trials.single(
         side_mm, deformations, each, "A", TouchProfile(contrast) if contrast != 50.0 else trials.HARD
     )
 
 
-def _across(contrast: float, border_mm: float) -> Callable[[int, int], list[Phantom]]:
+def _across(contrast: float, border_mm: float) -> Draw:
     return lambda deformations, each: across(contrast, border_mm, deformations, each)
 
 
-def _pairs(family: Family) -> Callable[[int, int], list[Phantom]]:
+def _pairs(family: Family) -> Draw:
     return lambda deformations, each: trials.pair(10.0, deformations, each, family)
 
 
-def _presses(contrast: float) -> Callable[[int, int], list[Phantom]]:
+def _presses(contrast: float) -> Draw:
     softness = TouchProfile(contrast, PRESS_BORDER_MM, disc=True)
     return lambda deformations, each: trials.single(PRESS_MM, deformations, each, "A", softness)
 
