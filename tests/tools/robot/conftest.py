@@ -62,11 +62,11 @@ def family(tmp_path):
     """Return a context manager that supervises stand-ins, by name."""
 
     @contextmanager
-    def run(restart="never", grace_s=PATIENCE_S, silent_s=PATIENCE_S, environment=None, **kinds):
+    def run(restart="never", grace_s=PATIENCE_S, hang_s=PATIENCE_S, environment=None, **kinds):
         (tmp_path / "ref.json").touch()
         common = {"reference": "ref.json", "restart": restart}
         skins = [{"name": name, "port": f"{kind}@{tmp_path}", **common} for name, kind in kinds.items()]
-        found = Family(tmp_path, skins, grace_s, silent_s, **(environment or {}))
+        found = Family(tmp_path, skins, grace_s, hang_s, **(environment or {}))
         try:
             yield found
         finally:

@@ -1,4 +1,4 @@
-"""The supervising process, around stand-ins of skins: ``family_process.py ROBOT.toml GRACE_S SILENT_S [PROGRAM]``."""
+"""The supervising process, around stand-ins of skins: ``family_process.py ROBOT.toml GRACE_S HANG_S [PROGRAM]``."""
 
 import os
 import sys

@@ -1,5 +1,6 @@
 """A stand-in for ``eitskin run`` of one skin: what it does is its port's name. Starts in milliseconds with ``-S``."""
 
+import faulthandler
 import json
 import os
 import signal
@@ -14,19 +15,12 @@ def say(event, **fields):
     print(json.dumps({"event": event, **fields}), file=sys.stderr, flush=True)
 
 
-def tell(line):
-    """Say something by the socket that was handed down, as to systemd."""
-    os.write(int(os.environ["NOTIFY_SOCKET"].removeprefix("fd:")), line)
-
-
 def serve(until=None):
     """Give signs of life, for ever or until there is a file."""
     say("ready", publish=words["publish"], control=words["control"])
-    tell(b"READY=1")
-    every_s = int(os.environ["WATCHDOG_USEC"]) * 0.25e-6
     while until is None or not until.exists():
-        signal.sigtimedwait([], every_s)
-        tell(b"WATCHDOG=1")
+        signal.sigtimedwait([], 0.1)
+        faulthandler.dump_traceback_later(float(os.environ["EITSKIN_HANG_S"]), exit=True)
 
 
 def hang():

@@ -1,24 +1,17 @@
-"""The process of one skin: started, listened to, watched for signs of life, started again after growing pauses, ended.
-
-What watches the frame loop within a process needs the interpreter, which C code may keep for ever. So the process also
-gives signs of life, as it gives them to systemd: only while its frame loop reads, computes and reads again, or waits
-for its line, and only from Python. They come over a pair of sockets that nobody else can reach.
-"""
+"""The process of one skin: started, listened to, started again after growing pauses, ended."""
 
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import IO, Any, Final
 
 from eitskin.robot.config import SkinSettings
 from eitskin.robot.described import ProcessState
 from eitskin_tools.processes.children import Backoff, ChildProcess, die_with_parent, how_it_ended
-from eitskin_tools.service.supervisor import ADDRESS, HANDED_DOWN, INTERVAL, WHOM
+from eitskin_tools.service.supervisor import ADDRESS, HANG, INTERVAL, WHOM
 
 BAD_USAGE: Final = 2
 """Exit status that another start cannot change."""
@@ -29,101 +22,11 @@ LONGEST_LINE: Final = 1 << 20
 NOT_OURS: Final = (ADDRESS, INTERVAL, WHOM, "JOURNAL_STREAM")
 """Of the environment: what is meant for the supervising process alone."""
 
-SILENT_S: Final = 10.0
-"""How long a skin that is ready may give no sign of life. Its own watchdog ends it after 2 s, takes 1 s at most to say
-why, and the last sign is up to 2 s old when the loop stops: so the process speaks first wherever it can."""
-
-ENDING_S: Final = 8.0
-"""The least of the same for one that has said that it ends: it ends itself after 5 s, whatever hangs."""
-
-SIGN_OF: Final = 0.4
-"""Part of the longest silence that is asked for as the interval of its signs."""
-
-LOOKS: Final = 10
-"""Looks in the longest silence."""
-
-PAUSE_S: Final = 1.0
-"""Between a signal and the next, stronger one."""
-
-FORCE: Final = (signal.SIGTERM, signal.SIGABRT, signal.SIGKILL)
-"""By the second one Python shows what each thread is doing, without the interpreter's lock, and the process ends."""
-
-LARGEST_SIGN: Final = 4096
-
-STOPPED: Final = "Tt"
-"""States of a process that was stopped, by a signal or by a debugger."""
+HANG_S: Final = 10.0
+"""How long a frame loop may stand still before the process ends without Python. Its own watchdog ends it after 2 s, if
+any Python runs."""
 
 Event = dict[str, Any]
-
-
-class SignsOfLife:
-    """The signs of life of one process.
-
-    Args:
-        ear: Where they are heard.
-        pid: Whose they are.
-        silent_s: Longest time without one, once it is ready.
-    """
-
-    def __init__(self, ear: socket.socket, pid: int, silent_s: float = SILENT_S) -> None:
-        ear.setblocking(False)
-        self.ear, self._silent_s = ear, silent_s
-        self._stat = Path(f"/proc/{pid}/stat")
-        self.due_s: float | None = None
-        """When to look; None before it is ready: starting takes as long as it takes."""
-        self.forced = False
-        """Whether it was told to end because it gave no sign."""
-        self._limit_s = silent_s
-        self._looks = self._tried = 0
-
-    def hear(self, now_s: float) -> None:
-        """Take what has come."""
-        while True:
-            try:
-                lines = self.ear.recv(LARGEST_SIGN).split(b"\n")
-            except OSError:  # nothing more, for now or for good
-                return
-            if b"READY=1" in lines or b"STOPPING=1" in lines or (b"WATCHDOG=1" in lines and self.due_s is not None):
-                if b"STOPPING=1" in lines:
-                    self._limit_s = max(self._limit_s, ENDING_S)
-                self._looks = self._tried = 0
-                self.due_s = now_s + self._limit_s / LOOKS
-
-    def look(self, now_s: float) -> signal.Signals | None:
-        """Look, when it is due, whether it has been silent for too long.
-
-        Looks are counted, not seconds: a supervising process that was stopped has not looked either. A look at a
-        process that is stopped does not count.
-
-        Returns:
-            What to send it now: what is stronger each time.
-        """
-        if self.due_s is None or now_s < self.due_s:
-            return None
-        self.due_s = now_s + self._limit_s / LOOKS
-        if not self._tried:
-            self._looks += not self._is_stopped()
-            if self._looks < LOOKS:
-                return None
-        number = FORCE[min(self._tried, len(FORCE) - 1)]
-        self._tried, self.forced, self.due_s = self._tried + 1, True, now_s + PAUSE_S
-        return number
-
-    def _is_stopped(self) -> bool:
-        try:
-            return self._stat.read_text().rpartition(")")[2].split()[0] in STOPPED
-        except OSError:  # it has just ended
-            return True
-
-    @property
-    def why(self) -> str:
-        """For people: why it is ended."""
-        what = "its frame loop" if self._limit_s == self._silent_s else "its end"
-        return f"no sign of life for {self._limit_s:g} s: {what} stands still, and nothing in the process can say so"
-
-    def close(self) -> None:
-        """Hear no more."""
-        self.ear.close()
 
 
 class Lines:
@@ -161,7 +64,7 @@ class SkinProcess:
         backoff: Pauses between starts.
         more: Words of the command line besides.
         program: What runs ``eitskin``; a test gives its own.
-        silent_s: How long it may give no sign of life, once it is ready.
+        hang_s: How long its frame loop may stand still, once it is ready.
     """
 
     def __init__(
@@ -170,7 +73,7 @@ class SkinProcess:
         backoff: Backoff,
         more: Sequence[str] = (),
         program: Sequence[str] = (sys.executable, "-m", "eitskin_tools.cli"),
-        silent_s: float = SILENT_S,
+        hang_s: float = HANG_S,
     ) -> None:
         self.settings = settings
         self._child = ChildProcess([*program, *command_line_of(settings), *more], backoff)
@@ -180,8 +83,7 @@ class SkinProcess:
         self.seen = False
         """Whether it was ready or has ended since the very first start."""
         self.summary: object = None
-        self.life: SignsOfLife | None = None
-        self._silent_s = silent_s
+        self._hang_s = hang_s
         self._ready_s: float | None = None
         self._said = ""
         self.errors: Lines | None = None
@@ -212,28 +114,20 @@ class SkinProcess:
         """
         environment = {"PYTHONFAULTHANDLER": "1"}  # whoever is ended by SIGABRT shows what each thread was doing
         environment |= {name: value for name, value in os.environ.items() if name not in NOT_OURS}
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-        with theirs:
-            environment[ADDRESS] = f"{HANDED_DOWN}{theirs.fileno()}"
-            environment[INTERVAL] = str(round(SIGN_OF * self._silent_s * 1e6))
-            process = None
-            try:
-                process = self._child.start(
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.PIPE,
-                    env=environment,
-                    pass_fds=(theirs.fileno(),),
-                    preexec_fn=die_with_parent,  # no thread runs here, and it is one system call
-                )
-                self.ended = os.pidfd_open(process.pid)
-            except OSError:
-                ours.close()
-                if process is not None:  # nobody could hear of its end
-                    process.kill()
-                    process.communicate()
-                self._child.process = None
-                raise
-        self.life = SignsOfLife(ours, process.pid, self._silent_s)
+        environment[HANG] = str(self._hang_s)
+        process = self._child.start(
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=environment,
+            preexec_fn=die_with_parent,  # no thread runs here, and it is one system call
+        )
+        try:
+            self.ended = os.pidfd_open(process.pid)
+        except OSError:  # nobody could hear of its end
+            process.kill()
+            process.communicate()
+            self._child.process = None
+            raise
         assert process.stdout is not None
         assert process.stderr is not None
         self.outputs, self.errors = Lines(process.stdout), Lines(process.stderr)
@@ -275,13 +169,9 @@ class SkinProcess:
             if lines is not None:
                 lines.stream.close()
         os.close(self.ended)
-        forced = self.life is not None and self.life.forced
-        if self.life is not None:
-            self._said = self.life.why if forced else self._said
-            self.life.close()
-        self._child.process = self.errors = self.outputs = self.life = None
+        self._child.process = self.errors = self.outputs = None
         self.ended, self.seen = -1, True
-        failed = self.status != 0 or forced
+        failed = self.status != 0
         if ending:
             self.why = ""
         else:

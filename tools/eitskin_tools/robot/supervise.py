@@ -1,8 +1,7 @@
 """One process that watches over those of the skins: starts them, hears them, starts again who fell, ends them all.
 
-It waits in one place, for whatever comes first: a line that a skin says, a sign of its life or the time to miss one,
-the end of a process, a signal, the time of a new start, or of a sign of life to systemd. What becomes of one skin
-touches no other.
+It waits in one place, for whatever comes first: a line that a skin says, the end of a process, a signal, the time of a
+new start, or of a sign of life to systemd. What becomes of one skin touches no other.
 """
 
 import os
@@ -20,7 +19,7 @@ from eitskin_proto.files.writing import held
 from eitskin_tools.console.run_log import RunLog
 from eitskin_tools.console.run_status import Status
 from eitskin_tools.processes.signals import endings
-from eitskin_tools.robot.child import SignsOfLife, SkinProcess
+from eitskin_tools.robot.child import SkinProcess
 from eitskin_tools.service.supervisor import Supervisor
 
 GRACE_S: Final = 6.0
@@ -144,8 +143,6 @@ class Family:
             for one in self.skins:
                 one.signal(signal.SIGKILL)
         for one in self.skins:
-            if one.life is not None and not self._ending:
-                self._look_at(one, one.life, now_s)
             if one.due_s is not None and not one.runs and now_s >= one.due_s and not self._ending:
                 self._start(one)
                 self._write()
@@ -153,20 +150,8 @@ class Family:
             self._next_sign_s = now_s + self._sign_s
             self._supervisor.alive()
 
-    def _look_at(self, one: SkinProcess, life: SignsOfLife, now_s: float) -> None:
-        """End a skin by force that gives no sign of life."""
-        forced = life.forced
-        number = life.look(now_s)
-        if number is None:
-            return
-        if not forced:
-            self._log.warn(one.settings.name, f"{life.why}; it is ended by force")
-        one.signal(number)
-
     def _wait_s(self) -> float:
         due = [one.due_s for one in self.skins if one.due_s is not None and not one.runs]
-        if not self._ending:
-            due += [one.life.due_s for one in self.skins if one.life is not None and one.life.due_s is not None]
         due += [] if self._kill_s is None else [self._kill_s]
         due += [] if self._sign_s is None else [self._next_sign_s]
         return max(0.0, min([at_s - time.monotonic() for at_s in due] + [LONGEST_WAIT_S]))
@@ -183,15 +168,11 @@ class Family:
         assert one.outputs is not None
         self._selector.register(one.errors.stream, selectors.EVENT_READ, lambda _: self._hear(one))
         self._selector.register(one.outputs.stream, selectors.EVENT_READ, lambda _: self._hear(one))
-        assert one.life is not None
-        self._selector.register(one.life.ear, selectors.EVENT_READ, lambda _: self._hear(one))
         self._selector.register(one.ended, selectors.EVENT_READ, lambda _: self._ended(one))
 
     def _hear(self, one: SkinProcess) -> None:
         if not one.runs:
             return
-        if one.life is not None:
-            one.life.hear(time.monotonic())
         one.hear_summary()
         for event in one.events(time.monotonic()):
             if event["event"] == "ready":
@@ -208,8 +189,6 @@ class Family:
         if not one.runs:
             return
         self._hear(one)
-        assert one.life is not None
-        self._selector.unregister(one.life.ear)
         self._selector.unregister(one.ended)
         for lines in (one.errors, one.outputs):
             with suppress(KeyError):

@@ -1,11 +1,15 @@
 """Tells systemd how the service is: ready, its status, alive, stopping (``sd_notify(3)``, ``Type=notify``).
 
 A datagram such as ``READY=1`` goes to the socket that ``NOTIFY_SOCKET`` names; ``@`` stands for the zero byte of an
-abstract address. ``fd:5`` is ours: a socket that was handed down, by which ``eitskin run --config`` hears its skins.
-Who was not started by a supervisor tells nobody. A supervisor that does not listen is no reason to stop a stream: what
-cannot be sent is left out.
+abstract address. Who was not started by a supervisor tells nobody. A supervisor that does not listen is no reason to
+stop a stream: what cannot be sent is left out.
+
+C code may keep Python's interpreter for ever, in a library that waits for itself for instance. systemd then misses the
+signs of life. A skin of ``eitskin run --config`` has a timer of :mod:`faulthandler` instead, which needs no
+interpreter: each sign of life sets it anew.
 """
 
+import faulthandler
 import os
 import socket
 from collections.abc import Mapping
@@ -16,26 +20,26 @@ ADDRESS: Final = "NOTIFY_SOCKET"
 INTERVAL: Final = "WATCHDOG_USEC"
 WHOM: Final = "WATCHDOG_PID"
 
-HANDED_DOWN: Final = "fd:"
+HANG: Final = "EITSKIN_HANG_S"
+"""Seconds without a sign of life after which the process shows what each thread is doing, and ends."""
 
 
 class Supervisor:
     """Who started us, and how often a sign of life is wanted.
 
     Args:
-        address: Of a datagram socket: a path, a name that begins with ``@``, or ``fd:`` and the number of one that is
-            connected; empty for nobody.
+        address: Of a datagram socket: a path, or a name that begins with ``@``; empty for nobody.
         interval_s: Without a sign of life for so long we are ended; None if none is wanted.
+        hang_s: Without one for so long the process ends itself, without Python; None for never.
     """
 
-    def __init__(self, address: str = "", interval_s: float | None = None) -> None:
+    def __init__(self, address: str = "", interval_s: float | None = None, hang_s: float | None = None) -> None:
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self.interval_s = interval_s if address else None
+        self._hang_s = hang_s
         self._socket: socket.socket | None = None
         if address.startswith(("@", "/")):  # others, such as vsock:, are for virtual machines
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK)
-        elif address.startswith(HANDED_DOWN):
-            self._socket = _taken(address.removeprefix(HANDED_DOWN))
 
     @classmethod
     def of(cls, environment: Mapping[str, str]) -> Self:
@@ -44,12 +48,13 @@ class Supervisor:
         text, whom = environment.get(INTERVAL, ""), environment.get(WHOM, "")
         if text.isdecimal() and int(text) > 0 and whom in ("", str(os.getpid())):
             interval_s = int(text) * 1e-6
-        return cls(environment.get(ADDRESS, ""), interval_s)
+        hang = environment.get(HANG)
+        return cls(environment.get(ADDRESS, ""), interval_s, None if hang is None else float(hang))
 
     @property
     def listens(self) -> bool:
-        """Whether anybody is told how it is: who hears by what was handed down wants signs of life alone."""
-        return self._socket is not None and not self._address.startswith(HANDED_DOWN)
+        """Whether anybody is told how it is."""
+        return self._socket is not None
 
     def ready(self) -> None:
         """Say that the service is up."""
@@ -62,33 +67,20 @@ class Supervisor:
     def alive(self) -> None:
         """Give the sign of life."""
         self._tell("WATCHDOG=1")
+        if self._hang_s is not None:
+            faulthandler.dump_traceback_later(self._hang_s, exit=True)
 
     def status(self, text: str) -> None:
         """Say in a line how it is."""
-        if self.listens:
-            self._tell("STATUS=" + " ".join(text.split()))
+        self._tell("STATUS=" + " ".join(text.split()))
 
     def _tell(self, line: str) -> None:
         if self._socket is not None:
             with suppress(OSError):
-                if self._address.startswith(HANDED_DOWN):
-                    self._socket.send(line.encode())
-                else:
-                    self._socket.sendto(line.encode(), self._address)
+                self._socket.sendto(line.encode(), self._address)
 
     def close(self) -> None:
         """Tell nothing more; closing twice is fine."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
-
-
-def _taken(number: str) -> socket.socket | None:
-    """Return the socket that was handed down, for this process alone; None if there is none."""
-    try:
-        found = socket.socket(fileno=int(number))
-        found.set_inheritable(False)
-        found.setblocking(False)
-    except (OSError, ValueError, OverflowError):
-        return None
-    return found

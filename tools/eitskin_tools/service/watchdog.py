@@ -26,6 +26,9 @@ LOOK_S: Final = 0.25
 
 SHORTEST_LOOK_S: Final = 0.01
 
+SIGN_S: Final = 1.0
+"""Between two signs of life, where the supervisor does not say how often it wants one."""
+
 LIMIT_S: Final = 2.0
 """How long a frame loop may stand still."""
 
@@ -82,7 +85,7 @@ class Watchdog(PeriodicThread):
 
     Args:
         say: Takes the reason, and what each thread is doing.
-        supervisor: Gets a sign of life at half of its interval, while there are beats.
+        supervisor: Gets a sign of life at half of its interval or each second, while there are beats.
         end: Ends the process with an exit status, and does not return.
     """
 
@@ -96,7 +99,7 @@ class Watchdog(PeriodicThread):
         interval_s = supervisor.interval_s
         self._look_s = LOOK_S if interval_s is None else min(LOOK_S, max(SHORTEST_LOOK_S, interval_s / 4.0))
         super().__init__("eitskin-watchdog", self._look_s)
-        self._sign_s = 0.0 if interval_s is None else interval_s / 2.0
+        self._sign_s = SIGN_S if interval_s is None else interval_s / 2.0
         self._since_sign_s = 0.0
         self._what, self._limit_s = "", 0.0
         self._line: WatchedLine | None = None
@@ -130,7 +133,7 @@ class Watchdog(PeriodicThread):
 
     def _give_sign(self) -> None:
         self._since_sign_s += self._look_s
-        if self._sign_s and self._since_sign_s >= self._sign_s:
+        if self._since_sign_s >= self._sign_s:
             self._since_sign_s = 0.0
             self._supervisor.alive()
 
