@@ -94,7 +94,7 @@ def streaming(tmp_path, monkeypatch):
     monkeypatch.setenv("VERIFIER_SCRIPT", str(tmp_path))
 
     @contextmanager
-    def run(mode="always", *, still_s=10.0, max_failures=5, every_map=False, **device):
+    def run(mode="always", *, max_failures=5, every_map=False, **device):
         with ExitStack() as stack:
             port = stack.enter_context(virtual_skin(**{"touches": TOUCHED, **device}))
             bundle = TESTS / "golden" / "tiny.eitskin"
@@ -104,7 +104,7 @@ def streaming(tmp_path, monkeypatch):
             stack.callback(publisher.close)
             place = Place(nice=5, program=SCRIPTED)
             backoff = Backoff(0.1, 0.2, 60.0)
-            process = stack.enter_context(VerifierProcess(place, backoff, still_s, max_failures))
+            process = stack.enter_context(VerifierProcess(place, backoff, max_failures))
             stream = Stream(skin, publisher, process, VerifierFeed(skin, publisher, process, mode), tmp_path)
             stack.callback(stream.stop)
             yield stream

@@ -119,18 +119,17 @@ def test_what_the_sheet_reads_at_rest_is_told_once_for_each_surface(streaming):
             until(lambda: len(rested.read_text().splitlines()) == 2)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_verifier_that_dies_or_hangs_is_started_again_and_the_stream_goes_on(streaming, number):
+def test_a_verifier_that_dies_is_started_again_and_the_stream_goes_on(streaming):
     with (
-        streaming(still_s=3.0, touches=MOVING) as stream,
+        streaming(touches=MOVING) as stream,
         stream.subscribed() as verdicts,
         eitskin.subscribe(stream.publisher.endpoint, "all") as frames,
     ):
         first(verdicts, lambda one: one.verified)
         before = next(frames).number
-        os.kill(stream.process.pid, number)
+        os.kill(stream.process.pid, signal.SIGKILL)
         found = first(verdicts, lambda one: one.state == "waiting")
-        assert ("hung, and was ended" if number == signal.SIGSTOP else "by signal 9 (Killed)") in found.why
+        assert "by signal 9 (Killed)" in found.why
         assert "starts again in" in found.why
         first(verdicts, lambda one: one.verified)
         first(frames, lambda frame: "verifier:waiting" in frame.events)
@@ -147,9 +146,7 @@ def test_a_computation_that_hangs_is_said_and_ended_and_the_stream_goes_on(strea
         assert (late.state, late.why) == ("ready", LATE)
         assert stream.skin.status()["verifier"]["why"] == LATE
         stream.tell("hang", off=True)
-        stream.process.hangs_s = 0.0
         assert "hung, and was ended" in first(verdicts, lambda one: one.state == "waiting").why
-        stream.process.hangs_s = PATIENCE_S
         first(verdicts, lambda one: one.verified)
         assert stream.process.restarts >= 1
 

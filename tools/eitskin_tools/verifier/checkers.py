@@ -14,9 +14,6 @@ from eitskin_sim.verification.verdict import Verdict as Found
 from eitskin_tools.evaluation.verified.solver import MapVerifier, noise_shown
 from eitskin_tools.verifier.letters import Array, FrameLetter, RestLetter, Setup
 
-BUDGET_S: Final = 0.2
-"""What a frame may take, unless told otherwise."""
-
 UNLIKE_ITS_SCAN: Final = (
     "untouched, the sheet does not read as its cloud and reference say; send its cloud, or take a reference anew"
 )
@@ -46,7 +43,7 @@ class Checker:
         skin = setup.described()
         cloud_mm = np.frombuffer(setup.cloud_mm, dtype="<f4").reshape(skin.grid.cloud_shape).astype(float)
         reference_V = np.frombuffer(setup.reference_V, dtype="<f8")
-        self._grid, self._budget_s = skin.grid, setup.budget_s or BUDGET_S
+        self._grid, self._budget_s = skin.grid, setup.budget_s
         self._usable = inverse_reference(reference_V) != 0.0
         self._reference_V: Array = np.where(self._usable, reference_V, 0.0)
         self._surface = Surface(cloud_mm, skin.grid)

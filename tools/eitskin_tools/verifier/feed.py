@@ -23,7 +23,7 @@ from eitskin.skin import Skin
 from eitskin_proto.skin.toml import to_toml
 from eitskin_tools.evaluation.verified.untouched_baseline import FRAMES, UntouchedBaseline
 from eitskin_tools.verifier.child import VerifierProcess
-from eitskin_tools.verifier.letters import LARGEST_PACKET, STATE, FrameLetter, RestLetter, Rows, Setup, unpack
+from eitskin_tools.verifier.letters import BUDGET_S, LARGEST_PACKET, STATE, FrameLetter, RestLetter, Rows, Setup, unpack
 
 REPEAT_NS: Final = 1_000_000_000
 """After which it is said again how the verifier is."""
@@ -33,6 +33,9 @@ RECEIVE_NS: Final = 50_000_000
 
 REMEMBERED: Final = 2000
 """Verdicts whose times are kept."""
+
+LATE_NS: Final = 1_000_000_000
+"""A frame that takes so much more than its budget is reported as late."""
 
 LATE: Final = "what it computes takes longer than it may; if it hangs it is ended, and started anew"
 """Said meanwhile."""
@@ -46,11 +49,11 @@ class VerifierFeed:
         publisher: Bound.
         process: The verifier's.
         mode: "always" or "idle".
-        budget_s: What a frame may take; 0 for the usual.
+        budget_s: What a frame may take.
     """
 
     def __init__(
-        self, skin: Skin, publisher: Publisher, process: VerifierProcess, mode: str, budget_s: float = 0.0
+        self, skin: Skin, publisher: Publisher, process: VerifierProcess, mode: str, budget_s: float = BUDGET_S
     ) -> None:
         self._skin, self._publisher, self._process = skin, publisher, process
         self.mode, self._budget_s = mode, budget_s
@@ -63,6 +66,9 @@ class VerifierFeed:
         """Whether the candidate is to be verified as soon as the verifier has no other."""
         self._is_busy = False
         """Whether the verifier has a frame."""
+        self._sent_ns = 0
+        self._is_late = False
+        """Whether that frame takes longer than it may."""
         self._setup_for: tuple[object, Reference | None] = (None, None)
         self._setup = 0
         self._setup_packet = b""
@@ -82,7 +88,7 @@ class VerifierFeed:
         process = self._process
         if process.state in (WAITING, FAILED):
             return process.state, process.why
-        return (self._verifier[0], LATE) if process.is_late else self._verifier
+        return (self._verifier[0], LATE) if self._is_late else self._verifier
 
     def after_frame(self, record: FrameRecord) -> None:
         """Take the frame that has just gone out."""
@@ -107,13 +113,14 @@ class VerifierFeed:
         if self._is_busy or now_ns >= self._receive_ns:
             self._receive_ns = now_ns + RECEIVE_NS
             self._receive()
+            self._is_late = self._is_busy and now_ns - self._sent_ns > self._budget_s * 1e9 + LATE_NS
             self._report(record)
         if self._setup_packet and self._send(self._setup_packet):
             self._setup_packet = b""
         if self._is_due and not self._is_busy and self._verifier[0] == READY and not self._setup_packet:
             assert self._candidate is not None
             if self._send(self._candidate):
-                self._candidate, self._is_due, self._is_busy = None, False, True
+                self._candidate, self._is_due, self._is_busy, self._sent_ns = None, False, True, now_ns
 
     def _consider(self, record: FrameRecord) -> None:
         if not record.touched or record.map_is_zero:

@@ -26,6 +26,9 @@ Rows = npt.NDArray[np.bool_]
 SETUP, FRAME, REST, STATE, VERDICT = range(5)
 """Kinds of packets: the first item of each."""
 
+BUDGET_S: Final = 0.2
+"""What a frame may take by default."""
+
 LARGEST_PACKET: Final = 1 << 18
 """Bytes: a setup with a cloud of the largest map has 173 kB, a frame with such a map 58 kB."""
 
@@ -53,7 +56,7 @@ class Setup:
     spread_V: bytes
     """(104,) float64: standard deviation of a single frame."""
     budget_s: float
-    """What a frame may take; 0 for the usual."""
+    """What a frame may take."""
 
     def packed(self, number: int) -> bytes:
         """Return its packet."""

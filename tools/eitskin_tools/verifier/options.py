@@ -106,12 +106,14 @@ def verifying(
     if arguments.verify == "off":
         yield None
         return
-    from eitskin_tools.verifier.child import IDLE_STILL_S, STILL_S, Place, VerifierProcess
+    from eitskin_tools.verifier.child import Place, VerifierProcess
     from eitskin_tools.verifier.feed import VerifierFeed
+    from eitskin_tools.verifier.letters import BUDGET_S
 
     nice = NICE if arguments.verify_nice is None else arguments.verify_nice
     place = Place(nice, arguments.verify_cpus, idle=arguments.verify == "idle")
-    with VerifierProcess(place, still_s=IDLE_STILL_S if place.idle else STILL_S) as process:
-        feed = VerifierFeed(skin, publisher, process, arguments.verify, (arguments.verify_budget_ms or 0.0) * 1e-3)
+    with VerifierProcess(place) as process:
+        budget_s = BUDGET_S if arguments.verify_budget_ms is None else arguments.verify_budget_ms * 1e-3
+        feed = VerifierFeed(skin, publisher, process, arguments.verify, budget_s)
         skin.loop.verifier_status = feed.status
         yield feed.after_frame

@@ -1,7 +1,6 @@
 """The verifier's process: waits for frames that have gone out, explains the newest, and answers; ends with the runtime.
 
-It gets packets over a socket and answers there (:mod:`eitskin_tools.verifier.letters`). A thread beats into a pipe, so
-that the runtime sees a process that was stopped; a beat is how late the computing is, so that it sees one that hangs.
+It gets packets over a socket and answers there (:mod:`eitskin_tools.verifier.letters`).
 """
 
 import json
@@ -9,12 +8,9 @@ import os
 import signal
 import socket
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
-from struct import pack
 from typing import Any, Final
 
 from eitskin_tools.processes.children import die_with_parent
@@ -46,82 +42,22 @@ def step_back(nice: int, cpus: list[int], *, idle: bool) -> None:
         os.setpriority(os.PRIO_PROCESS, 0, nice)
 
 
-BEAT_S: Final = 0.1
-"""Between two signs of life."""
-
 MODEL_S: Final = 240.0
 """What a model of a surface may take: it takes some seconds, and a small computer many of them."""
 
-MAX_COUNTED_S: Final = 2.0 * BEAT_S
-"""Of the time between two signs of life: beyond it the process was stopped, or the machine asleep."""
-
-RUNNABLE: Final = "R"
-"""State of a thread that computes, or waits for a core to."""
+HANGS_S: Final = 60.0
+"""A computation that is over its budget by so much hangs, in time of the processor. A frame may need a new model of its
+surface, which counts beside its budget, and a small computer is many times slower than others."""
 
 
-class Deadline:
-    """Says how far a computation is beyond what it may take.
-
-    Only what the computing thread computed or slept counts, not what it waited for a core, nor what the whole process
-    stood still: a computation that is far beyond its limit hangs.
-
-    Args:
-        elapsed_s: Returns the seconds that the thread had since the last call.
-    """
-
-    def __init__(self, elapsed_s: Callable[[], float]) -> None:
-        self._elapsed_s = elapsed_s
-        self._lock = threading.Lock()
-        self._limit_s: float | None = None
-        self._spent_s = 0.0
-
-    @contextmanager
-    def within(self, limit_s: float) -> Iterator[None]:
-        """Run a block that may take so many seconds."""
-        with self._lock:
-            self._limit_s, self._spent_s = limit_s, 0.0
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._limit_s = None
-
-    def late_s(self) -> float:
-        """Return the seconds beyond the limit; 0 where the computation is not late, or there is none."""
-        elapsed_s = self._elapsed_s()
-        with self._lock:
-            if self._limit_s is None:
-                return 0.0
-            self._spent_s += elapsed_s
-            return max(0.0, self._spent_s - self._limit_s)
-
-
-class ThreadTime:
-    """Counts the time that a thread of this process had; another thread calls it at each sign of life.
-
-    Args:
-        thread: Which; by default the one that makes this.
-    """
-
-    def __init__(self, thread: threading.Thread | None = None) -> None:
-        thread = thread or threading.current_thread()
-        assert thread.ident is not None
-        self._clock = time.pthread_getcpuclockid(thread.ident)
-        self._stat = Path(f"/proc/self/task/{thread.native_id}/stat")
-        self._cpu_s, self._at_s = time.clock_gettime(self._clock), time.monotonic()
-
-    def __call__(self) -> float:
-        """Return the seconds since the last call in which it computed; all of them where it slept throughout."""
-        cpu_s, at_s = time.clock_gettime(self._clock), time.monotonic()
-        computed_s, passed_s = cpu_s - self._cpu_s, at_s - self._at_s
-        self._cpu_s, self._at_s = cpu_s, at_s
-        slept = computed_s == 0.0 and self._state() != RUNNABLE
-        return min(passed_s if slept else computed_s, MAX_COUNTED_S)
-
-    def _state(self) -> str:
-        with suppress(OSError):  # a machine without /proc: a thread that did not compute slept
-            return self._stat.read_text().rpartition(")")[2].split()[0]
-        return ""
+@contextmanager
+def within(limit_s: float) -> Iterator[None]:
+    """Run a block; the kernel ends the process by SIGPROF once it computed so long and ``HANGS_S`` more."""
+    signal.setitimer(signal.ITIMER_PROF, limit_s + HANGS_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
 class Worker:
@@ -129,11 +65,10 @@ class Worker:
 
     Args:
         line: To the runtime.
-        deadline: Of each computation.
     """
 
-    def __init__(self, line: socket.socket, deadline: Deadline) -> None:
-        self._line, self._deadline = line, deadline
+    def __init__(self, line: socket.socket) -> None:
+        self._line = line
         self._checker: Any = None
         self._setup = 0
         self._budget_s = 0.0
@@ -159,7 +94,7 @@ class Worker:
         try:
             setup = Setup(**fields)
             self._budget_s = setup.budget_s
-            with self._deadline.within(MODEL_S):
+            with within(MODEL_S):
                 self._checker = Checker(setup)
         except Exception as error:  # of any cloud or skin: the stream goes on, and says why
             self._line.send(state_answer(FAILED, number, reason(error)))
@@ -174,7 +109,7 @@ class Worker:
         if self._checker is None or rest.setup != self._setup:
             return
         try:
-            with self._deadline.within(MODEL_S):
+            with within(MODEL_S):
                 why = self._checker.rest(rest)
         except Exception as error:  # what the untouched sheet reads helps, and is not needed
             why = reason(error)
@@ -190,7 +125,7 @@ class Worker:
         try:
             if self._checker is None or frame.setup != self._setup:
                 raise ValueError("its surface is no longer in use")
-            with self._deadline.within(self._budget_s):
+            with within(self._budget_s):
                 verdict, touches, why = self._checker.check(frame)
         except Exception as error:  # a frame that nothing can be said of must not end the verifying of others
             why = reason(error)
@@ -208,25 +143,15 @@ def reason(error: Exception) -> str:
     return text if known and text else f"{type(error).__name__}: {text}"
 
 
-def beat(pipe: int, deadline: Deadline) -> None:
-    """Beat for ever, and say how late the computation is."""
-    while True:
-        with suppress(BlockingIOError):  # nobody has read the others
-            os.write(pipe, pack("<d", deadline.late_s()))
-        time.sleep(BEAT_S)
-
-
 def main() -> int:
     """Run the verifier's process."""
     options = json.loads(sys.argv[1])
     end_with(options["parent"])
     step_back(options["nice"], options["cpus"], idle=options["idle"])
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGPROF):
         signal.signal(number, signal.SIG_DFL)
-    deadline = Deadline(ThreadTime())
-    threading.Thread(target=beat, args=(options["beats"], deadline), name="beat", daemon=True).start()
     with socket.socket(fileno=options["line"]) as line:
-        Worker(line, deadline).run()
+        Worker(line).run()
     os._exit(0)  # nothing is worth tidying up for
 
 
