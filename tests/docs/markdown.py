@@ -60,13 +60,17 @@ def code_blocks(path: Path, language: str) -> list[str]:
 
 def commands(path: Path) -> list[str]:
     """Return every ``eitskin`` command of a page: in code, where a backslash joins lines, and within backquotes."""
-    found, joined = [], ""
+    found, joined, fence = [], "", None
     for line in path.read_text(encoding="utf-8").splitlines():
+        if match := FENCE.match(line):
+            fence, joined = match[1].strip() if fence is None else None, ""
+            continue
         joined += line.strip()
         if joined.endswith("\\"):
             joined = joined.removesuffix("\\") + " "
             continue
-        if joined.startswith("eitskin ") and not line.startswith("eitskin") and not SAID.match(joined):
+        code = fence in ("sh", "text") if fence is not None else line.startswith("    ")
+        if code and joined.startswith("eitskin ") and not SAID.match(joined):
             found.append(joined)
         joined = ""
     inline = " ".join(outside_code(path))

@@ -1,105 +1,138 @@
-"""The five commands of the quickstart, typed as they stand there, in an environment as ``make demo`` leaves it.
+"""Every page's ``sh`` blocks, typed in order by a reader who has no hardware.
 
-``pytest tests/docs/test_tour.py -m slow -s`` prints how long each took until it was done, or until what it is for was
-there: the port, the first published frame, the picture in the browser.
+A page's ``text`` blocks are output, or commands that need hardware, hours or an administrator: nobody types them here.
+A command that runs until Ctrl-C gets a terminal of its own, and the next one is typed once it has said that it works.
+``PORT`` and serial ports are a virtual skin's. ``pytest tests/docs/test_tour.py -m slow -s`` prints what each took.
 """
 
 import os
 import re
-import shlex
+import signal
 import subprocess
 import sys
+import threading
 import time
+from pathlib import Path
 
 import pytest
 
-from ..tools.view.chromium import PROGRAM, Browser
-from .conftest import Process
-from .markdown import ROOT
+from .markdown import ROOT, code_blocks
 
-_, _, AFTER = (ROOT / "docs/quickstart.md").read_text(encoding="utf-8").partition("## Record it, and see it again\n")
-COMMANDS = [line.split("#")[0].strip() for line in re.search(r"\n((?:    .*\n)+)", AFTER)[1].splitlines()]
+PAGES = sorted(path for path in [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"] if code_blocks(path, "sh"))
+GOES_ON = {"virtual-skin": "ttySKIN", "run": "ready ", "replay": "ready ", "view": "viewing ", "subscribe": "frame"}
+"""Commands that run until Ctrl-C, and what they say once they work."""
+
+A_PORT = re.compile(r"\bPORT\b|/dev/tty(?:ACM|USB)\d")
 PATIENCE_S = 1200.0
-"""How long pip may take on a busy machine."""
+"""A command that says nothing for so long is stuck, however busy the machine is."""
 
 
-def test_the_tour_has_five_commands():
-    words = [command.split()[:2] for command in COMMANDS]
-    assert words == [["eitskin", name] for name in ("virtual-skin", "run", "record", "replay", "view")]
+def typed(block: str) -> list[str]:
+    """Return a block's commands: a backslash joins lines, and a here-document belongs to its command.
+
+    A block without an ``eitskin`` command is one script.
+    """
+    if not any(subcommand(line) for line in block.splitlines()):
+        return [block]
+    commands, joined, end = [], "", None
+    for line in block.splitlines():
+        joined += line
+        if end is None and (match := re.search(r"<<-?\s*['\"]?(\w+)", line)):
+            end = match[1]
+        if (end and line != end) or line.endswith("\\"):
+            joined += "\n"
+            continue
+        if joined.strip() and not joined.lstrip().startswith("#"):
+            commands.append(joined)
+        joined, end = "", None
+    return commands
 
 
-def pip(python, *words):
-    """Run pip in the source's folder; skip where no package index is there."""
-    done = subprocess.run(
-        [python, "-m", "pip", "--disable-pip-version-check", "--quiet", "install", "--constraint", "constraints.txt",
-         *words], cwd=ROOT, capture_output=True, text=True, check=False, timeout=PATIENCE_S,
-    )  # fmt: skip
-    if re.search(r"No matching distribution|Connection|Temporary failure|Max retries", done.stderr):
-        pytest.skip(f"no package index: {done.stderr.strip().splitlines()[-1]}")
-    assert done.returncode == 0, done.stderr
+def subcommand(command: str) -> str:
+    """Return which ``eitskin`` command this is; empty for another program."""
+    match = re.match(r"\s*eitskin ([\w-]+)", command)
+    return match[1] if match else ""
 
 
-class Tour:
-    """A user who types one command after the other, each in a terminal of its own."""
+class Reader:
+    """Somebody who types one command after the other in a folder of their own."""
 
-    def __init__(self, folder, python):
-        self._folder, self._python, self.took = folder, python, []
-        self._left = []
+    def __init__(self, folder: Path, python: str) -> None:
+        self._folder, self._open = folder, {}
+        runtime = folder / "run"
+        runtime.mkdir(mode=0o700)
+        for name in ("docs", "tools"):
+            (folder / name).symlink_to(ROOT / name)
+        path = f"{Path(python).parent}:{os.environ['PATH']}"
+        self._environment = {**os.environ, "PATH": path, "PYTHONUNBUFFERED": "1", "XDG_RUNTIME_DIR": str(runtime)}
+        self._environment["BROWSER"] = "true"
+        self._port, self._ports = "", {}
 
-    def types(self, command, until=None):
-        """Run a command until it says something, or ends; return its line."""
-        words = shlex.split(command)
-        begin = time.monotonic()
-        environment = {"XDG_RUNTIME_DIR": str(self._folder)}
-        process = Process(
-            "-m", "eitskin_tools.cli", *words[1:], folder=self._folder, python=self._python, **environment
-        )
-        self._left.append(process)
-        said = process.until(until) if until else process.ends()
-        self.took.append((time.monotonic() - begin, command))
-        return said
+    def types(self, command: str) -> None:
+        """Run a command until it has said that it works, or has ended well."""
+        name = subcommand(command)
+        if A_PORT.search(command):
+            if not self._port:
+                self.types("eitskin virtual-skin")
+            command = A_PORT.sub(self._port, command)
+        for number, port in self._ports.items():
+            command = command.replace(f"/dev/serial/by-id/usb-eitskin_{number}-if00", port)
+        if name in ("run", "replay") and "--check" not in command:
+            self._end("run", "replay")  # one runtime at a time, as the pages say
+        if name == "view":
+            command += " --port 0"
+        process = subprocess.Popen(
+            ["bash", "-c", command], cwd=self._folder, env=self._environment, start_new_session=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+        self._open.setdefault(name, []).append(process)
+        wanted = "viewing " if "--view" in command else GOES_ON.get(name)
+        watchdog = threading.Timer(PATIENCE_S, process.kill)
+        watchdog.start()
+        said = []
+        for line in process.stdout:
+            said.append(line.rstrip())
+            if wanted and wanted in line:
+                break
+        else:
+            assert process.wait() == 0, f"{command}\n" + "\n".join(said)
+        watchdog.cancel()
+        if name == "virtual-skin":
+            self._port = next(word for word in said[-1].split() if "ttySKIN" in word)
+            self._ports[command.split()[-1]] = self._port  # of --serial-number NUMBER
 
-    def ends_all(self):
-        """Press Ctrl-C in every terminal."""
-        while self._left:
-            self._left.pop().end()
+    def _end(self, *names: str) -> None:
+        for process in [process for name in names for process in self._open.pop(name, [])]:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGTERM)
+            process.stdout.close()
+            process.wait(PATIENCE_S)
 
     def __enter__(self):
         return self
 
     def __exit__(self, *_):
-        self.ends_all()
+        self._end(*[name for name in self._open if name != "virtual-skin"], "virtual-skin")
 
 
 @pytest.mark.process
 @pytest.mark.slow
-def test_the_tour_goes_as_it_stands_in_the_quickstart(tmp_path):
-    environment = tmp_path / "v"
-    subprocess.run([sys.executable, "-m", "venv", environment], check=True, timeout=PATIENCE_S)
-    python = environment / "bin" / "python"
-    demo = re.search(r"\$\(VENV\)/\.demo:.*\n.*--editable '(.*)'", (ROOT / "Makefile").read_text(encoding="utf-8"))
-    begin = time.monotonic()
-    pip(python, demo[1])  # as 'make demo' does
-    installed_s = time.monotonic() - begin
-    skin, run, record, replay, view = COMMANDS
-    with Tour(tmp_path, python) as tour:
-        port = next(word for word in tour.types(skin, "ttySKIN").split() if "ttySKIN" in word)
-        tour.types(run.replace("PORT", port), "ready")
-        tour.took[-1] = tour.took[-1][0], run
-        tour.types(record)
-        assert (tmp_path / "day.mcap").stat().st_size > 10_000
-        tour.ends_all()
-        tour.types(replay, "ready")
-        said = tour.types(f"{view} --port 0 --no-open", "viewing ")
-        address = next(word for word in said.split() if word.startswith("http://"))
-        if PROGRAM is not None:
-            with Browser() as page:
-                page.open(address)
-                page.wait("window.eitskin && eitskin.history?.shown")
-                seconds, _ = tour.took.pop()
-                tour.took.append((seconds + page.evaluate("performance.now() / 1000"), view))
-                assert page.thrown == []
-    print(f"{installed_s:6.1f} s  packages, once")
-    for seconds, command in tour.took:
-        print(f"{seconds:6.1f} s  {command}")
-    print(f"{sum(seconds for seconds, _ in tour.took):6.1f} s  in all, {os.cpu_count()} cores")
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_a_page_can_be_pasted_from_top_to_bottom(page, tmp_path):
+    with Reader(tmp_path, sys.executable) as reader:
+        for command in [command for block in code_blocks(page, "sh") for command in typed(block)]:
+            begin = time.monotonic()
+            reader.types(command)
+            print(f"{time.monotonic() - begin:6.1f} s  {command.strip()}")
+
+
+def test_backslashes_and_here_documents_belong_to_their_command():
+    assert typed("a=1\necho $a") == ["a=1\necho $a"]
+    block = "# first\neitskin run \\\n    --port PORT\ncat > a <<'EOF'\nx\n\nEOF\neitskin status  # is it there?"
+    wanted = [["eitskin", "run"], ["cat", ">"], ["eitskin", "status"]]
+    assert [command.split()[:2] for command in typed(block)] == wanted
+
+
+def test_a_command_that_fails_is_found(tmp_path):
+    with Reader(tmp_path, sys.executable) as reader, pytest.raises(AssertionError, match="no such file here"):
+        reader.types("echo no such file here; false")
