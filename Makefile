@@ -4,6 +4,7 @@
 # make check   the same
 # make coverage                            the lines of each file that the Python tests of `make test` run
 # make docs    the documentation as HTML in .build/docs; a warning is an error
+# make release-check                       the sdist and the wheel, as an index and a bare environment take them
 # make bench   the benchmarks, each as one JSON object
 # make firmware | qemu                     the device's C for the emulated board; run it
 # make powercut | fuzz | hotplug | soak    the device under fault, each with its figures as one JSON line last
@@ -24,7 +25,7 @@ SECONDS_DEMO ?= 20
 OTHER_PYTHONS ?= 3.11 3.12 3.13
 
 .DEFAULT_GOAL := help
-.PHONY: help demo docs test test-quick test-rest test-all check lint types unit slow wheel wheel-test \
+.PHONY: help demo docs test test-quick test-rest test-all check lint types unit slow wheel wheel-test release-check \
         wheel-test-others wheel-test-lowest wheel-test-newest firmware-test system-packages bench clean \
         firmware qemu powercut fuzz hotplug soak attack coverage
 
@@ -56,6 +57,10 @@ $(VENV)/.docs: pyproject.toml constraints.txt | $(VENV)/.demo
 	$(PIP) install --constraint constraints.txt --editable '.[sim,record,docs]'
 	@touch $@
 
+$(VENV)/.release: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(PIP) install --constraint constraints.txt --editable '.[release]'
+	@touch $@
+
 demo: $(VENV)/.demo
 	$(BIN)/eitskin demo --seconds $(SECONDS_DEMO)
 
@@ -67,7 +72,7 @@ docs: $(VENV)/.docs
 test: check
 
 # The rest: what `make test` leaves out, so that both together are everything.
-test-rest: wheel-test slow wheel-test-others wheel-test-lowest wheel-test-newest docs
+test-rest: release-check slow wheel-test-others wheel-test-lowest wheel-test-newest docs
 
 test-all: test test-rest
 
@@ -111,6 +116,14 @@ wheel: $(VENV)/.dev
 
 wheel-test: wheel
 	tools/wheel-test.sh $(PYTHON)
+
+# The wheel comes out of the sdist, so both are complete.
+release-check: $(VENV)/.release
+	@rm -rf dist .build/wheel && mkdir -p .build/wheel
+	$(BIN)/python -m build --outdir dist . >/dev/null
+	$(BIN)/python -m twine check --strict dist/*
+	@cp dist/*.whl .build/wheel/
+	tools/wheel-test.sh $(PYTHON) --once
 
 # Under every other Python that the package claims; one that is not installed is left out and named. Where CI is set
 # that is a failure, if apt has it.

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+import eitskin
+
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
@@ -26,6 +28,13 @@ def floors(dependencies):
 
 def numbers(version):
     return [int(part) for part in version.split(".")]
+
+
+def test_every_place_states_the_version_of_pyproject():
+    version = PROJECT["version"]
+    assert eitskin.__version__ == version
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert re.search(r"^## (\S+) - \d{4}-\d\d-\d\d$", (ROOT / "CHANGELOG.md").read_text(), re.M)[1] == version
 
 
 def test_ci_installs_exactly_the_floors():

@@ -66,6 +66,7 @@ cd "$away"
 names = ("numpy", "onnxruntime", "pyserial", "pyusb", "msgpack", "pyzmq", "cobs", "google-crc32c")
 print("wheel-test: Python", sys.version.split()[0], "eitskin from", eitskin.__file__)
 print("wheel-test:", *(f"{name} {found.version(name)}" for name in names))'
+"$here/bin/eitskin" --version
 try() { "$python" -m pytest -q --numprocesses auto --maxprocesses 8 --dist loadfile "$@"; }
 if [ "$short" ]; then
     try -m "not process and not slow" tests
