@@ -1,9 +1,9 @@
-"""Everything that the runtime raises on purpose, under the one root that the wire's errors have too.
+"""The errors that the runtime raises on purpose. All derive from ``SkinError``.
 
 ::
 
     SkinError
-    ├── ProtocolError          bytes, a file or a device that does not speak this protocol (eitskin_proto)
+    ├── ProtocolError          bytes, a file or a device of another protocol (eitskin_proto)
     │   ├── MismatchError      made for another protocol_id or grid_id: found, expected, the command that fixes it
     │   └── FrameError         a published message that is no tactile frame
     ├── TransportError         the line to the device
@@ -12,19 +12,20 @@
     │   ├── PortDenied         no permission
     │   ├── PortLost           it vanished while open
     │   └── PortReturned       it vanished and is open again: shake hands anew
-    ├── HandshakeError         nobody answered, or the answer was a refusal
-    │   └── NotReady           it did not answer, refused for now or sends no frames: another try may help
+    ├── HandshakeError         the device did not answer, or refused
+    │   └── NotReady           it did not answer, refused for now or sends no frames: try again
     ├── BundleError            a bundle that is damaged or incomplete
     ├── BadReference           a reference that cannot be used
+    ├── CalibrationError       a force table that cannot be used
     ├── EndpointError          an address that may not or cannot be bound or reached
     ├── ControlError           the runtime refused a request
     ├── BudgetError            a latency budget that cannot be met
     ├── RobotError             a list of skins that cannot be used    (also ValueError)
-    ├── NoFrame                no frame within the time asked for    (also TimeoutError)
-    │   └── SilentSkin         of one of several skins, which it names
+    ├── NoFrame                no frame came in time                 (also TimeoutError)
+    │   └── SilentSkin         from one of several skins, which it names
     └── StaleFrame             the newest frame is too old           (also TimeoutError)
 
-Bad arguments are plain ``ValueError``, with the value and the bound. What is used although it is doubtful is a
+Bad arguments raise ``ValueError``, with the value and the bound. A doubtful cloud that is used all the same gives a
 ``CloudWarning``.
 """
 # ruff: noqa: N818 - a lost port is called PortLost; the root already says that it is an error
@@ -58,7 +59,7 @@ __all__ = [
 
 
 class FrameError(ProtocolError):
-    """A published message that is no tactile frame."""
+    """A published message is not a tactile frame."""
 
 
 class TransportError(SkinError):
@@ -74,7 +75,7 @@ class PortBusy(TransportError):
 
 
 class PortDenied(TransportError):
-    """The port may not be opened by this user."""
+    """This user may not open the port."""
 
 
 class PortLost(TransportError):
@@ -82,7 +83,7 @@ class PortLost(TransportError):
 
 
 class PortReturned(TransportError):
-    """The port vanished and is open again; whatever is behind it must be greeted anew."""
+    """The port vanished and is open again; repeat the handshake."""
 
 
 class HandshakeError(SkinError):
@@ -90,7 +91,7 @@ class HandshakeError(SkinError):
 
 
 class NotReady(HandshakeError):
-    """The device did not answer, refused for now, or sends no frames that can be used; another try may help."""
+    """The device did not answer, refused for now, or sends no usable frames; try again."""
 
 
 class BundleError(SkinError):
@@ -102,11 +103,11 @@ class BadReference(SkinError):
 
 
 class CalibrationError(SkinError):
-    """A table of one's own, from strength to force, cannot be used."""
+    """A table from strength to force cannot be used."""
 
 
 class EndpointError(SkinError):
-    """An endpoint may not be used, or cannot be bound or reached."""
+    """An endpoint is not allowed, or cannot be bound or reached."""
 
 
 class ControlError(SkinError):
@@ -114,7 +115,7 @@ class ControlError(SkinError):
 
 
 class BudgetError(SkinError):
-    """A latency budget that no solver of the bundle can meet."""
+    """No solver of the bundle meets the latency budget."""
 
 
 class RobotError(SkinError, ValueError):
@@ -122,15 +123,15 @@ class RobotError(SkinError, ValueError):
 
 
 class NoFrame(SkinError, TimeoutError):
-    """No frame came within the time that the subscriber asked for."""
+    """No frame came within the subscriber's timeout."""
 
 
 class SilentSkin(NoFrame):
     """One of several skins sends nothing.
 
     Args:
-        skin: Its name.
-        text: What was waited for, and why nothing may have come.
+        skin: The skin's name.
+        text: The message: how long the subscriber waited, and the likely cause.
     """
 
     def __init__(self, skin: str, text: str) -> None:
@@ -139,8 +140,8 @@ class SilentSkin(NoFrame):
 
 
 class StaleFrame(SkinError, TimeoutError):
-    """A frame came, but it is older than the subscriber allows."""
+    """The newest frame is older than the subscriber allows."""
 
 
 class CloudWarning(UserWarning):
-    """A cloud is used, but something about it is doubtful."""
+    """A cloud is in use, but something about it is doubtful."""

@@ -105,34 +105,33 @@ def _given(
 
 
 class Skin:
-    """An open skin; leave it with ``close`` or as a context manager.
+    """An open skin, read in this process; close it with ``close`` or as a context manager.
 
     Args:
-        port: A serial port's path, ``usb:SERIAL``, or an open transport, which is closed with the skin.
+        port: A serial port's path, ``usb:SERIAL``, or an open :class:`eitskin.Transport`, which ``close`` closes too.
         bundle: A bundle, its path, or the name of a shipped one; None takes the shipped one that knows the touches.
-        reference: A reference, or its path; None if it will be captured.
-        budget_ms: From read to publish; None for no budget.
-        baud: Bits per second on a real UART.
-        solver: The most accurate solver to use: ``vd2t``, ``vd2t-int8``, ``vd2t-small`` or ``tikhonov``; None for the
-            bundle's own choice (:func:`eitskin.model.engine.default_solver`) or, with a budget, its most accurate one.
-        skip_unchanged: Whether a frame keeps the map of an earlier one while only noise lies between them
-            (:mod:`eitskin.pipeline.stillness`).
-        idle_after_s: Let the device scan a few drives only once the sheet has been untouched for so long
-            (:mod:`eitskin.pipeline.idle`); None scans all of them always.
-        exclude: Electrodes to go on without; what fails while the stream goes on is found by itself.
-        compensate_drift: Whether frames are freed of drift (:mod:`eitskin.health.drift`); None if the bundle can.
-        skin: Its description, or that file's path, which the bundle must fit; None takes the bundle's.
-        touches: Which way touches change conductance, ``lower``, ``raise`` or ``both``: the bundle must know them. None
-            for what the skin's description says, or any that the bundle knows.
+        reference: A reference, or its path; None if you will call :meth:`capture_reference`.
+        budget_ms: Time limit in ms from read to publish; None for no limit.
+        baud: Bits per second, for a real UART.
+        solver: The most accurate solver to use: ``vd2t``, ``vd2t-int8``, ``vd2t-small`` or ``tikhonov``. None takes the
+            bundle's choice (:func:`eitskin.model.engine.default_solver`) or, with a budget, its most accurate one.
+        skip_unchanged: Keep the previous map while only noise changes (:mod:`eitskin.pipeline.stillness`).
+        idle_after_s: Scan only a few drives after the sheet has been untouched for this many seconds
+            (:mod:`eitskin.pipeline.idle`); None always scans all drives.
+        exclude: Electrodes to exclude, by number. The runtime also detects failing electrodes by itself.
+        compensate_drift: Whether to correct frames for drift (:mod:`eitskin.health.drift`); None if the bundle can.
+        skin: The skin's description, or the path of its file, which the bundle must fit; None takes the bundle's.
+        touches: ``lower``, ``raise`` or ``both``: how touches change conductance. The bundle must know such touches.
+            None takes the skin description's kind, or accepts any bundle.
 
     Raises:
-        BundleError: The bundle cannot be used, or has no idle gate where one is asked for.
+        BundleError: The bundle cannot be used, or lacks the idle gate that ``idle_after_s`` needs.
         TransportError: The port is missing, busy, denied or lost.
-        HandshakeError: The device does not answer, or measures in a way that cannot be used, or idles in another way.
+        HandshakeError: The device does not answer, or its way of measuring or idling is not supported.
         MismatchError: Bundle, device or reference belong to another protocol, skin, device or configuration.
-        BadReference: The reference's file cannot be used.
+        BadReference: The reference file cannot be used.
         BudgetError: No solver meets the budget.
-        ValueError: The budget or idle_after_s is not positive, or the bundle has no such solver.
+        ValueError: ``budget_ms`` or ``idle_after_s`` is not positive, or the bundle has no such solver.
     """
 
     def __init__(
@@ -186,12 +185,12 @@ class Skin:
 
     @property
     def reference(self) -> Reference | None:
-        """What frames are held against; None until it is captured."""
+        """The reference in use; None until it is captured."""
         return self.loop.reference
 
     @property
     def recoveries(self) -> int:
-        """How often the device was greeted anew after silence or a reset."""
+        """How often the connection was re-established after silence or a reset of the device."""
         return self.loop.source.recoveries
 
     @property
@@ -200,24 +199,31 @@ class Skin:
         return self.loop.published
 
     def capture_reference(self, frames: int = DEFAULT_FRAMES, *, force: bool = False) -> Reference:
-        """Take the mean of the next frames as the reference, and return it; the sheet must be flat and untouched.
+        """Capture the mean of the next frames as the reference, use it, and return it.
+
+        The sheet must be flat and untouched.
 
         Args:
-            frames: How many.
-            force: Take it even if the sheet was bent, touched or moving (:mod:`eitskin.reference.judged`).
+            frames: Number of frames to average.
+            force: Accept the reference even if the sheet is bent, touched or moving
+                (:mod:`eitskin.reference.judged`).
 
         Raises:
-            BadReference: The sheet was bent, touched or moving, or nothing is connected, or the frames did not come.
+            BadReference: The sheet is bent, touched or moving, no electrodes are connected, or frames do not come.
             PortLost: The port vanished.
-            ValueError: Fewer than 2 frames.
+            ValueError: ``frames`` is below 2.
         """
         return self.loop.capture(frames, force=force)
 
     def recapture(self, frames: int, *, force: bool = False) -> dict[str, object]:
-        """Capture one as :meth:`capture_reference` does, from another thread while frames go on; return what was found.
+        """Capture a new reference from another thread while frames go on; return the findings of the check.
+
+        Args:
+            frames: As for :meth:`capture_reference`.
+            force: As for :meth:`capture_reference`.
 
         Raises:
-            BadReference: As in :meth:`capture_reference`; the old reference stays.
+            BadReference: As for :meth:`capture_reference`; the old reference stays in use.
         """
         return self.loop.recapture(frames, force=force).answer()
 
@@ -227,16 +233,16 @@ class Skin:
         predicted: npt.ArrayLike | None = None,
         predicted_flat: npt.ArrayLike | None = None,
     ) -> int:
-        """Use a measured surface from the next frame on, and return its revision; frames do not wait for any of it.
+        """Use a measured surface from the next frame on, and return its revision; frames do not wait.
 
         Args:
             cloud: (3, rows, columns) mm in any pose; None for the flat sheet.
-            predicted: (104,) V, what the forward model says of this surface untouched.
-            predicted_flat: (104,) V, what the same model says of the flat sheet; None takes the reference.
+            predicted: (104,) V that the forward model computes for this surface untouched; None without.
+            predicted_flat: (104,) V that the same model computes for the flat sheet; None takes the reference.
 
         Raises:
-            ValueError: The cloud or the voltages are malformed, or cannot be of this sheet; with value and bound.
-            BadReference: There is a prediction, but nothing to hold it against.
+            ValueError: The cloud or the voltages are malformed or do not fit this sheet; with value and bound.
+            BadReference: There is a prediction, but no reference to compare it with.
         """
         return self.use_cloud(cloud, predicted, predicted_flat)[0]
 
@@ -250,28 +256,28 @@ class Skin:
         return self._clouds.use(cloud, predicted, predicted_flat, self.reference)
 
     def exclude(self, electrodes: tuple[int, ...]) -> None:
-        """Go on without these electrodes from the next frame on; may be called from any thread.
+        """Exclude these electrodes from the next frame on, from any thread.
 
         Args:
-            electrodes: By number; none uses all of them again that were left out by hand.
+            electrodes: Numbers from 0 to 15; an empty tuple includes all excluded ones again.
 
         Raises:
-            BundleError: The bundle does not know how to go on without an electrode.
-            ValueError: One does not exist, or there are too many.
+            BundleError: The bundle cannot work without an electrode.
+            ValueError: A number does not exist, or there are too many.
         """
         self.pipeline.exclude(electrodes)
 
     def frames(self, *, timeout_s: float | None = None, touches: bool = False) -> Iterator[Frame]:
-        """Yield frames as they come, in this process; each owns its map.
+        """Yield frames as they come; each owns its map.
 
         Args:
-            timeout_s: End after so long; None goes on until ``stop``.
-            touches: Whether each has ``frame.touches``.
+            timeout_s: Stop after this many seconds; None continues until ``stop``.
+            touches: Whether frames have ``frame.touches``.
 
         Raises:
             BadReference: There is no reference yet.
             PortLost: The port vanished.
-            HandshakeError: The device fell silent and does not answer, or came back as another one.
+            HandshakeError: The device stopped answering, or another device came back.
         """
         here = LastMessage(touches=touches)
         for _ in self.loop.run(here, None if timeout_s is None else time.perf_counter_ns() + int(timeout_s * 1e9)):
@@ -290,11 +296,11 @@ class Skin:
         return self.loop.run(taker, until_ns)
 
     def status(self) -> dict[str, Any]:
-        """Return counters and ids; may be called from any thread."""
+        """Return counters and ids, from any thread."""
         return status_of(self.device, self.pipeline, self.loop)
 
     def summary(self) -> dict[str, Any]:
-        """Return statistics and state as one flat object for ``--json``."""
+        """Return statistics and status as one flat object, as ``--json`` prints it."""
         return {**self.status(), **self.statistics.summary()}
 
     @property
@@ -303,11 +309,11 @@ class Skin:
         return self.loop.source.stopping
 
     def stop(self) -> None:
-        """End the loops soon; may be called from any thread and from a signal handler."""
+        """End :meth:`frames` soon, from any thread or a signal handler."""
         self.loop.stop()
 
     def close(self) -> None:
-        """Stop the device and give the port back; closing twice is fine."""
+        """Stop the device and close the port; a second call does nothing."""
         if self._closed:
             return
         self._closed = True
@@ -337,18 +343,18 @@ def serve(
 ) -> None:
     """Publish frames until ``skin.stop()``, a number of frames, or a time.
 
-    A frame that nobody subscribed to is read, decoded and judged by the gate, but neither computed nor packed.
+    Without subscribers, a frame is read, decoded and checked by the gate, but no map is computed.
 
     Args:
-        skin: Open, with a reference.
-        publisher: Bound.
-        frames: How many to go through; None for no limit.
+        skin: An open skin with a reference.
+        publisher: Where to publish.
+        frames: Number of frames to process; None for no limit.
         until_ns: When to end, on ``perf_counter_ns``; None for no limit.
-        behind: Called with each frame's record when it has gone out; the next frame waits for it.
+        behind: Called with each frame's record after it is published; the next frame waits for it.
 
     Raises:
         PortLost: The port vanished.
-        HandshakeError: The device fell silent and does not answer, or came back as another one.
+        HandshakeError: The device stopped answering, or another device came back.
     """
     next_join_ns = time.perf_counter_ns()
     publisher.update()

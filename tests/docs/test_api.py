@@ -26,7 +26,7 @@ def test_what_a_page_names_is_there_and_has_a_docstring(kind, target):
 
 def pages_of(public):
     """Return the pages that document a public name: by itself, in the text, or with the module of the errors."""
-    targets = {f"eitskin.{public}"} | ({"eitskin.errors"} if hasattr(eitskin.errors, public) else set())
+    targets = {f"eitskin.{public}"} | ({"eitskin.errors"} if public in eitskin.errors.__all__ else set())
     return [
         name
         for name, page in PAGES.items()

@@ -15,20 +15,20 @@ class Transport(Protocol):
 
     @property
     def name(self) -> str:
-        """What people call this line: ``/dev/ttyACM0``."""
+        """Name of the line for people, such as ``/dev/ttyACM0``."""
 
     @property
     def line_bytes_per_s(self) -> int:
-        """What the line carries; 0 where no baud rate limits it."""
+        """Capacity of the line; 0 if no baud rate limits it."""
 
     def read(self, timeout_s: float | None = None) -> bytes:
-        """Return whatever has arrived, waiting for the first byte.
+        """Wait for the first byte, then return all that have arrived.
 
         Args:
-            timeout_s: How long to wait; None waits until something comes.
+            timeout_s: How long to wait; None waits without limit.
 
         Returns:
-            At least one byte; or none, after the timeout or ``cancel``.
+            At least one byte, or none after the timeout or ``cancel``.
 
         Raises:
             PortLost: The line is gone.
@@ -42,16 +42,16 @@ class Transport(Protocol):
         """
 
     def cancel(self) -> None:
-        """Make the ``read`` that waits now, or else the next one, return at once.
+        """Make the current ``read``, or else the next one, return at once.
 
-        It takes no lock that ``read`` or ``write`` may hold: a signal handler calls it amid them.
+        It must not take a lock that ``read`` or ``write`` hold, because signal handlers call it during them.
         """
 
     def report(self) -> list[str]:
-        """Return what was got of what was asked for, a line for people each."""
+        """Return lines for people that describe the line's settings."""
 
     def close(self) -> None:
-        """Give the line back; closing twice is fine."""
+        """Close the line; a second call does nothing."""
 
 
 class WrappedTransport:

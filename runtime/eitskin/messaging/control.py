@@ -59,16 +59,16 @@ Route = list[bytes]
 
 
 class ControlServer:
-    """Answers requests until ``close``.
+    """Answers control requests until ``close``.
 
     Args:
         endpoint: ``ipc:///path``, or TCP with keys.
         controlled: The runtime.
-        keys: CURVE keys, needed for TCP.
-        skin: Whose clouds it takes; None for that of ``controlled``, or the paper's if it has none.
+        keys: CURVE keys, required for TCP.
+        skin: The skin whose clouds it accepts; None for that of ``controlled``, or the paper's.
 
     Raises:
-        EndpointError: The endpoint is not allowed like this, or in use.
+        EndpointError: The endpoint is not allowed or in use.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class ControlServer:
 
     @property
     def ended(self) -> int:
-        """Connections that were ended because there were too many."""
+        """Number of connections that were closed because there were too many."""
         return self._listener.refused
 
     def _serve(self) -> None:
@@ -190,7 +190,7 @@ class ControlServer:
             self._authenticator.join()
 
     def close(self) -> None:
-        """Answer nobody any more; closing twice is fine."""
+        """Stop answering; a second call does nothing."""
         if self._context.closed:
             return
         self._closing = True

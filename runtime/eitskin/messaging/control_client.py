@@ -34,19 +34,19 @@ def request(
     """Send one control request and return the answer's fields.
 
     Args:
-        endpoint: Of the runtime's control (``eitskin run --control``); None for the default one.
+        endpoint: The runtime's control endpoint (``eitskin run --control``); None for the default.
         command: ``cloud`` (see :func:`send_cloud`); ``reference``, with ``frames`` and ``force``, captures a new
-            reference; ``exclude``, with ``electrodes``, a list of numbers from 0 to 15, goes on without these, and an
-            empty list uses all again; ``status`` returns counters and ids; ``stop`` ends the runtime. What each takes
-            and answers is listed in :mod:`eitskin.messaging.control`.
+            reference; ``exclude``, with ``electrodes``, a list of numbers from 0 to 15, excludes these, and an empty
+            list includes all again; ``status`` returns counters and ids; ``stop`` ends the runtime.
+            :mod:`eitskin.messaging.control` lists the fields of each request and answer.
         timeout_s: How long to wait for the answer.
-        keys: CURVE keys, for TCP.
-        fields: Of the request.
+        keys: CURVE keys, required for TCP.
+        fields: Fields of the request.
 
     Raises:
-        ControlError: The runtime refused, with its reason; or did not answer in time.
-        EndpointError: ZeroMQ cannot make sense of the endpoint, or it is TCP and there are no keys.
-        ValueError: timeout_s is not positive.
+        ControlError: The runtime refused, with its reason, or did not answer in time.
+        EndpointError: The endpoint is malformed, or needs keys because it is TCP.
+        ValueError: ``timeout_s`` is not positive.
     """
     if not timeout_s > 0:
         raise ValueError(f"timeout_s is {timeout_s}, expected more than 0")
@@ -84,35 +84,35 @@ def send_cloud(
     keys: ClientKeys | None = None,
     skin: SkinDescription | None = None,
 ) -> int:
-    """Give a running runtime the sheet's surface and return the cloud's revision, which frames carry from then on.
+    """Send the sheet's shape to a running runtime and return the cloud's revision, which later frames carry.
 
-    ``send_cloud(cloud)`` sends it to the default control endpoint, ``send_cloud(endpoint, cloud)`` to another one::
+    ``send_cloud(cloud)`` sends to the default control endpoint, ``send_cloud(endpoint, cloud)`` to another one::
 
-        eitskin.send_cloud("CLOUD.npz")                                 # of 'eitskin surface POINTS --predict'
+        eitskin.send_cloud("CLOUD.npz")                                 # from 'eitskin surface POINTS --predict'
         eitskin.send_cloud("ipc:///tmp/control", cloud, predicted, predicted_flat)
-        eitskin.send_cloud("CLOUD.npz", skin=description)               # of another skin than the paper's
+        eitskin.send_cloud("CLOUD.npz", skin=description)               # for another skin than the paper's
 
     Args:
-        endpoint: Of the runtime's *control* (``eitskin run --control``), not the one that frames come from; left out,
-            it is the default one.
-        cloud: (3, rows, columns) mm, in any pose; or a file that ``eitskin surface`` wrote, by its path or as
-            :func:`eitskin_proto.skin.cloud_file.load_surface` returns it, which brings its prediction along, and is
-            sent in the frame of the points that were measured: touches then have their places there.
-        predicted: (104,) V, what the forward model says of this surface untouched; None for no prediction.
-        predicted_flat: (104,) V, what the same model says of the flat sheet; None takes the captured reference, which
-            is right only if model and device agree on current and gain.
+        endpoint: The runtime's *control* endpoint (``eitskin run --control``), not the one that publishes frames;
+            without it, the default.
+        cloud: (3, rows, columns) mm, in any pose; or a file of ``eitskin surface``, as a path or as returned by
+            :func:`eitskin_proto.skin.cloud_file.load_surface`. A file includes its prediction and is sent in the frame
+            of the measured points; touches then have their places in that frame.
+        predicted: (104,) V that the forward model computes for this surface untouched; None without a prediction.
+        predicted_flat: (104,) V that the same model computes for the flat sheet; None takes the captured reference,
+            which is right only if model and device have the same current and gain.
         timeout_s: How long to wait for the answer.
-        keys: CURVE keys, for TCP.
-        skin: Whose surface it is; None for the paper's.
+        keys: CURVE keys, required for TCP.
+        skin: The skin of this surface; None for the paper's.
 
     Raises:
         ValueError: The cloud or the voltages are malformed; with the value and the bound.
         CloudFileError: The file holds no cloud.
-        MismatchError: The file holds another skin's.
-        ControlError: The runtime refused, since the cloud cannot be of its sheet, for example; or did not answer.
+        MismatchError: The file holds a cloud of another skin.
+        ControlError: The runtime refused, for example because the cloud does not fit its sheet, or did not answer.
 
     Warns:
-        CloudWarning: The cloud is used, but something about it is doubtful.
+        CloudWarning: The runtime uses the cloud, but something about it is doubtful.
     """
     where: str | None = None
     if cloud is None:

@@ -68,18 +68,18 @@ class ClientKeys:
     server: bytes
 
     def apply(self, socket: Any) -> None:
-        """Make a ZeroMQ socket a CURVE client; before it connects."""
+        """Set up a ZeroMQ socket as a CURVE client; call this before it connects."""
         socket.curve_publickey = self.public
         socket.curve_secretkey = self.secret
         socket.curve_serverkey = self.server
 
 
 def make_keys(folder: str | Path) -> list[Path]:
-    """Make a server's and a first client's keys, all or none, and return the files.
+    """Make keys for a server and a first client, and return their files.
 
     Raises:
-        EndpointError: There are keys already; they are not overwritten.
-        OSError: They cannot be written.
+        EndpointError: Keys exist already; they are not overwritten.
+        OSError: The files cannot be written.
     """
     where = Path(folder)
     clients = where / "clients"
@@ -177,11 +177,11 @@ def load_client_keys(server_key: str | Path, client_secret: str | Path) -> Clien
     """Return a client's keys.
 
     Args:
-        server_key: The file server.key of the runtime.
-        client_secret: The client's own key_secret file.
+        server_key: Path of the runtime's ``server.key``.
+        client_secret: Path of the client's own ``.key_secret`` file.
 
     Raises:
-        EndpointError: A file is missing or no key.
+        EndpointError: A file is missing or holds no key.
     """
     public, secret = _certificate(Path(client_secret))
     try:

@@ -97,38 +97,38 @@ def host_id() -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One tactile frame, as a subscriber sees it.
+    """One tactile frame, as a subscriber receives it.
 
     Attributes:
-        map: (rows, columns) of the runtime's skin, (30, 45) of the paper's, read-only: touched area fraction, or touch
-            probability, of each pixel; row 0 at y = 0. (0, 0) where touches were asked for without maps.
-        touched: What the gate says; an untouched frame's map is 0.
-        sequence: Of the device, unwrapped; a gap is a frame lost before the runtime.
-        number: Of the runtime, counting published frames; a gap is a frame lost on the way to the subscriber.
+        map: (rows, columns), (30, 45) for the paper's skin, read-only, row 0 at y = 0. A value is the touched share of
+            a pixel, or its touch probability, from 0 to 1. The shape is (0, 0) if the subscriber requested no maps.
+        touched: Whether the gate found a touch; the map of an untouched frame is 0.
+        sequence: The device's frame number, unwrapped; a gap means that frames were lost before the runtime.
+        number: The runtime's count of published frames; a gap means that this subscriber missed frames.
         device_us: Device clock at the end of the scan, unwrapped past 2^32.
         host_ns: ``perf_counter_ns`` of the runtime's machine at the end of each of ``STAGES``.
-        received_ns: ``perf_counter_ns`` of this machine when the frame was taken from the socket.
-        age_us: From the scan to publishing, against the fastest frame seen.
-        solver: ``vd2t``, ``vd2t-int8``, ``vd2t-small``, ``tikhonov``, or ``none`` when nothing was computed.
-        skipped: What was left out, and why: ``inference:untouched``.
-        events: What happened at this frame: ``overrun``, ``device_reset``, ``saturated``, ``cloud``, ``lost``.
-        electrodes: Those that are not well, what is wrong, what stands in for their rows: ``5:detached:imputed``.
-        drift_percent: How far the untouched voltages have moved against the reference, all rows alike; None where the
-            bundle has nothing to tell it by.
-        drift_sd_percent: Its standard deviation, 10 before anything was seen; None likewise.
-        drift_uneven_percent: Rms over the rows of what has moved besides; None while unknown.
-        gate_logit: The gate's logit of this frame by itself; ``touched`` is also what changed as by a press.
+        received_ns: ``perf_counter_ns`` of this machine when it took the frame from the socket.
+        age_us: Time from the scan to publishing, relative to the fastest frame so far.
+        solver: ``vd2t``, ``vd2t-int8``, ``vd2t-small`` or ``tikhonov``; ``none`` if no map was computed.
+        skipped: Skipped work with its reason, such as ``inference:untouched``.
+        events: Events at this frame: ``overrun``, ``device_reset``, ``saturated``, ``cloud``, ``lost``.
+        electrodes: Failed electrodes, each with its fault and the replacement of its rows: ``5:detached:imputed``.
+        drift_percent: Common change of the untouched voltages since the reference; None if the bundle cannot tell.
+        drift_sd_percent: Standard deviation of ``drift_percent``, 10 before any evidence; None if the bundle cannot
+            tell.
+        drift_uneven_percent: Rms over the rows of the change beyond ``drift_percent``; None while unknown.
+        gate_logit: The gate's logit for this frame alone; ``touched`` also depends on earlier frames.
         cloud: Revision of the cloud in use; 0 is the flat sheet.
-        weak_rows: Rows of the reference that carry no information, and are filled in from the others.
-        map_sequence: ``sequence`` of the frame that the map was computed for; an older one if only noise changed.
-        regions: What of the map was computed: the union of these rectangles; the rest is 0.
-        counts: Totals of the runtime: ``COUNTS``.
+        weak_rows: Number of reference rows that carry no information and are filled in from the others.
+        map_sequence: ``sequence`` of the frame that the map was computed for; an earlier one if only noise changed.
+        regions: The computed parts of the map, as rectangles; the rest is 0.
+        counts: The runtime's totals of ``COUNTS``: lost, corrupt and withheld frames, and overruns.
         configuration: Name and digest of the device's active configuration.
         bundle: Id of the bundle.
-        serial_number: Of the device.
-        run: Differs after each start of the runtime.
-        touch_list: Touches and what happened to them; None unless somebody asked the runtime for them.
-        same_host: Whether the runtime runs on this machine, so that its stamps compare with ours.
+        serial_number: Serial number of the device.
+        run: Id of this run of the runtime; it differs after each start.
+        touch_list: Touches and their events; None unless a subscriber requested touches.
+        same_host: Whether the runtime runs on this machine, so that ``host_ns`` compares with ``received_ns``.
     """
 
     map: npt.NDArray[np.float32]
@@ -167,25 +167,25 @@ class Frame:
 
     @property
     def touches(self) -> tuple[Touch, ...]:
-        """The touches, by id; who did not ask for any gets a :class:`FrameError`."""
+        """The touches, by id; raises :class:`FrameError` if the subscription did not request touches."""
         if self.touch_list is None:
             raise FrameError(f"frame {self.sequence} has no touches: ask for them by subscribe(..., touches=True)")
         return self.touch_list.touches
 
     @property
     def age_s(self) -> float:
-        """Seconds since the scan, as of now; on another machine the time on the network is not seen."""
+        """Seconds from the scan until now; on another machine without the time on the network."""
         since_ns = time.perf_counter_ns() - (self.host_ns["publish"] if self.same_host else self.received_ns)
         return self.age_us * 1e-6 + max(since_ns, 0) * 1e-9
 
     @property
     def latency_s(self) -> float:
-        """Seconds from the last byte on the wire to this process; on another machine up to publishing only."""
+        """Seconds from the last byte on the wire to this process; on another machine only up to publishing."""
         end_ns = self.received_ns if self.same_host else self.host_ns["publish"]
         return (end_ns - self.host_ns["read"]) * 1e-9
 
     def stages_us(self) -> dict[str, float]:
-        """Return how long each stage took, ``deliver`` being the way from the publisher to this process."""
+        """Return the duration of each stage in us; ``deliver`` is the way from the publisher to this process."""
         stamps = [self.host_ns[stage] for stage in STAGES]
         spans = {stage: (end - start) / 1000 for stage, start, end in zip(STAGES[1:], stamps, stamps[1:], strict=False)}
         if self.same_host:

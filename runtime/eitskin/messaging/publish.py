@@ -78,10 +78,10 @@ class Publisher:
 
     Args:
         endpoint: ``ipc:///path`` or ``tcp://address:port``.
-        keys: CURVE keys, needed for TCP.
+        keys: CURVE keys, required for TCP.
 
     Raises:
-        EndpointError: The endpoint is not allowed like this, or in use.
+        EndpointError: The endpoint is not allowed or in use.
     """
 
     def __init__(self, endpoint: str, keys: ServerKeys | None = None) -> None:
@@ -120,7 +120,7 @@ class Publisher:
         """Where frames are published, with the port that a ``*`` became."""
 
     def update(self) -> None:
-        """Take note of who came and went since the last time; never waits."""
+        """Note new and closed subscriptions, without waiting."""
         self._listener.admit()
         changed, left = False, MOST_AT_ONCE
         waits = self._socket.getsockopt(_EVENTS) & _POLLIN  # libzmq takes in more whenever it is asked
@@ -171,26 +171,26 @@ class Publisher:
 
     @property
     def topics(self) -> frozenset[bytes]:
-        """What is subscribed to, as of the last ``update``."""
+        """The topics with subscribers at the last ``update``."""
         return frozenset(self._topics)
 
     @property
     def subscribers(self) -> int:
-        """Connections over which somebody subscribed to something."""
+        """Number of connections with a subscription."""
         return self._listener.served
 
     @property
     def refused(self) -> int:
-        """Connections that were ended because there were too many."""
+        """Number of connections that were closed because there were too many."""
         return self._listener.refused
 
     @property
     def short(self) -> bool:
-        """Whether the next message may go without a map that has not changed."""
+        """Whether every subscriber accepts a message without an unchanged map."""
         return self.takes_short and not self.joined
 
     def send(self, message: memoryview) -> None:
-        """Hand one message to every subscriber's queue; the memory may be reused at once."""
+        """Queue one frame message for every subscriber; the memory may be reused at once."""
         try:
             self._send(message, _NOBLOCK, True)
         except zmq.Again:
@@ -198,7 +198,7 @@ class Publisher:
         self.joined = False
 
     def send_beside(self, message: bytes) -> None:
-        """Hand on one message that is no frame."""
+        """Queue one message that is not a frame."""
         try:
             self._send(message, _NOBLOCK, True)
         except zmq.Again:
@@ -210,7 +210,7 @@ class Publisher:
             self._authenticator.join()
 
     def close(self) -> None:
-        """Release the address; closing twice is fine."""
+        """Release the address; a second call does nothing."""
         if not self._context.closed:
             self._listener.close()
             self._end()

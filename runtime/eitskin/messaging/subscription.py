@@ -81,36 +81,36 @@ class SubscriptionOptions:
 
 
 class Subscription(Subscriber[Frame]):
-    """An open subscription to a runtime's frames; iterate it, leave it with ``close`` or as a context manager.
+    """An open subscription to a runtime's frames: iterate it, and close it with ``close`` or as a context manager.
 
-    In a control loop, which must know when it is blind::
+    A control loop must notice when frames stop::
 
         with eitskin.subscribe(maps=False, timeout_s=0.5, max_age_s=0.2) as frames:
             while True:
                 try:
                     touches = frames.next_frame().touches
                 except (eitskin.NoFrame, eitskin.StaleFrame):
-                    ...  # stop; asking again goes on as soon as frames come
+                    ...  # stop the robot; the next call continues as soon as frames come
 
     Args:
-        endpoint: Where the runtime publishes: ``ipc:///path`` or ``tcp://address:port``; None takes the one on which
-            ``eitskin run`` publishes unless told otherwise.
-        mode: ``latest`` for a control loop, ``all`` for a recorder.
-        timeout_s: How long to wait for a frame before :class:`eitskin.NoFrame`. None waits 5 s for the first, and then
-            for ever; ``math.inf`` waits for ever from the start, for a runtime that is started later.
-        max_age_s: Oldest frame that is good enough; an older one raises :class:`eitskin.StaleFrame`.
-        region_mm: A rectangle (x0, y0, x1, y1) of the flat sheet: ``frame.map[frames.region.slices]`` are its pixels.
-        skin: The runtime's, which a region needs unless it is the paper's (:func:`eitskin_proto.skin.toml.load`).
-        skip_unchanged: Do without maps that have not changed beyond noise; ``frame.map`` is then the one from before.
-        touches: Each frame has its list of touches, ``frame.touches``.
-        maps: False for touches alone, a sixth of the bytes; ``frame.map`` is then (0, 0).
-        patient: Be served after the others: for what shows or stores frames, and moves nothing.
-        keys: CURVE keys, which TCP needs.
+        endpoint: Where the runtime publishes, ``ipc:///path`` or ``tcp://address:port``; None for the default of
+            ``eitskin run``.
+        mode: ``latest`` returns the newest frame, for a control loop; ``all`` returns every frame, for a recorder.
+        timeout_s: How long to wait for a frame before :class:`eitskin.NoFrame`. None waits 5 s for the first frame and
+            without limit for the next ones; ``math.inf`` waits without limit from the start.
+        max_age_s: The oldest acceptable frame; an older one raises :class:`eitskin.StaleFrame`.
+        region_mm: A rectangle (x0, y0, x1, y1) of the flat sheet; ``frame.map[frames.region.slices]`` are its pixels.
+        skin: The runtime's skin description, needed for a region of any but the paper's skin
+            (:func:`eitskin_proto.skin.toml.load`).
+        skip_unchanged: Accept frames without a map if only noise changed; ``frame.map`` is then the previous map.
+        touches: Request the list of touches, ``frame.touches``, in each frame.
+        maps: False requests touches without maps, a sixth of the bytes; ``frame.map`` then has shape (0, 0).
+        patient: Receive frames after other subscribers, for programs that display or store frames.
+        keys: CURVE keys, required for TCP.
 
     Raises:
         ValueError: A bound is not positive, the mode does not exist, or the region is not on the sheet.
-        EndpointError: ZeroMQ cannot make sense of the endpoint, or it is TCP and there are no keys, or there is no
-            folder for the default one.
+        EndpointError: The endpoint is malformed, needs keys because it is TCP, or has no folder (the default one).
     """
 
     def __init__(
@@ -134,14 +134,14 @@ class Subscription(Subscriber[Frame]):
             region_mm, skin, skip_unchanged=skip_unchanged, touches=touches, maps=maps, patient=patient
         )
         self.region = options.region
-        """What this side needs, in pixels; ``frame.map[region.slices]``."""
+        """The requested rectangle, in pixels; ``frame.map[region.slices]``."""
         self._max_age_s = max_age_s
         self.lost = 0
-        """Frames published but not taken, because this side was too slow; in mode ``latest`` that is intended."""
+        """Published frames that this side did not take in time; in mode ``latest`` this is intended."""
         self.mapless = 0
-        """Frames without a map whose map had not come either: just after the start, or after a loss."""
+        """Frames dropped because they refer to a map that was not received: just after the start, or after a loss."""
         self.passed_over = 0
-        """Frames without the touches that were asked for."""
+        """Frames dropped because they lack the requested touches."""
         self._known: Frame | None = None
         self._run, self._number = "", 0
         super().__init__(
@@ -150,12 +150,12 @@ class Subscription(Subscriber[Frame]):
         )  # fmt: skip
 
     def next_frame(self) -> Frame:
-        """Return the next frame, waiting for it.
+        """Wait for the next frame and return it.
 
         Raises:
-            NoFrame: None came in time; the text says whether anybody is there, and what to do.
-            StaleFrame: One came, but it is older than ``max_age_s``.
-            MismatchError: A region is needed, and the maps are another skin's.
+            NoFrame: No frame came in time; the text says whether a runtime is there, and what to do.
+            StaleFrame: The frame is older than ``max_age_s``.
+            MismatchError: A region is requested, and the maps are another skin's.
         """
         frame = self._next()
         if self._max_age_s is not None and (age_s := frame.age_s) > self._max_age_s:
@@ -196,4 +196,4 @@ class Subscription(Subscriber[Frame]):
 
 
 subscribe = Subscription
-"""Opens a subscription to a runtime's frames, to be iterated."""
+"""Open a subscription to a runtime's frames, to be iterated."""

@@ -121,12 +121,12 @@ class Bundle:
 
     @property
     def labels(self) -> str:
-        """``area`` or ``units``: what a value of the map means."""
+        """Meaning of a map's values: ``area`` or ``units``."""
         return str(self.manifest["labels"])
 
     @property
     def touch_kind(self) -> TouchKind:
-        """Which touches it knows; bundles that are older than the question know those that raise conductance."""
+        """The touches that it knows; ``raise`` for old bundles that do not say."""
         return touch_kind_of(self.manifest.get("touches", "raise"))
 
     @property
@@ -136,7 +136,7 @@ class Bundle:
 
     @property
     def beside(self) -> dict[str, int]:
-        """Likewise of each network that it holds besides, by its name."""
+        """The same width for each additional network, by name."""
         return {name: int(self.manifest[name]["bias"]) for name in BESIDE if self.manifest.get(name) is not None}
 
     @property
@@ -167,7 +167,7 @@ class Bundle:
         return self._archive("gate.npz")
 
     def consistency_arrays(self) -> dict[str, npt.NDArray[np.generic]] | None:
-        """Return the arrays that healthy frames are told by, or None for a bundle without them."""
+        """Return the arrays that describe healthy frames, or None for a bundle without them."""
         return self._archive("consistency.npz")
 
     def _archive(self, name: str) -> dict[str, npt.NDArray[np.generic]] | None:
@@ -205,15 +205,15 @@ def shipped() -> tuple[str, ...]:
 
 
 def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bundle:
-    """Return a bundle whose every byte was checked.
+    """Return a bundle after checking every byte.
 
     Args:
-        path: The file, or the name of a shipped bundle; None takes the shipped one of area labels.
-        lazily: Check each file only when it is used.
+        path: The file, or the name of a shipped bundle: ``free``, ``press``, ``units``; None takes ``free``.
+        lazily: Check each part only when it is used.
 
     Raises:
-        BundleError: It cannot be read, is damaged or incomplete.
-        MismatchError: It is of another format version or protocol_id, or its ids are not those of its skin.
+        BundleError: The bundle cannot be read, is damaged or incomplete.
+        MismatchError: It has another format version or protocol_id, or ids other than its skin's.
     """
     where = default_path() if path is None else HOME / f"{path}.eitskin" if is_name(path, shipped()) else Path(path)
     with _Opened(where) as archive:

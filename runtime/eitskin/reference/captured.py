@@ -60,32 +60,32 @@ LARGEST_FILE: Final = 1 << 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """A reference with its provenance."""
+    """A reference: the voltages of the flat, untouched sheet, and their origin."""
 
     voltages_V: npt.NDArray[np.float64]
     """(104,) V, mean."""
     spread_V: npt.NDArray[np.float64]
     """(104,) V, standard deviation of a single frame."""
     frames: int
-    """How many frames the mean is of."""
+    """Number of averaged frames."""
     serial_number: str
     configuration_digest: int
     configuration_name: str
     captured_utc: str
     """Wall clock, for people."""
     judgement: Judgement | None = None
-    """What was found when it was captured; not stored."""
+    """Findings of the check at capture; not stored."""
     grid_id: str = PAPER.grid_id
     skin_digest: str = PAPER.digest
-    """Whose reference it is."""
+    """Digest of the skin's description."""
     scan: ReferenceScan | None = None
-    """Of the sheet when it was captured; None for one that was flat."""
+    """Scan of the sheet at capture; None if it was flat."""
 
     def __repr__(self) -> str:
         return f"<Reference of {self.frames} frames of {self.serial_number}, captured {self.captured_utc}>"
 
     def flat(self) -> "Reference":
-        """Return what a flat sheet would have read: the reference itself, or that which its scan makes of it."""
+        """Return the reference of the flat sheet: this one, or the one converted with its scan."""
         if self.scan is None:
             return self
         factor = self.scan.flattening()
@@ -97,7 +97,7 @@ class Reference:
         return np.flatnonzero(lost_rows(self.voltages_V, self.spread_V))
 
     def report(self) -> list[str]:
-        """Return what people should know about this reference, a line each."""
+        """Return lines for people that describe this reference."""
         relative = self.spread_V / np.maximum(np.abs(self.voltages_V), SMALLEST_V)
         lines = [
             f"reference: {self.frames} frames of {self.serial_number}, configuration {self.configuration_name}/"
@@ -121,7 +121,7 @@ class Reference:
         return lines
 
     def answer(self) -> dict[str, object]:
-        """Return what a control request for a reference is answered with."""
+        """Return the fields of the answer to the control request ``reference``."""
         found = {} if self.judgement is None else self.judgement.fields()
         return {"frames": self.frames, "weak_rows": self.weak.tolist(), **found}
 
@@ -129,10 +129,10 @@ class Reference:
         """Refuse a reference of another skin.
 
         Args:
-            skin: The one in use.
+            skin: The skin in use.
 
         Raises:
-            MismatchError: With what was found, expected, and the command that captures a new one.
+            MismatchError: The skins differ; the text has both ids and the command that captures a new reference.
         """
         hint = "capture one of this skin: eitskin reference --port PORT --bundle BUNDLE --out FILE"
         check_made_for("reference", skin, grid_id=self.grid_id, skin_digest=self.skin_digest, hint=hint)
@@ -142,7 +142,7 @@ class Reference:
 
         Raises:
             BadReference: A row is not finite.
-            MismatchError: With what was found, expected, and the command that captures a new one.
+            MismatchError: They differ; the text has both values and the command that captures a new reference.
         """
         hint = "capture one of this device: eitskin reference --port PORT --out FILE"
         bad = np.flatnonzero(~np.isfinite(self.voltages_V))

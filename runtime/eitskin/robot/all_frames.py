@@ -34,8 +34,8 @@ class SkinFrame:
     """A frame of one of several skins.
 
     Attributes:
-        skin: Its name.
-        frame: As :func:`eitskin.subscribe` gives it.
+        skin: Name of the skin.
+        frame: As :func:`eitskin.subscribe` returns it.
         pose: Where the skin sits on the robot.
     """
 
@@ -45,23 +45,23 @@ class SkinFrame:
 
     @property
     def touches(self) -> tuple[Touch, ...]:
-        """The frame's touches, their places and normals in the robot's frame; they must have been asked for."""
+        """The touches, with places and normals in the robot's frame, if the subscription requested touches."""
         return tuple(self.pose.touch(touch) for touch in self.frame.touches)
 
 
 class RobotSubscription:
-    """Open subscriptions to all skins of a robot; iterate it, leave it with ``close`` or as a context manager.
+    """Open subscriptions to all skins of a robot: iterate it, and close it with ``close`` or as a context manager.
 
     Args:
-        source: Path of the robot.toml, or the folder in which ``eitskin run --config`` runs; None takes the folder that
-            it uses unless told otherwise.
-        mode: ``latest`` for a control loop, ``all`` for a recorder.
-        timeout_s: How long each skin may send nothing before :class:`eitskin.SilentSkin`, which names it. None gives
-            the first frame of each 5 s, and then goes on for ever; ``math.inf`` waits for ever from the start.
-        max_age_s: Oldest frame that is good enough; an older one raises :class:`eitskin.StaleFrame`.
-        touches: Each frame has its list of touches; ``one.touches`` has them in the robot's frame.
-        maps: False for touches alone, a sixth of the bytes; ``frame.map`` is then (0, 0).
-        keys: CURVE keys, which TCP needs: one for all skins, or by name.
+        source: Path of the robot.toml, or of the folder in which ``eitskin run --config`` runs; None takes that
+            command's default folder.
+        mode: ``latest`` returns the newest frame, for a control loop; ``all`` returns every frame, for a recorder.
+        timeout_s: How long a skin may send nothing before :class:`eitskin.SilentSkin`, which names it. None allows 5 s
+            for the first frame of each and no limit after it; ``math.inf`` waits without limit from the start.
+        max_age_s: The oldest acceptable frame; an older one raises :class:`eitskin.StaleFrame`.
+        touches: Request the list of touches in each frame; ``SkinFrame.touches`` has them in the robot's frame.
+        maps: False requests touches without maps, a sixth of the bytes; ``frame.map`` then has shape (0, 0).
+        keys: CURVE keys, required for TCP: one for all skins, or a mapping by name.
 
     Raises:
         RobotError: There are no skins, or the file is wrong.
@@ -112,26 +112,26 @@ class RobotSubscription:
 
     @property
     def received(self) -> dict[str, int]:
-        """Frames taken so far, by skin."""
+        """Number of received frames, by skin."""
         return {name: one.received for name, one in self._subscriptions.items()}
 
     @property
     def lost(self) -> dict[str, int]:
-        """Frames published but not taken, by skin; in mode ``latest`` that is intended."""
+        """Published frames that this side did not take in time, by skin; in mode ``latest`` this is intended."""
         return {name: one.lost for name, one in self._subscriptions.items()}
 
     def silent_s(self) -> dict[str, float]:
-        """Return how long nothing has come, by skin; since the start where nothing ever has."""
+        """Return the seconds since the last frame, by skin; since the start if none has come."""
         now_s = time.monotonic()
         return {name: now_s - heard_s for name, heard_s in self._heard_s.items()}
 
     def next_frame(self) -> SkinFrame:
-        """Return the next frame of any skin, waiting for it.
+        """Wait for the next frame of any skin and return it.
 
         Raises:
-            SilentSkin: One of the skins has sent nothing for too long; its ``skin`` says which, the text why. Asked
-                again, the others go on, and the silent one is named again after as long.
-            StaleFrame: A frame came, but is older than ``max_age_s``.
+            SilentSkin: A skin has sent nothing for too long; its ``skin`` is the name. The next call continues with
+                the other skins, and raises again after the same time.
+            StaleFrame: The frame is older than ``max_age_s``.
         """
         while True:
             self._raise_if_silent()
@@ -184,7 +184,7 @@ class RobotSubscription:
         self.close()
 
     def close(self) -> None:
-        """Give the sockets back; closing twice is fine."""
+        """Close the sockets; a second call does nothing."""
         for one in self._subscriptions.values():
             one.close()
 

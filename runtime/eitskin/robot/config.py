@@ -69,7 +69,7 @@ RESTARTS: Final = ("never", "on-failure", "always")
 
 @dataclass(frozen=True, slots=True)
 class RobotSkin:
-    """What a subscriber needs of one skin.
+    """What a subscriber needs to know about one skin.
 
     Attributes:
         name: Of the skin.
@@ -136,10 +136,10 @@ class SkinSettings:
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """The whole file.
+    """The content of a robot.toml.
 
     Attributes:
-        folder: Where sockets lie by default, and what is known of the skins while they run.
+        folder: Default folder of the sockets and of the skins' state.
         skins: In the file's order.
     """
 
@@ -148,7 +148,7 @@ class Robot:
 
 
 def load_robot(path: str | Path) -> Robot:
-    """Return what a robot.toml says; whether its files are there is not looked at.
+    """Return the content of a robot.toml, without checking that the files it names exist.
 
     Raises:
         RobotError: The content is wrong: not TOML, an unknown key, a wrong value, two skins with one name, port or

@@ -122,7 +122,7 @@ def states_of(source: Source = None) -> tuple[ProcessState, ...]:
     """Return the skins of a robot, in its own order, and how their processes are where that is known.
 
     Raises:
-        RobotError: There are none, or the file is wrong.
+        RobotError: There are no skins, or the file is wrong.
         OSError: There is no such file.
     """
     if isinstance(source, Robot):
@@ -135,13 +135,13 @@ def states_of(source: Source = None) -> tuple[ProcessState, ...]:
 
 
 def robot_skins(source: Source = None) -> tuple[RobotSkin, ...]:
-    """Return names, endpoints and poses of a robot's skins, in its own order.
+    """Return names, endpoints and poses of a robot's skins, in the order of its robot.toml.
 
     Args:
-        source: Path of a robot.toml, or the folder in which ``eitskin run --config`` runs; None for its default one.
+        source: Path of a robot.toml, or of the folder in which ``eitskin run --config`` runs; None for the default.
 
     Raises:
-        RobotError: There are none, or the file is wrong.
+        RobotError: There are no skins, or the file is wrong.
         OSError: There is no such file.
     """
     return tuple(one.skin for one in states_of(source))

@@ -28,11 +28,11 @@ FARTHEST_MM: Final = 1e6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """A rotation and a translation; equal when their numbers are.
+    """A rotation and a translation from a skin's frame to the robot's frame.
 
     Attributes:
         rotation: (3, 3), orthonormal and right-handed; its columns are the skin's axes in the robot's frame.
-        translation_mm: (3,), where the skin's origin lies in the robot's frame.
+        translation_mm: (3,), place of the skin's origin in the robot's frame.
     """
 
     rotation: Array = field(default_factory=lambda: np.eye(3))
@@ -46,15 +46,15 @@ class Pose:
         quaternion_wxyz: Sequence[float] | None = None,
         translation_mm: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> Self:
-        """Return a pose of numbers that people wrote; what is nearly a rotation is made exactly one.
+        """Return a pose from plain numbers; a nearly orthonormal rotation becomes exactly one.
 
         Args:
             rotation: (3, 3), rows first.
-            quaternion_wxyz: (4,) of length 1, the real part first; neither of the two is no rotation.
+            quaternion_wxyz: (4,) of length 1, the real part first. Without ``rotation`` and this, nothing rotates.
             translation_mm: (3,) mm.
 
         Raises:
-            ValueError: Both are given, or one is no rotation, or not finite; with what was found.
+            ValueError: Both are given, or one is not a rotation, or not finite; with the value found.
         """
         moved = _numbers(translation_mm, (3,), "translation_mm")
         if np.abs(moved).max() > FARTHEST_MM:
@@ -89,7 +89,7 @@ class Pose:
 
     @property
     def matrix(self) -> Array:
-        """The same as a (4, 4) matrix for homogeneous places in mm."""
+        """The pose as a (4, 4) matrix for homogeneous places in mm."""
         found = np.eye(4)
         found[:3, :3], found[:3, 3] = self.rotation, self.translation_mm
         return found
@@ -98,7 +98,7 @@ class Pose:
         """Return places in the robot's frame.
 
         Args:
-            places_mm: (..., 3) of the skin.
+            places_mm: (..., 3) in the skin's frame.
         """
         return np.asarray(np.asarray(places_mm, dtype=np.float64) @ self.rotation.T + self.translation_mm)
 
@@ -106,18 +106,18 @@ class Pose:
         """Return directions in the robot's frame.
 
         Args:
-            directions: (..., 3) of the skin, such as normals.
+            directions: (..., 3) in the skin's frame, such as normals.
         """
         return np.asarray(np.asarray(directions, dtype=np.float64) @ self.rotation.T)
 
     def touch(self, touch: Touch) -> Touch:
-        """Return a touch whose place and normal are in the robot's frame; all else stays."""
+        """Return the touch with place and normal in the robot's frame."""
         x, y, z = self.place(touch.place_mm).tolist()
         nx, ny, nz = self.direction(touch.normal).tolist()
         return replace(touch, place_mm=(x, y, z), normal=(nx, ny, nz))
 
     def fields(self) -> dict[str, object]:
-        """Return it as plain lists, which :meth:`of` takes."""
+        """Return the pose as plain lists, the arguments of :meth:`of`."""
         return {"rotation": self.rotation.tolist(), "translation_mm": self.translation_mm.tolist()}
 
     def __eq__(self, other: object) -> bool:

@@ -17,11 +17,11 @@ COLUMNS: Final = ("strength", "newtons", "newtons_error")
 
 
 class ForceTable:
-    """A calibration of one's own.
+    """Your own calibration from the strength of verified touches to force.
 
     Args:
-        rows: Strength, newtons and their standard deviation, by rising strength; two at least.
-        source: Named in errors.
+        rows: At least two of (strength in mm2, force in N, its standard deviation in N), by rising strength.
+        source: Name of the table in error messages.
 
     Raises:
         CalibrationError: There are fewer than two, one is not finite, an error is negative, or strength does not rise.
@@ -43,13 +43,13 @@ class ForceTable:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Return the table of a file.
+        """Return the table in a file.
 
         Args:
-            path: Of a CSV file whose first line names the columns.
+            path: A CSV file whose first line names the columns.
 
         Raises:
-            CalibrationError: It has other columns, or what is in them is no table.
+            CalibrationError: It has other columns, or values that make no table.
             OSError: There is no such file.
         """
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
@@ -70,11 +70,11 @@ class ForceTable:
         return cls(rows, str(path))
 
     def newtons(self, strength: float | None, error: float = 0.0) -> tuple[float, float] | None:
-        """Return the force of a strength and its standard deviation, in N; None where the table says nothing.
+        """Return the force and its standard deviation, in N; None outside the table.
 
         Args:
-            strength: Of a verified touch, in mm2; None while it is unknown, as of a map's touches.
-            error: Its standard deviation, where that is known.
+            strength: Strength of a verified touch, in mm2; None if unknown, as for touches of maps.
+            error: Standard deviation of the strength, in mm2.
         """
         if strength is None or not self.rows[0][0] <= strength <= self.rows[-1][0]:
             return None

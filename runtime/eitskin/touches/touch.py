@@ -36,19 +36,19 @@ class Touch:
     """One touch of a frame.
 
     Attributes:
-        id: Stays while the touch moves; from 1 on, and never used twice in a run.
-        parent: The touch that it split from; 0 for none.
-        age_s: Since the frame that showed it first, by the device's clock.
+        id: A number from 1 on. It stays while the touch moves, and is used once in a run.
+        parent: Id of the touch that this one split from; 0 for none.
+        age_s: Seconds since the first frame with this touch, by the device's clock.
         centre_mm: x and y on the flat sheet.
-        axes_mm: The longer and the shorter axis of the ellipse with the same second moments: 10 and 10 of a 10 mm disc.
-        angle_rad: Of the longer axis against x, towards y; from 0 to below pi.
-        area_mm2: On the flat sheet.
-        peak: The map's highest value.
-        strength: What the touch does to the sheet's conductance; None while nothing that runs tells it.
-        confidence: The probability that the touch is there; None while it is not calibrated.
-        place_mm: x, y and z of the centre on the surface in use, in the pose in which its cloud was given.
-        normal: The unit vector in which the surface faces there; zeros where it has no direction.
-        surface_mm2: The area on that surface.
+        axes_mm: Longer and shorter axis of the ellipse with the same second moments: 10 and 10 for a 10 mm disc.
+        angle_rad: Angle from x to the longer axis, towards y; from 0 to below pi.
+        area_mm2: Area on the flat sheet.
+        peak: Highest value of the map within the touch.
+        strength: Change of the sheet's conductance; None, because maps do not give it (verified touches do).
+        confidence: Probability that the touch is real; None, because it is not calibrated.
+        place_mm: x, y and z of the centre on the bent surface, in the frame in which the cloud was sent.
+        normal: Unit vector in which the surface faces there; zeros where it has no direction.
+        surface_mm2: Area on the bent surface.
     """
 
     id: int
@@ -77,12 +77,12 @@ class Touch:
 
 @dataclass(frozen=True, slots=True)
 class TouchEvent:
-    """What happened to a touch in a frame.
+    """An event of a touch in a frame.
 
     Attributes:
         kind: ``born``, ``died``, ``merged`` into another one, or ``split`` from another one.
-        id: The touch.
-        other: The other one of ``merged`` and ``split``; 0 for none.
+        id: Id of the touch.
+        other: Id of the other touch for ``merged`` and ``split``; 0 for none.
     """
 
     kind: str
@@ -95,9 +95,9 @@ class TouchList:
     """The touches of a frame.
 
     Attributes:
-        touches: By id.
-        events: What happened since the frame before.
-        more: Touches that were found and are not listed; 0 unless the map is crowded or in shreds.
+        touches: The touches, in the order of their ids.
+        events: Events since the previous frame.
+        more: Number of further touches that are not listed; 0 unless the map is crowded.
     """
 
     touches: tuple[Touch, ...]

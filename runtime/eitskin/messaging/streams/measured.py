@@ -38,23 +38,23 @@ Finding = tuple[int, str, int | None]
 
 @dataclass(frozen=True, slots=True)
 class WireFrame:
-    """One intact FRAME as it came over the wire, and what became of it.
+    """One intact FRAME from the wire, and its processing.
 
     Attributes:
-        payload: Of the packet, as in SPEC.md, section 4; its check was right.
-        seq: Unwrapped ``sequence``; None for one that is malformed.
-        read_ns: ``perf_counter_ns`` of the runtime's machine when the last byte was in hand.
-        n: Number of this message in its stream; a gap is one that this side missed.
-        device_us: Device clock at the end of the scan, unwrapped; None for one that is malformed.
-        withheld: Why it was not fit to publish; empty for one that was.
-        frame: ``number`` of the published frame; None where none was: withheld, or nobody asked.
-        touched: What the gate said; False for one that was withheld.
-        gate_logit: The gate's value.
-        solver: What made the map of the published frame; ``none`` if the map is 0.
-        map_seq: ``seq`` of the frame whose payload the map was made of; None without a published frame.
-        conditions: ``revision`` of the :class:`Conditions` that it was computed under.
-        run: Differs after each start of the runtime.
-        received_ns: ``perf_counter_ns`` of this machine when it was taken from the socket.
+        payload: The packet's payload (SPEC.md, section 4), with a correct checksum.
+        seq: Unwrapped ``sequence``; None if the payload is malformed.
+        read_ns: ``perf_counter_ns`` of the runtime's machine after it read the last byte.
+        n: Number of this message in its stream; a gap means that this side missed messages.
+        device_us: Device clock at the end of the scan, unwrapped; None if the payload is malformed.
+        withheld: Why the frame was withheld; empty if it was fit to publish.
+        frame: ``number`` of the published frame; None if none was published.
+        touched: Whether the gate found a touch; False if the frame was withheld.
+        gate_logit: The gate's logit.
+        solver: Solver of the published map; ``none`` if the map is 0.
+        map_seq: ``seq`` of the frame that the map was computed for; None if no frame was published.
+        conditions: ``revision`` of the :class:`Conditions` of this frame.
+        run: Id of this run of the runtime; it differs after each start.
+        received_ns: ``perf_counter_ns`` of this machine when it took the message from the socket.
     """
 
     payload: bytes
@@ -109,17 +109,17 @@ class CloudInUse:
 
     Attributes:
         revision: As ``Frame.cloud``; 0 is the flat sheet that a runtime starts with.
-        cloud: (3, rows, columns) float32 mm, in the pose in which it was given.
-        predicted: (104,) V that a model predicts of this surface, untouched; None without.
+        cloud: (3, rows, columns) float32 mm, in the pose in which it was sent.
+        predicted: (104,) V that a model predicts for this surface untouched; None without a prediction.
         predicted_flat: (104,) V of the same model's flat sheet; None without.
-        taken_ns: ``perf_counter_ns`` of the runtime's machine when it was given.
-        why: ``start``: nobody gave one yet; ``given``; ``flat``: the flat sheet was asked for.
-        log_predicted: (104,) float32: what solvers were given of the prediction; zeros without.
-        seq: The first frame computed with it; None for one from before the stream began.
-        utc_ns: Wall clock when it was given.
+        taken_ns: ``perf_counter_ns`` of the runtime's machine when it accepted the cloud.
+        why: ``start``: no cloud was sent yet; ``given``: one was sent; ``flat``: the flat sheet was requested.
+        log_predicted: (104,) float32, the solvers' input from the prediction; zeros without.
+        seq: ``seq`` of the first frame computed with it; None if that was before the stream began.
+        utc_ns: Wall clock when the runtime accepted the cloud.
         n: Number of this message in its stream.
-        run: Differs after each start of the runtime.
-        received_ns: ``perf_counter_ns`` of this machine when it was taken from the socket.
+        run: Id of this run of the runtime; it differs after each start.
+        received_ns: ``perf_counter_ns`` of this machine when it took the message from the socket.
     """
 
     revision: int
@@ -175,23 +175,23 @@ class CloudInUse:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conditions:
-    """What decides a map besides voltages, reference, cloud and bundle.
+    """What determines a map in addition to voltages, reference, cloud and bundle.
 
     Attributes:
-        revision: Counts changes; :attr:`WireFrame.conditions` says which one a frame was computed under.
-        seq: The first frame that was computed under them while somebody looked.
+        revision: Counts changes; :attr:`WireFrame.conditions` names the one of a frame.
+        seq: ``seq`` of the first frame computed under them while the stream had a subscriber.
         cloud: Revision of the cloud in use.
         reference: SHA-256 of the reference in use, as ``SkinState.reference_sha256``.
-        regions: What of the map is computed.
-        gate_threshold: A frame whose gate_logit is above it is touched, and so are some below; None without a gate.
-        drift: (104,) float32 factors that 1 + dV is multiplied with; None if no drift is taken out.
-        electrodes: Those that are not well.
+        regions: The computed parts of the map.
+        gate_threshold: A frame with a higher ``gate_logit`` is touched, and so are some below; None without a gate.
+        drift: (104,) float32 factors on 1 + dV that correct for drift; None without a correction.
+        electrodes: Failed electrodes.
         missing_rows: Rows that are filled in from the others.
-        skip_unchanged: Whether a map is kept while only noise changes.
+        skip_unchanged: Whether the runtime keeps a map while only noise changes.
         volts_per_count: V of one count.
         n: Number of this message in its stream.
-        run: Differs after each start of the runtime.
-        received_ns: ``perf_counter_ns`` of this machine when it was taken from the socket.
+        run: Id of this run of the runtime; it differs after each start.
+        received_ns: ``perf_counter_ns`` of this machine when it took the message from the socket.
     """
 
     revision: int

@@ -34,28 +34,28 @@ _TEXTS: Final = ("host", "serial", "configuration", "bundle", "skin", "protocol_
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinState:
-    """Who measures, by what, and how it goes.
+    """The device, the runtime and their status.
 
     Attributes:
-        hello: HELLO of the device, as in SPEC.md, section 5.
+        hello: HELLO of the device (SPEC.md, section 5).
         host: Boot id of the runtime's machine.
         serial: Serial number of the device.
         configuration: Name and digest of the device's configuration.
         bundle: Id of the bundle.
         skin: Name and digest of the skin's description.
-        protocol_id: Of the table and its normalisation.
-        grid_id: Of the map and the electrodes.
-        version: Of the runtime.
-        solvers: Those of this runtime, from the most accurate to the fastest.
-        status: As the control request ``status`` answers: counts, electrodes, drift, level, trouble, ...
-        reference_sha256: Of the reference's file; empty without a reference.
-        reference: That file, as ``eitskin reference`` writes it; None where it has not come yet.
-        events: What happened at frames since the message before, the last 64.
-        made_ns: ``perf_counter_ns`` of the runtime's machine when this was made.
+        protocol_id: Id of the table of rows and its normalisation.
+        grid_id: Id of the map and the electrodes.
+        version: Version of the runtime.
+        solvers: Solvers of this runtime, from the most accurate to the fastest.
+        status: The answer to the control request ``status``: counts, electrodes, drift, level, trouble, ...
+        reference_sha256: SHA-256 of the reference file; empty without a reference.
+        reference: The reference file, as ``eitskin reference`` writes it; None until it has come.
+        events: Events of frames since the previous message, the last 64.
+        made_ns: ``perf_counter_ns`` of the runtime's machine when it made this message.
         utc_ns: Wall clock at the same moment.
-        n: Number of this message in its stream; a gap is one that this side missed.
-        run: Differs after each start of the runtime.
-        received_ns: ``perf_counter_ns`` of this machine when it was taken from the socket.
+        n: Number of this message in its stream; a gap means that this side missed messages.
+        run: Id of this run of the runtime; it differs after each start.
+        received_ns: ``perf_counter_ns`` of this machine when it took the message from the socket.
     """
 
     hello: bytes
@@ -125,7 +125,7 @@ class SkinState:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON, without the reference's file; HELLO as hexadecimal digits and by its fields."""
+        """Return plain values for JSON, without the reference file; HELLO as hexadecimal digits and as fields."""
         hello = Hello.unpack(self.hello)
         named = {name: getattr(hello, name) for name, _ in Hello.LAYOUT.fields if name not in ("magic", "tag")}
         return {

@@ -32,23 +32,22 @@ Item = WireFrame | CloudInUse | Conditions | SkinState
 
 
 class StreamSubscription(Subscriber[Item]):
-    """An open subscription to what a runtime measures; iterate it, leave it with ``close`` or as a context manager.
+    """An open subscription to a runtime's measurements: iterate it, and close it with ``close`` or a ``with`` block.
 
     Args:
-        endpoint: Where the runtime publishes: ``ipc:///path`` or ``tcp://address:port``; None takes the one on which
-            ``eitskin run`` publishes unless told otherwise.
-        wire: Each frame as it came over the wire: :class:`eitskin.WireFrame`.
-        clouds: The cloud in use: :class:`eitskin.CloudInUse`.
-        state: Who measures, by what, and how it goes: :class:`eitskin.SkinState`.
-        conditions: What else decides a frame's map: :class:`eitskin.Conditions`; None: with ``wire``.
-        timeout_s: How long to wait for the next message before :class:`eitskin.NoFrame`. None waits 5 s for the first
-            and then for ever; ``math.inf`` waits for ever from the start.
-        keys: CURVE keys, which TCP needs.
+        endpoint: Where the runtime publishes, ``ipc:///path`` or ``tcp://address:port``; None for the default of
+            ``eitskin run``.
+        wire: Request each frame from the wire, :class:`eitskin.WireFrame`.
+        clouds: Request the cloud in use, :class:`eitskin.CloudInUse`.
+        state: Request device, runtime and status, :class:`eitskin.SkinState`.
+        conditions: Request :class:`eitskin.Conditions`; None requests them if ``wire`` is requested.
+        timeout_s: How long to wait for a message before :class:`eitskin.NoFrame`. None waits 5 s for the first message
+            and without limit for the next ones; ``math.inf`` waits without limit from the start.
+        keys: CURVE keys, required for TCP.
 
     Raises:
-        ValueError: Nothing is asked for, or the time is not positive.
-        EndpointError: ZeroMQ cannot make sense of the endpoint, or it is TCP and there are no keys, or there is no
-            folder for the default one.
+        ValueError: No stream is requested, or the time is not positive.
+        EndpointError: The endpoint is malformed, needs keys because it is TCP, or has no folder (the default one).
     """
 
     def __init__(
@@ -76,13 +75,13 @@ class StreamSubscription(Subscriber[Item]):
         super().__init__(endpoint, topics, QUEUE, timeout_s=timeout_s, keys=keys, nothing="nothing of a stream")
 
     def next_item(self, timeout_s: float | None = None) -> Item:
-        """Return the next item, waiting for it.
+        """Wait for the next item and return it.
 
         Args:
-            timeout_s: How long, this time; None as the subscription was told.
+            timeout_s: How long to wait this time; None for the subscription's own timeout.
 
         Raises:
-            NoFrame: None came in time; the text says whether anybody is there, and what to do.
+            NoFrame: No message came in time; the text says whether a runtime is there, and what to do.
         """
         return self._next(timeout_s)
 

@@ -73,28 +73,27 @@ class VerifiedTouch:
     """One touch of a verified frame.
 
     Attributes:
-        shape: ``unit``: a touch unit of the sheet, as bundle ``units`` knows them; ``rectangle`` or ``ellipse``.
+        shape: ``rectangle``, ``ellipse``, or ``unit``: a touch unit of the sheet (bundle ``units``).
         unit: Number of the unit, row by row; None for other shapes.
         centre_mm: x and y on the flat sheet.
-        centre_error_mm: Its standard errors; None for a unit, which is where it is.
+        centre_error_mm: Standard errors of the centre; None for a unit, whose place is fixed.
         size_mm: Length and width.
-        size_error_mm: Their standard errors; None for a unit.
-        angle_rad: Of the length against x, towards y; from 0 to below pi.
-        area_mm2: On the flat sheet.
-        area_error_mm2: Its standard error; None for a unit.
+        size_error_mm: Standard errors of length and width; None for a unit.
+        angle_rad: Angle from x to the length, towards y; from 0 to below pi.
+        area_mm2: Area on the flat sheet.
+        area_error_mm2: Standard error of the area; None for a unit.
         contrast: Conductivity over the untouched sheet's.
-        strength_mm2: Logarithm of the contrast times the area; below 0 where a press lowers conductance.
-        strength_error_mm2: Its standard error; None for a unit: its area is known, and its contrast is the usual one
-            unless another explains the frame far better, so a fit has no error to tell.
+        strength_mm2: Logarithm of the contrast times the area; below 0 if a press lowers conductance.
+        strength_error_mm2: Standard error of the strength; None for a unit, whose area and usual contrast are given.
         border_mm: Width of the graded border; 0 is sharp.
-        place_mm: x, y and z of the centre on the surface in use, in the pose in which its cloud was given.
-        normal: The unit vector in which the surface faces there; zeros where it has no direction.
-        angle_error_rad: Standard error of the angle; None for a unit, and where the angle was not fitted.
-        area_range_mm2: How far the area may go, the contrast going along; None for a unit. A small touch of high
-            contrast and a larger one of lower contrast read nearly alike.
-        contrast_range: How far the contrast may go, the area going along; None for a unit.
-        size_contrast_correlation: Of the logarithms of both, from -1 to 1: near -1 only their product, the strength, is
-            known; None for a unit.
+        place_mm: x, y and z of the centre on the bent surface, in the frame in which the cloud was sent.
+        normal: Unit vector in which the surface faces there; zeros where it has no direction.
+        angle_error_rad: Standard error of the angle; None for a unit, and if the angle was not fitted.
+        area_range_mm2: Range of areas that explain the frame, with matching contrasts; None for a unit. A small touch
+            of high contrast and a larger one of lower contrast give nearly the same readings.
+        contrast_range: Range of contrasts that explain the frame, with matching areas; None for a unit.
+        size_contrast_correlation: Correlation of log area and log contrast, from -1 to 1. Near -1 only their product,
+            the strength, is known. None for a unit.
     """
 
     shape: str
@@ -204,26 +203,26 @@ def pack_verdict(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VerifiedFrame:
-    """What physics says of one frame; or, without a verdict, how the verifier is.
+    """The verifier's verdict on one frame or, without a verdict, the verifier's state.
 
     Attributes:
-        sequence: ``sequence`` of the frame; of a message without a verdict, the newest frame's.
+        sequence: ``sequence`` of the frame; without a verdict, of the newest frame.
         state: ``ready`` while frames are verified; else ``starting``, ``preparing``, ``waiting`` or ``failed``.
-        why: What is wrong; empty where nothing is. Of a flagged verdict the reason: ``unexplained``, ``contested`` or
-            ``time``; empty from an older runtime.
-        touches: That explain the frame best; None without a verdict.
-        chi_squared: What they leave unexplained; None without a verdict.
-        degrees_of_freedom: What right touches leave on the average; None without a verdict.
-        p_value: Chance that right touches leave so much or more; None without a verdict.
-        flagged: Whether these touches are not to be trusted: ``why`` says why; None without a verdict.
-        cloud: Revision of the cloud that it was verified on.
+        why: The problem; empty if there is none. For a flagged verdict ``unexplained``, ``contested`` or ``time``;
+            empty from an older runtime.
+        touches: The touches that explain the frame best; None without a verdict.
+        chi_squared: The remaining misfit of these touches; None without a verdict.
+        degrees_of_freedom: The average ``chi_squared`` of correct touches; None without a verdict.
+        p_value: Probability that correct touches give at least this ``chi_squared``; None without a verdict.
+        flagged: Whether not to trust these touches, for the reason in ``why``; None without a verdict.
+        cloud: Revision of the cloud that the verifier used.
         counts: Totals of the run: ``checked``, ``flagged``, ``skipped``.
         host_ns: ``perf_counter_ns`` of the runtime's machine at ``read``, ``publish``, ``begin``, ``end``.
         device_us: Device clock at the end of the frame's scan.
-        number: Counts these messages in a run; a gap is one that this side missed.
-        run: Differs after each start of the runtime.
-        received_ns: ``perf_counter_ns`` of this machine when it was taken from the socket.
-        frame: The published frame itself; None where it was not received, or not asked for.
+        number: Counts these messages in a run; a gap means that this side missed messages.
+        run: Id of this run of the runtime; it differs after each start.
+        received_ns: ``perf_counter_ns`` of this machine when it took the message from the socket.
+        frame: The published frame; None if it was not received or not requested.
     """
 
     sequence: int
@@ -250,16 +249,16 @@ class VerifiedFrame:
 
     @property
     def trusted(self) -> bool:
-        """Whether there is a verdict, physics explains the frame by its touches, and nothing contradicts them."""
+        """Whether there is a verdict and it is not flagged."""
         return self.flagged is False
 
     @property
     def spent_s(self) -> float:
-        """Seconds that verifying took; 0 without a verdict."""
+        """Seconds that the verification took; 0 without a verdict."""
         return (self.host_ns["end"] - self.host_ns["begin"]) * 1e-9
 
     def of_frame(self, frame: Frame | None) -> "VerifiedFrame":
-        """Return the same with its frame."""
+        """Return this verdict with its frame."""
         return replace(self, frame=frame)
 
 

@@ -26,24 +26,23 @@ START: Final = "start it as 'eitskin run --verify always'"
 
 
 class VerifiedSubscription(Subscriber[VerifiedFrame]):
-    """An open subscription to what physics says of a runtime's frames; iterate it, leave it with ``close``.
+    """An open subscription to verified frames: iterate it, and close it with ``close`` or as a context manager.
 
-    The runtime verifies frames where it was started with ``eitskin run --verify always`` or ``idle``.
+    Start the runtime with ``eitskin run --verify always`` or ``idle``.
 
     Args:
-        endpoint: Where the runtime publishes: ``ipc:///path`` or ``tcp://address:port``; None takes the one on which
-            ``eitskin run`` publishes unless told otherwise.
-        mode: ``latest`` for a control loop, ``all`` for a recorder.
-        frames: Whether each has its ``frame``, map included; False for verdicts alone, a tenth of the bytes.
-        timeout_s: How long to wait for a message before :class:`eitskin.NoFrame`; one comes every second at least,
-            while frames come. None waits 5 s for the first, and then for ever; ``math.inf`` waits for ever from the
-            start.
-        keys: CURVE keys, which TCP needs.
+        endpoint: Where the runtime publishes, ``ipc:///path`` or ``tcp://address:port``; None for the default of
+            ``eitskin run``.
+        mode: ``latest`` returns the newest verdict, for a control loop; ``all`` returns every one, for a recorder.
+        frames: Whether verdicts have their ``frame`` with its map; False gives verdicts alone, a tenth of the bytes.
+        timeout_s: How long to wait for a message before :class:`eitskin.NoFrame`; while frames come, so does at least
+            one message a second. None waits 5 s for the first message and without limit for the next ones;
+            ``math.inf`` waits without limit from the start.
+        keys: CURVE keys, required for TCP.
 
     Raises:
         ValueError: The time is not positive, or the mode does not exist.
-        EndpointError: ZeroMQ cannot make sense of the endpoint, or it is TCP and there are no keys, or there is no
-            folder for the default one.
+        EndpointError: The endpoint is malformed, needs keys because it is TCP, or has no folder (the default one).
     """
 
     def __init__(
@@ -65,13 +64,13 @@ class VerifiedSubscription(Subscriber[VerifiedFrame]):
         )
 
     def next_verified(self, timeout_s: float | None = None) -> VerifiedFrame:
-        """Return the next verdict, or how the verifier is, waiting for it.
+        """Wait for the next verdict, or message on the verifier's state, and return it.
 
         Args:
-            timeout_s: How long, this time; None as the subscription was told.
+            timeout_s: How long to wait this time; None for the subscription's own timeout.
 
         Raises:
-            NoFrame: None came in time; the text says whether anybody is there, and what to do.
+            NoFrame: No message came in time; the text says whether a runtime is there, and what to do.
         """
         return self._next(timeout_s)
 
