@@ -21,7 +21,7 @@ from eitskin.health.untouched import estimates
 from eitskin_proto.files.arrays import pack_arrays
 from eitskin_proto.sensor.row_gaussian import RATIO_RANGE, log_of_ratio
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_sim.measurement.consistency import FLOOR
+from eitskin_sim.measurement.consistency import VARIANCE_FLOOR
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.recipes import Recipe
 from eitskin_training.samples.batches import TrainingData, consistency_of, noisy_change
@@ -46,9 +46,9 @@ def row_statistics(data: TrainingData, recipe: Recipe, bends: Bends) -> dict[str
         "ratio_range": np.array(RATIO_RANGE),
         "reference": np.asarray(data.reference, dtype=np.float64),
         "untouched_mean": logs.mean(axis=0),
-        "untouched_covariance": np.cov(logs, rowvar=False) + FLOOR * np.eye(N_ROWS),
+        "untouched_covariance": np.cov(logs, rowvar=False) + VARIANCE_FLOOR * np.eye(N_ROWS),
         "predicted_mean": left.mean(axis=0),
-        "predicted_covariance": np.cov(left, rowvar=False) + FLOOR * np.eye(N_ROWS),
+        "predicted_covariance": np.cov(left, rowvar=False) + VARIANCE_FLOOR * np.eye(N_ROWS),
     }
 
 
@@ -60,10 +60,10 @@ def unpredicted(data: TrainingData, deformations: npt.NDArray[np.integer]) -> Ar
 RATE: Final = 1e-4
 """Share of healthy frames, touches that cover electrodes among them, that may exceed a threshold."""
 
-FRAMES: Final = 16_000
+THRESHOLD_FRAMES: Final = 16_000
 """MeasuredConsistency frames that choose the thresholds, and as many that measure them."""
 
-MARGIN: Final = 1.2
+MAX_DISTANCE_RATIO_OF_UNTOUCHED: Final = 1.2
 """Times the farthest held-out deformation's distance: what still counts as an untouched sheet."""
 
 SNR_DB: Final = 50.0
@@ -117,7 +117,7 @@ def healthy(
     """
     rng = np.random.default_rng([data.seed, 0xE1EC])
     rows = np.concatenate([*data.held_out.values(), data.validation])
-    rows = rng.permutation(rows)[: 2 * FRAMES]
+    rows = rng.permutation(rows)[: 2 * THRESHOLD_FRAMES]
     change = noisy_change(data, rows, ("N2",), SNR_DB, rng)
     arrays: dict[str, npt.NDArray[np.floating]] = {
         **row_statistics(data, recipe, bends),
@@ -154,7 +154,9 @@ def _drift_limits(deployed: Deployed, data: TrainingData, bends: Bends) -> Array
     found = []
     for predicted, logs in ((False, logs_apart), (True, unpredicted(data, np.unique(data.deformation[data.apart])))):
         seen = estimates(deployed, logs, predicted=predicted)
-        found.append([float(np.sqrt(np.mean(seen[:, 0] ** 2))), MARGIN * float(seen[:, 1].max())])
+        found.append(
+            [float(np.sqrt(np.mean(seen[:, 0] ** 2))), MAX_DISTANCE_RATIO_OF_UNTOUCHED * float(seen[:, 1].max())]
+        )
     return np.array(found)
 
 

@@ -19,7 +19,7 @@ from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.images import ImageLinear, Narrow, fixed, places, signs
 from eitskin_training.network.mirror import of_outputs
 from eitskin_training.network.model import VD2T, Residual, Standardise, activation, features
-from eitskin_training.network.sharpen import CELL, LOGITS, Sharpen, cells, pixel_of_cell
+from eitskin_training.network.sharpen import CELL_PIXELS, LOGITS, Sharpen, cells, pixel_of_cell
 
 Index = npt.NDArray[np.int64]
 
@@ -133,7 +133,7 @@ class Head(nn.Module):
 
     def _sharpened(self, logits: Tensor) -> Tensor:
         """Return (B, n_pixels) in the order of channels, then cells."""
-        z = _gather(logits, self.channel_of_cell).view(-1, CELL**2, *cells(self.skin.grid.shape))
+        z = _gather(logits, self.channel_of_cell).view(-1, CELL_PIXELS**2, *cells(self.skin.grid.shape))
         for block in self.blocks:
             z = torch.add(z, block(z))
         return z.flatten(1)
@@ -144,7 +144,7 @@ def _permutations(grid: Grid, architecture: Architecture, sharpened: bool) -> tu
     if not sharpened:
         pixels = np.arange(grid.n_pixels) if architecture.outputs == "pixels" else grid.unit_of_pixel
         return np.zeros((1, 0), dtype=np.int64), pixels.reshape(1, -1)
-    channel_of_cell = pixel_of_cell(grid.shape).reshape(-1, CELL**2).T.reshape(1, -1)
+    channel_of_cell = pixel_of_cell(grid.shape).reshape(-1, CELL_PIXELS**2).T.reshape(1, -1)
     return channel_of_cell, np.argsort(channel_of_cell)
 
 

@@ -66,11 +66,11 @@ def _entry(model: VD2T, data: TrainingData, rows: Any, kind: Kind, most: int) ->
     }
 
 
-FACTOR: Final = 1e-3
+TIKHONOV_FACTOR: Final = 1e-3
 """Tikhonov's factor (paper section V.B), relative to the largest eigenvalue of J J^T."""
 
 
-def tikhonov(jacobian: npt.NDArray[np.float64], factor: float = FACTOR) -> npt.NDArray[np.float32]:
+def tikhonov(jacobian: npt.NDArray[np.float64], factor: float = TIKHONOV_FACTOR) -> npt.NDArray[np.float32]:
     """Return the (pixels, 104) projection of a Jacobian.
 
     Args:
@@ -87,7 +87,7 @@ def tikhonov(jacobian: npt.NDArray[np.float64], factor: float = FACTOR) -> npt.N
 
 def damped_inverse(jacobian: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return (104, 104) K = (J J^T + tau I)^-1, all that taking rows out of the projection again needs."""
-    return np.asarray(np.linalg.inv(_damped(jacobian, FACTOR)))
+    return np.asarray(np.linalg.inv(_damped(jacobian, TIKHONOV_FACTOR)))
 
 
 def _damped(J: npt.NDArray[np.float64], factor: float) -> npt.NDArray[np.float64]:
@@ -126,10 +126,10 @@ def int8_head(graph: bytes) -> bytes:
     return bytes(model.SerializeToString())
 
 
-FEWEST_MM2: Final = 100.0
+MIN_STRONG_TOUCH_MM2: Final = 100.0
 """10 mm square: the least that counts as a strong touch, however quiet the network is."""
 
-MARGIN: Final = 2
+GHOST_MARGIN: Final = 2
 """Times the largest ghost."""
 
 
@@ -156,7 +156,7 @@ def audit_pixels(
     flat = np.repeat(network_input(grid.flat_cloud_mm(), grid)[np.newaxis], frames, axis=0)
     maps = parity.run_graphs(geometry, head, dv, flat, np.zeros_like(dv))["map"]
     largest = int(np.count_nonzero(maps > STRONG_VALUE, axis=1).max())
-    return min(max(round(FEWEST_MM2 / grid.pixel_mm2), 1, MARGIN * largest), grid.n_pixels)
+    return min(max(round(MIN_STRONG_TOUCH_MM2 / grid.pixel_mm2), 1, GHOST_MARGIN * largest), grid.n_pixels)
 
 
 def export(

@@ -26,10 +26,10 @@ CARD: Final = ("card", "phantoms", "int8", "held_out")
 GRAPHS: Final = ("geometry.onnx", "head.onnx", "head_int8.onnx")
 """A network's members."""
 
-OF_NETWORK: Final = ("head", "recipe", "seeds", "data_digest", "training", "build")
+NETWORK_KEYS: Final = ("head", "recipe", "seeds", "data_digest", "training", "build")
 """What a manifest says of its network."""
 
-OF_FRAMES: Final = ("electrodes",)
+FRAME_METRICS: Final = ("electrodes",)
 """Of a manifest's metrics, what is not of the network."""
 
 FLIPPED_PIXELS: Final = 2.0
@@ -121,11 +121,11 @@ def replaced(bundle: Path, newer: Path, out: Path) -> dict[str, Any]:
     gone = [*GRAPHS, *(file for name in BESIDE for file in graphs_of(name))]
     files = {name: data for name, data in files.items() if name not in gone}
     files |= {name: after.files[name] for name in GRAPHS if name in after.files}
-    facts = {name: value for name, value in facts.items() if name not in (*BESIDE, *OF_NETWORK)}
-    facts |= {name: after.manifest[name] for name in OF_NETWORK if name in after.manifest}
+    facts = {name: value for name, value in facts.items() if name not in (*BESIDE, *NETWORK_KEYS)}
+    facts |= {name: after.manifest[name] for name in NETWORK_KEYS if name in after.manifest}
     own = facts.get("metrics", {})
-    metrics = {name: one for name, one in after.manifest.get("metrics", {}).items() if name not in OF_FRAMES}
-    facts["metrics"] = metrics | {name: own[name] for name in OF_FRAMES if name in own}
+    metrics = {name: one for name, one in after.manifest.get("metrics", {}).items() if name not in FRAME_METRICS}
+    facts["metrics"] = metrics | {name: own[name] for name in FRAME_METRICS if name in own}
     identity = write(out, files, facts, skin)
     head = files[HEADS[default_solver(load_bundle(out))]]
     return {"path": str(out), "bundle": identity, "bytes": out.stat().st_size, "large_head_bytes": len(head)}

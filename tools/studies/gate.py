@@ -30,18 +30,18 @@ from eitskin_tools.processes.threads import one_blas_thread
 DRIFT: Final = 0.01
 """Standard deviation of the logarithm of the common factor."""
 
-BEFORE: Final = 200
+UNTOUCHED_FRAMES: Final = 200
 """Untouched frames before a press, and of a bend that is on its way: a second at 200 frames/s."""
 
-HELD: Final = 2000
+HELD_FRAMES: Final = 2000
 """Frames that a press stays."""
 
 SEED: Final = 88_107
 
-STRENGTHS: Final = (1.0, 2.0)
+STRENGTH_RATIOS: Final = (1.0, 2.0)
 """Of presses, over the one that is asked for."""
 
-FOUND: Final = {
+MEASURED_SHARES: Final = {
     "found": "seen untouched before: found",
     "moving": "while the sheet moves: found",
     "first_frames": "nothing seen before: found",
@@ -59,12 +59,12 @@ class Lying:
     uneven: Any
     """(104,) the same after a session's uneven drift."""
     walk: Any
-    """(BEFORE, 104) on its way to another bend."""
+    """(UNTOUCHED_FRAMES, 104) on its way to another bend."""
 
     @property
     def still(self) -> Any:
-        """(BEFORE, 104) at rest."""
-        return self.rest[None].repeat(BEFORE, axis=0)
+        """(UNTOUCHED_FRAMES, 104) at rest."""
+        return self.rest[None].repeat(UNTOUCHED_FRAMES, axis=0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -117,15 +117,15 @@ def measured(bundle: Any, sheets: int, presses: int, seed: int, *, flat: bool) -
     from eitskin_sim.scene.family import draw
     from eitskin_sim.scene.parts import Bend, Scene, Touch
     from eitskin_sim.scene.shapes import Disc
-    from eitskin_training.gate.observer import FRAMES, SNR_DB
+    from eitskin_training.gate.observer import FRAMES_TO_FIND_A_PRESS, SNR_DB
     from eitskin_training.gate.presses import BORDER_MM, DIAMETER_MM, STRENGTH_MM2, contrast_of
 
     skin, rng = bundle.skin, np.random.default_rng([SEED, seed])
     noise, arrays = 10.0 ** (-SNR_DB / 20.0), bundle.gate_arrays()
     bends = draw("A", 2 * sheets, SEED + seed, skin)
     half = DIAMETER_MM / 2.0
-    strengths = {f"{STRENGTH_MM2 * one:g}": STRENGTH_MM2 * one for one in STRENGTHS}
-    kept: dict[str, dict[str, list[float]]] = {name: {key: [] for key in strengths} for name in FOUND}
+    strengths = {f"{STRENGTH_MM2 * one:g}": STRENGTH_MM2 * one for one in STRENGTH_RATIOS}
+    kept: dict[str, dict[str, list[float]]] = {name: {key: [] for key in strengths} for name in MEASURED_SHARES}
     alarms: list[float] = []
 
     def frames(logs: Any) -> Any:
@@ -147,8 +147,8 @@ def measured(bundle: Any, sheets: int, presses: int, seed: int, *, flat: bool) -
         rest = np.log(read(later, here) / reference)
         way = (rest if flat else np.log(read(later, there) / reference)) - rest
         uneven = rest if flat else np.log(read(last, here) / reference)
-        lying = Lying(rest, uneven, rest + np.linspace(0.0, 1.0, BEFORE)[:, None] * way)
-        untouched = np.concatenate([lying.still, lying.walk, np.tile(lying.walk[-1], (BEFORE, 1))])
+        lying = Lying(rest, uneven, rest + np.linspace(0.0, 1.0, UNTOUCHED_FRAMES)[:, None] * way)
+        untouched = np.concatenate([lying.still, lying.walk, np.tile(lying.walk[-1], (UNTOUCHED_FRAMES, 1))])
         alarms.append(float(np.mean(judged(RememberingGate(arrays), frames(untouched)))))
         for _ in range(presses):
             x, y = (rng.uniform(half, side - half) for side in skin.outline.size_mm)
@@ -163,7 +163,7 @@ def measured(bundle: Any, sheets: int, presses: int, seed: int, *, flat: bool) -
         "bundle": bundle.id,
         "sheets": sheets,
         "flat": flat,
-        "frames": FRAMES,
+        "frames": FRAMES_TO_FIND_A_PRESS,
         "snr_db": SNR_DB,
         "drift": DRIFT,
         "diameter_mm": DIAMETER_MM,
@@ -173,7 +173,7 @@ def measured(bundle: Any, sheets: int, presses: int, seed: int, *, flat: bool) -
 
 
 def of_press(press: Any, lying: Lying, arrays: Any, frames: Callable[[Any], Any], rng: Any) -> dict[str, float]:
-    """Return by the names of ``FOUND`` whether one press is seen, or how often.
+    """Return by the names of ``MEASURED_SHARES`` whether one press is seen, or how often.
 
     Args:
         press: (104,) what it adds to log(V / V0).
@@ -185,20 +185,22 @@ def of_press(press: Any, lying: Lying, arrays: Any, frames: Callable[[Any], Any]
     import numpy as np
 
     from eitskin.model.gate import RememberingGate
-    from eitskin_training.gate.observer import FRAMES
+    from eitskin_training.gate.observer import FRAMES_TO_FIND_A_PRESS
 
-    still, pressed = lying.still, lying.still[:FRAMES] + press
+    still, pressed = lying.still, lying.still[:FRAMES_TO_FIND_A_PRESS] + press
     at_first = judged(RememberingGate(arrays), frames(pressed))
     gate = RememberingGate(arrays)
-    found = judged(gate, frames(np.concatenate([still, pressed])))[BEFORE:]
-    ends = np.linspace(0.0, 1.0, HELD)[:, None]
+    found = judged(gate, frames(np.concatenate([still, pressed])))[UNTOUCHED_FRAMES:]
+    ends = np.linspace(0.0, 1.0, HELD_FRAMES)[:, None]
     drift = DRIFT * ends * rng.standard_normal() + ends * (lying.uneven - lying.rest)
     held = judged(gate, frames(lying.rest + drift + press))
-    half_way = lying.walk[BEFORE // 2 :][:FRAMES] + press
-    moving = judged(RememberingGate(arrays), frames(np.concatenate([still, lying.walk[: BEFORE // 2], half_way])))
+    half_way = lying.walk[UNTOUCHED_FRAMES // 2 :][:FRAMES_TO_FIND_A_PRESS] + press
+    moving = judged(
+        RememberingGate(arrays), frames(np.concatenate([still, lying.walk[: UNTOUCHED_FRAMES // 2], half_way]))
+    )
     return {
         "found": any(found),
-        "moving": any(moving[-FRAMES:]),
+        "moving": any(moving[-FRAMES_TO_FIND_A_PRESS:]),
         "first_frames": any(at_first),
         "held": float(np.mean(held)),
     }
@@ -238,7 +240,7 @@ def lines(found: dict[str, Any]) -> list[str]:
     shown = [f"{where}; {found['frames']} frames, N2 of {found['snr_db']:g} dB, drift of {found['drift']:.0%}"]
     for strength in found["found"]:
         shown.append(f"presses of {strength} mm2")
-        for name, text in FOUND.items():
+        for name, text in MEASURED_SHARES.items():
             one = found[name][strength]
             shown.append(f"  {text} {one['share']:.1%} +- {one['standard_error']:.1%}")
     alarms = found["false_alarms"]

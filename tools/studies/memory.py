@@ -18,10 +18,10 @@ from eitskin_tools.bench.harness import program
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
-SETTLING: Final = 0.25
+SETTLING_SHARE: Final = 0.25
 """Share of the samples that is left out."""
 
-PATIENCE_S: Final = 60.0
+READY_TIMEOUT_S: Final = 60.0
 """How long the processes may take to be ready, on a busy machine."""
 
 
@@ -67,7 +67,7 @@ def measure(seconds: float, rate_hz: float, bundle: Path | None) -> dict[str, An
         publish = f"ipc://{folder}/frames"
         skin = Child("virtual-skin", "eitskin_tools.cli", ["virtual-skin", "--json", f"--rate={rate_hz:g}"], folder)
         children.append(skin)
-        port = json.loads(skin.line(skin.out, "{", 2 * PATIENCE_S))["port"]
+        port = json.loads(skin.line(skin.out, "{", 2 * READY_TIMEOUT_S))["port"]
         named = ["--bundle", str(bundle)] if bundle else []
         runtime = Child(
             "run", "eitskin_tools.cli",
@@ -75,7 +75,7 @@ def measure(seconds: float, rate_hz: float, bundle: Path | None) -> dict[str, An
             folder,
         )  # fmt: skip
         children.append(runtime)
-        runtime.line(runtime.err, "ready ", PATIENCE_S, children)
+        runtime.line(runtime.err, "ready ", READY_TIMEOUT_S, children)
         taker = Child(
             "subscriber", "eitskin_tools.cli", ["subscribe", publish, "--mode=all", "--json", "--timeout-s=60"], folder
         )
@@ -118,7 +118,7 @@ def summary(samples: list[dict[str, float]]) -> dict[str, Any]:
     """
     import numpy as np
 
-    kept = samples[int(SETTLING * len(samples)) :]
+    kept = samples[int(SETTLING_SHARE * len(samples)) :]
     times, rss = (np.array([sample[key] for sample in kept]) for key in ("time_s", "rss_mb"))
     slope = float(np.polyfit(times, rss, 1)[0]) if len(kept) > 2 else 0.0
     return {

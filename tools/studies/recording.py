@@ -39,7 +39,7 @@ from eitskin_tools.processes.children import Child, process_group
 CASES: Final = {False: "alone", True: "beside"}
 """Names of the parts without and with recorder and viewer."""
 
-MOST_PAGES: Final = 16
+MAX_PAGES: Final = 16
 
 READY_S: Final = 120.0
 """How long a process may take to be ready, on a busy machine."""
@@ -50,7 +50,7 @@ UNTOUCHED_S: Final = 1.0
 WARM_S: Final = 2.0
 """Between the last of them being ready, and the beginning of a part."""
 
-LONGEST_S: Final = 1e6
+MAX_RUN_S: Final = 1e6
 """Virtual skin and subscriber run for this long unless they are stopped, which happens earlier."""
 
 REINFER_S: Final = 3600.0
@@ -70,8 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure, print, and return 0; 1 if a map came out as another one."""
     if not 1 <= arguments.seconds < 1e5 or not 10 <= arguments.rate <= 1000 or not 1 <= arguments.rounds <= 100:
         raise UsageError("--seconds must be at least 1, --rate 10 to 1000 and --rounds 1 to 100")
-    if not 1 <= arguments.pages <= MOST_PAGES:
-        raise UsageError(f"--pages is {arguments.pages}, expected 1 to {MOST_PAGES}")
+    if not 1 <= arguments.pages <= MAX_PAGES:
+        raise UsageError(f"--pages is {arguments.pages}, expected 1 to {MAX_PAGES}")
     found = measure(arguments.seconds, arguments.rounds, arguments.rate, arguments.pages)
     if arguments.json:
         print(json.dumps(found))
@@ -272,7 +272,7 @@ def streamed(order: list[bool], seconds: float, rate_hz: float, pages: int, fold
 
 def _started(longest_s: float, rate_hz: float, folder: Path, children: list[Child]) -> tuple[Child, Child, str]:
     """Start skin, runtime and subscriber; return the last two, and where frames are published."""
-    words = ["virtual-skin", "--json", f"--rate={rate_hz:g}", f"--seconds={LONGEST_S:g}"]
+    words = ["virtual-skin", "--json", f"--rate={rate_hz:g}", f"--seconds={MAX_RUN_S:g}"]
     skin = Child("virtual-skin", "eitskin_tools.cli", [*words, f"--wire-times={folder}/wire.npy"], folder)
     children.append(skin)
     port = json.loads(skin.line(skin.out, "{", READY_S))["port"]
@@ -282,7 +282,7 @@ def _started(longest_s: float, rate_hz: float, folder: Path, children: list[Chil
     runtime = Child("run", "eitskin_tools.cli", words, folder)
     children.append(runtime)
     runtime.line(runtime.err, "ready ", READY_S, children)
-    words = [publish, f"{folder}/record.npz", f"--seconds={LONGEST_S:g}", f"--capacity={int(longest_s * rate_hz)}"]
+    words = [publish, f"{folder}/record.npz", f"--seconds={MAX_RUN_S:g}", f"--capacity={int(longest_s * rate_hz)}"]
     taker = Child("subscriber", "eitskin_tools.demo.recorder", words, folder)
     children.append(taker)
     taker.line(taker.out, "first", READY_S, children)

@@ -32,14 +32,14 @@ SCENES: Final[dict[str, dict[str, Any]]] = {
 }
 """What the virtual skins hold: flat, with nothing and with one touch."""
 
-PATIENCE_S: Final = 120.0
+READY_TIMEOUT_S: Final = 120.0
 """How long the processes may take to be ready, on a busy machine."""
 
 WARM_S: Final = 1.0
 """Of the stream before anything is counted."""
 
 
-MOST_OTHERS: Final = 0.25
+MAX_SHARE_OF_OTHERS: Final = 0.25
 """Of all cores: where other programs take more, losses say nothing on the number of skins."""
 
 
@@ -111,7 +111,7 @@ def _virtual(kind: str, count: int, rate_hz: float, folder: Path, children: list
         words = ["virtual-skin", "--json", f"--rate={rate_hz:g}", f"--scene={scene}", f"--seed={number}"]
         skin = Child(f"{kind}-{number}", "eitskin_tools.cli", words, folder)
         children.append(skin)
-        found.append((json.loads(skin.line(skin.out, "{", PATIENCE_S))["port"], skin.pid))
+        found.append((json.loads(skin.line(skin.out, "{", READY_TIMEOUT_S))["port"], skin.pid))
     return found
 
 
@@ -119,7 +119,7 @@ def _finished(words: list[str], folder: Path) -> None:
     from eitskin_tools.processes.children import Child, ChildDiedError
 
     child = Child(words[0], "eitskin_tools.cli", words, folder)
-    if child.wait(PATIENCE_S) != 0:
+    if child.wait(READY_TIMEOUT_S) != 0:
         child.stop()
         raise ChildDiedError(f"{words[0]}: {child.last_words()}")
 
@@ -137,9 +137,9 @@ def _one(kind: str, skins: list[tuple[str, int]], seconds: float, folder: Path, 
     (folder / "robot.toml").write_text(text)
     robot = Child("run", "eitskin_tools.cli", ["run", f"--config={folder}/robot.toml"], folder)
     children.append(robot)
-    robot.line(robot.err, f"ready {len(skins)} of ", PATIENCE_S, children)
+    robot.line(robot.err, f"ready {len(skins)} of ", READY_TIMEOUT_S, children)
     runtimes = [one.pid for one in read_states(folder / "run")]
-    with subscribe_all(folder / "run", "all", timeout_s=PATIENCE_S) as frames:
+    with subscribe_all(folder / "run", "all", timeout_s=READY_TIMEOUT_S) as frames:
         _take(frames, WARM_S)
         counts = _take(frames, 0.0)
         received, missed, start_s = dict(frames.received), dict(frames.lost), time.monotonic()
@@ -187,7 +187,7 @@ def summary(rows: list[dict[str, Any]], cores: int) -> dict[str, Any]:
     import numpy as np
 
     found: dict[str, Any] = {}
-    others, most = max(row["others_core_percent"] for row in rows), round(100 * MOST_OTHERS * cores)
+    others, most = max(row["others_core_percent"] for row in rows), round(100 * MAX_SHARE_OF_OTHERS * cores)
     busy = others > most
     found["not_concluded"] = (
         f"how many skins {cores} cores carry is not concluded: other programs took up to {others} % of a core, "

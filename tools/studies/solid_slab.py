@@ -34,7 +34,7 @@ from scipy.sparse.linalg import splu
 
 from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.fem.contacts import FRINGE
+from eitskin_sim.fem.contacts import FRINGE_SHARE
 from eitskin_sim.fem.depth import gathered, loss_blocks
 from eitskin_sim.fem.forward import assemble, system_matrix
 from eitskin_sim.fem.mesh import TensorMesh
@@ -374,7 +374,7 @@ PLACES: Final[Mapping[str, tuple[float, float, float, float]]] = {
     "under a contact": (8.0, 0.0, 18.0, 10.0),
 }
 """The edge unit's border halves a contact, the corner unit's cuts 0.2 mm off one; the last covers one."""
-COARSE: Final = Resolution(contact_mm=0.8, touch_mm=2.0, largest_mm=12.0, growth=4.0)
+COARSE_RESOLUTION: Final = Resolution(contact_mm=0.8, touch_mm=2.0, largest_mm=12.0, growth=4.0)
 LAWS: Final = ("constant", "modes")
 
 
@@ -398,7 +398,7 @@ def slab_rows() -> list[Row]:
     for name, bend in (("flat", FLAT), ("bent", BENT)):
         scene = Scene(bend=bend)
         start = perf_counter()
-        truth = solve_truth(scene, PLACES, COARSE)
+        truth = solve_truth(scene, PLACES, COARSE_RESOLUTION)
         seconds = perf_counter() - start
         print(f"slab: {name}, {truth.unknowns} unknowns, {truth.rounds} rounds, {seconds:.0f} s", file=sys.stderr)
         rows += compare(scene, PLACES, truth, name)
@@ -473,7 +473,7 @@ def fit_constant(scene: Scene, truth: Array, error: Array) -> Row:
     system = assemble(scene_mesh(scene), scene.sheet, scene.electrodes, bend_metric(scene.bend, scene.sheet))
 
     def voltages(constant: float) -> Array:
-        contacts = replace(system.contacts, fringe_m=system.contacts.fringe_m * (constant / FRINGE))
+        contacts = replace(system.contacts, fringe_m=system.contacts.fringe_m * (constant / FRINGE_SHARE))
         return replace(system, contacts=contacts).factorise().voltages()
 
     low, high = 0.15, 0.22
@@ -495,7 +495,7 @@ def fit_constant(scene: Scene, truth: Array, error: Array) -> Row:
         "spread_by_solid": max(abs(best(everything, sign * error) - fitted) for sign in (1.0, -1.0)),
         "v_error_max": float(np.abs(rest).max()),
         "v_error_rms": float(np.sqrt(np.mean(rest**2))),
-        "used": FRINGE,
+        "used": FRINGE_SHARE,
     }
 
 

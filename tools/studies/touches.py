@@ -17,7 +17,7 @@ from eitskin_tools.bench.harness import program, row_text
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
-COUNTS: Final = (1, 3, 6)
+TOUCH_COUNTS: Final = (1, 3, 6)
 """Touches of the maps that are timed."""
 
 DISC_MM: Final = 10.0
@@ -47,12 +47,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
     if arguments.frames < 100 or arguments.deformations < 0 or arguments.each < 1:
         raise UsageError("--frames must be at least 100, --deformations at least 0 and --each at least 1")
-    rows = [_timed(count, arguments.frames) for count in COUNTS]
+    rows = [_timed(count, arguments.frames) for count in TOUCH_COUNTS]
     if arguments.deformations:
         rows += _trials(arguments.bundle, arguments.deformations, arguments.each)
-    summary = {"p50_us": max(row["p50_us"] for row in rows[: len(COUNTS)])}
+    summary = {"p50_us": max(row["p50_us"] for row in rows[: len(TOUCH_COUNTS)])}
     if arguments.deformations:
-        summary["centre_rms_mm"] = rows[len(COUNTS)]["centre_rms_mm"]
+        summary["centre_rms_mm"] = rows[len(TOUCH_COUNTS)]["centre_rms_mm"]
     if arguments.json:
         print(json.dumps({"rows": rows, "summary": summary}))
     else:

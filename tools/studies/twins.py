@@ -23,7 +23,7 @@ import numpy.typing as npt
 from eitskin_proto.sensor.table import FULL_TABLE, TABLE
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.calibration.recording import Later, Recording
-from eitskin_sim.calibration.stamp import OWN_SPREAD, PLACE_MM, places
+from eitskin_sim.calibration.stamp import PLACE_MM, PRESS_CONTRAST_SD, places
 from eitskin_sim.devices.readings import FINE_MM, responses_of
 from eitskin_sim.evaluation.device import Device
 from eitskin_sim.fem.solve import factorise_scene
@@ -45,10 +45,10 @@ SEED: Final = 1901
 STAMP_MM: Final = 16.0
 """Diameter of the stamp."""
 
-PRESSED: Final = {"lower": (0.5, 4.0), "raise": (10.0, 2.0)}
+PRESS_PROFILES: Final = {"lower": (0.5, 4.0), "raise": (10.0, 2.0)}
 """Contrast and border of the stamp's presses, mm: between the two presses of trials, and as the lab mix's touches."""
 
-STATED: Final = "lab"
+PRIOR_SKIN: Final = "lab"
 """The skin whose uncertainties are the priors."""
 
 
@@ -123,7 +123,7 @@ def _calibrated(
     described, said = folder / f"{name}.toml", folder / f"{name}.json"
     if not said.exists():
         recording = recorded(draw_device(LAB, 0, number), number, arguments.snr_db, bends, presses, way)
-        twin, report = calibrate(named(STATED), recording, arguments.snr_db)
+        twin, report = calibrate(named(PRIOR_SKIN), recording, arguments.snr_db)
         write_bytes(described, to_toml(twin).encode())
         write_bytes(said, json.dumps(report).encode())
     return load(described), json.loads(said.read_text())
@@ -136,13 +136,13 @@ def _adapted(bundle: Any, twin: Any, folder: Path, arguments: argparse.Namespace
     """
     from eitskin_tools.build import folder as half_made
     from eitskin_tools.build import steps
-    from eitskin_tools.build.adaptation import FEW_STEPS, Adaptation, adapted
+    from eitskin_tools.build.adaptation import DISCARDED_GATE_STEPS, Adaptation, adapted
     from eitskin_tools.build.recipe import GateWork
     from eitskin_tools.console.progress import Stages
 
     usual = Adaptation()
     deformations = -(-arguments.samples // usual.per_deformation)
-    gate = GateWork(0, FEW_STEPS)
+    gate = GateWork(0, DISCARDED_GATE_STEPS)
     work = replace(usual, deformations=deformations, epochs=arguments.epochs, gate=gate)
     whole = adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work, bundle.skin)
     recipe = replace(whole, networks={})
@@ -198,10 +198,10 @@ def recorded(device: Device, number: int, snr_db: float, bends: int, presses: in
     for bend in draw("A", bends, SEED + number, device.skin):
         volts = read(device.scene(nominal_scene(device.skin, bend), as_it_is=True))
         bents.append(Later(volts, FRAMES, device.cloud(bend, rng)))
-    contrast, border_mm = PRESSED[way]
+    contrast, border_mm = PRESS_PROFILES[way]
     for said_mm in places(device.skin.outline.size_mm, presses):
         x_mm, y_mm = said_mm + PLACE_MM * rng.standard_normal(2)
-        strength = np.exp(OWN_SPREAD * rng.standard_normal())
+        strength = np.exp(PRESS_CONTRAST_SD * rng.standard_normal())
         touch = Touch((Disc(x_mm, y_mm, STAMP_MM / 2.0),), contrast=contrast**strength, border_mm=border_mm)
         volts = read(replace(flat, touches=(touch,)))
         pressed.append(Later(volts, FRAMES, xy_mm=np.array(said_mm), stamp_mm=(STAMP_MM,)))

@@ -31,7 +31,7 @@ START_S: Final = 300.0
 """How long any process may take to be ready."""
 
 
-PATIENCE_S: Final = 300.0
+MODEL_TIMEOUT_S: Final = 300.0
 """How long the first model may take."""
 
 TURNS: Final = "turns"
@@ -195,7 +195,7 @@ def take_turns(endpoint: str, phase_s: float, path: Path) -> None:
     """
     phases, spent_ms, behind_ms, flagged = list[tuple[int, int]](), list[float](), list[float](), list[bool]()
     counts = [0, 0, 0]
-    with eitskin.subscribe_verified(endpoint, "all", frames=False, timeout_s=PATIENCE_S) as verdicts:
+    with eitskin.subscribe_verified(endpoint, "all", frames=False, timeout_s=MODEL_TIMEOUT_S) as verdicts:
         while (state := verdicts.next_verified().state) != "ready":
             if state == "failed":
                 raise eitskin.SkinError("the verifier cannot make a model of this sheet")

@@ -80,7 +80,7 @@ def score_line(scores: dict[str, float]) -> str:
     return "held-out CC " + ", ".join(f"{name} {value:.4f}" for name, value in scores.items())
 
 
-HOW_MANY: Final = (0.55, 0.25, 0.13, 0.07)
+LOST_ELECTRODES_CHANCES: Final = (0.55, 0.25, 0.13, 0.07)
 """Chances that one to four electrodes are gone; the runtime leaves out four at most."""
 
 GROUPS: Final = 8
@@ -208,7 +208,7 @@ def _draw(data: TrainingData, recipe: Recipe, size: int, share: float, rng: np.r
     edges = np.linspace(0, incomplete, GROUPS + 1).astype(int)
     groups = []
     for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        count = int(rng.choice(len(HOW_MANY), p=HOW_MANY)) + 1
+        count = int(rng.choice(len(LOST_ELECTRODES_CHANCES), p=LOST_ELECTRODES_CHANCES)) + 1
         chosen = tuple(sorted(rng.choice(N_ELECTRODES, count, replace=False).tolist()))
         groups.append((slice(start, stop), chosen))
     logs = torch.from_numpy(log_of_change(change[:incomplete]).astype(np.float32))

@@ -18,7 +18,7 @@ Labels = Literal["units", "area"]
 Schedule = Literal["constant", "onecycle"]
 Noise = Literal["N1", "N2", "N3"]
 
-MOST_SEED: Final = 1_000_000_000
+MAX_SEED: Final = 1_000_000_000
 """Of a run: every epoch's draws follow from it and the epoch's number, within 64 bits."""
 
 PAPER_BATCH: Final = 512
@@ -36,7 +36,7 @@ PAPER_SNR_DB: Final = 50.0
 RANKS: Final = (64, 26, 30, 30)
 """Of the layers of ``small``: a fifth of the weights of ``free``, whose first layer sees 312 numbers."""
 
-OF_AN_IMAGE: Final = 1.6
+PLAIN_WIDTH_RATIO: Final = 1.6
 """Width of a network without symmetry beside that of each of four images, for as many weights a frame."""
 
 
@@ -219,7 +219,7 @@ def fitted(base: Recipe, skin: Skin) -> Recipe:
     architecture, images = base.architecture, len(mirrors(skin, near=True))
     if not architecture.symmetric or images == 4:
         return base
-    factor = OF_AN_IMAGE ** (0.5 if images == 2 else 1.0)
+    factor = PLAIN_WIDTH_RATIO ** (0.5 if images == 2 else 1.0)
     wider = widened(architecture, factor, images > 1)
     if wider.ranks:
         first, *others = wider.ranks

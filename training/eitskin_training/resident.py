@@ -21,7 +21,14 @@ from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS
 from eitskin_training.network.mirror import Mirror, mirrors
 from eitskin_training.recipes import Noise, Recipe
 from eitskin_training.run import Run, check_loss, set_rate
-from eitskin_training.samples.batches import HOW_MANY, MOST_LOST_ROWS, SETS, TrainingData, consistency_of, in_order
+from eitskin_training.samples.batches import (
+    LOST_ELECTRODES_CHANCES,
+    LOST_SETS_PER_BATCH,
+    MAX_LOST_ROWS,
+    TrainingData,
+    consistency_of,
+    in_order,
+)
 from eitskin_training.score import training_loss
 
 SHARE_OF_MEMORY: Final = 0.6
@@ -135,7 +142,7 @@ class Stored:
         return Table(*(torch.from_numpy(one).to(self._device) for one in (place[rows], clouds, which, images)))
 
 
-SIZES: Final = tuple(range(1, len(HOW_MANY) + 1))
+SIZES: Final = tuple(range(1, len(LOST_ELECTRODES_CHANCES) + 1))
 """How many electrodes are gone together."""
 
 
@@ -175,8 +182,8 @@ def lose_rows(change: Tensor, share: float, generator: torch.Generator) -> Tenso
     """Return (B, 104) dV with one to four rows at 0 in a share of the samples."""
     count, device = len(change), change.device
     order = torch.rand(change.shape, device=device, generator=generator)
-    lowest = torch.topk(order, MOST_LOST_ROWS, dim=1, largest=False, sorted=True).values
-    last = torch.randint(MOST_LOST_ROWS, (count, 1), device=device, generator=generator)
+    lowest = torch.topk(order, MAX_LOST_ROWS, dim=1, largest=False, sorted=True).values
+    last = torch.randint(MAX_LOST_ROWS, (count, 1), device=device, generator=generator)
     losing = torch.rand(count, 1, device=device, generator=generator) < share
     return torch.where((order <= lowest.gather(1, last)) & losing, 0.0, change)
 
@@ -206,7 +213,7 @@ class LostElectrodes:
         self.constants = torch.from_numpy(constants.astype(np.float32)).to(device)
         self.gone = torch.from_numpy(gone).to(device)
         sizes = np.bincount([len(one) for one in self.sets])[1:]
-        chance = np.repeat(np.array(HOW_MANY) / sizes, sizes)
+        chance = np.repeat(np.array(LOST_ELECTRODES_CHANCES) / sizes, sizes)
         self.chances = torch.from_numpy(np.cumsum(chance / chance.sum()).astype(np.float32)).to(device)
 
     def fill(self, change: Tensor, chosen: Tensor, own: Tensor, losing: Tensor) -> Tensor:
@@ -230,8 +237,8 @@ class LostElectrodes:
     def drawn(self, change: Tensor, share: float, generator: torch.Generator) -> Tensor:
         """Return (B, 104) dV in which a share of the samples has lost electrodes, of a few sets a batch."""
         count, device = len(change), change.device
-        chosen = torch.searchsorted(self.chances, torch.rand(SETS, device=device, generator=generator))
-        own = torch.randint(SETS, (count,), device=device, generator=generator)
+        chosen = torch.searchsorted(self.chances, torch.rand(LOST_SETS_PER_BATCH, device=device, generator=generator))
+        own = torch.randint(LOST_SETS_PER_BATCH, (count,), device=device, generator=generator)
         losing = torch.rand(count, 1, device=device, generator=generator) < share
         return self.fill(change, chosen.clamp(max=len(self.sets) - 1), own, losing)
 
@@ -247,7 +254,7 @@ def predicted_or_none(log_predicted: Tensor, recipe: Recipe, generator: torch.Ge
 WARM_STEPS: Final = 4
 """Steps before the capture, as libraries choose their kernels in the first ones; they are undone."""
 
-LOOKED_AT: Final = 256
+STEPS_PER_LOSS_CHECK: Final = 256
 """Steps between two looks at the loss, each of which waits for the device."""
 
 
@@ -320,7 +327,7 @@ class ResidentSteps:
                 self._graph.replay()
             run.step += 1
             run.average()
-            if step % LOOKED_AT == 0 or step == steps:
+            if step % STEPS_PER_LOSS_CHECK == 0 or step == steps:
                 check_loss(float(self._loss))
             report()
 

@@ -32,8 +32,8 @@ FORMAT: Final = 1
 LARGEST_FILE: Final = 1 << 30
 """Bytes of a .pt file; the largest of ours has 50 MB."""
 
-MOST_LAYERS: Final = 64
-MOST_TIMES: Final = 4
+MAX_LAYERS: Final = 64
+MAX_WIDTH_RATIO: Final = 4
 """The squares of all widths are at most so many times the weights; 0.75 times in the recipes that there are."""
 
 
@@ -119,7 +119,7 @@ def check_weights(recipe: Recipe, state: dict[str, Tensor]) -> None:
     given = sum(value.numel() for value in state.values())
     shape = recipe.architecture
     widths = (*shape.widths, *shape.convolutions, *shape.cloud_channels, *shape.sharpening, shape.hidden)
-    if len(widths) > MOST_LAYERS or min(widths) < 1 or sum(width**2 for width in widths) > MOST_TIMES * given:
+    if len(widths) > MAX_LAYERS or min(widths) < 1 or sum(width**2 for width in widths) > MAX_WIDTH_RATIO * given:
         raise ValueError(f"layers of widths {plain(str(widths))[:80]} do not fit {given} weights")
 
 

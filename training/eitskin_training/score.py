@@ -15,7 +15,7 @@ from eitskin_sim.measurement.noise import Kind
 from eitskin_training.network.model import VD2T
 from eitskin_training.samples.batches import TrainingData, assemble, noisy_change, pixels_per_unit
 
-SMALL: Final = 1e-4
+CORRELATION_EPSILON: Final = 1e-4
 """Pixels^4: keeps the correlation of a map without any contrast, and its gradient, finite."""
 
 
@@ -56,7 +56,7 @@ def training_loss(logits: Tensor, labels: Tensor, correlation_weight: float, gri
     truth = _as_outputs(labels, logits, grid)
     a, b = torch.sigmoid(logits), truth
     a, b = a - a.mean(dim=1, keepdim=True), b - b.mean(dim=1, keepdim=True)
-    size = torch.sqrt((a * a).sum(dim=1) * (b * b).sum(dim=1) + SMALL)
+    size = torch.sqrt((a * a).sum(dim=1) * (b * b).sum(dim=1) + CORRELATION_EPSILON)
     missing = (1.0 - (a * b).sum(dim=1) / size) * (truth.amax(dim=1) > 0.0)
     return loss + correlation_weight * missing.mean()
 

@@ -88,13 +88,13 @@ def keep_statistics(model: VD2T) -> None:
             module.eval()
 
 
-SAMPLES: Final = 20_000
+FEATURE_SAMPLES: Final = 20_000
 """Whose features are looked at."""
 
-TOGETHER: Final = 1000
+SAMPLES_PER_PASS: Final = 1000
 """Samples of a pass."""
 
-LEAST: Final = 1e-7
+MIN_MOMENT_SHARE: Final = 1e-7
 """Of the largest moment: directions in which features vary less are taken for as little as that."""
 
 
@@ -139,7 +139,7 @@ def _layers(model: VD2T) -> list[tuple[str, nn.Module]]:
 def _moments(model: VD2T, recipe: Recipe, data: TrainingData, seed: int) -> dict[str, Tensor]:
     """Return (n, inputs, inputs) second moments of each layer's features, summed over samples."""
     rng = np.random.default_rng([seed, 0x7A])
-    rows = np.sort(rng.choice(data.train, size=min(SAMPLES, len(data.train)), replace=False))
+    rows = np.sort(rng.choice(data.train, size=min(FEATURE_SAMPLES, len(data.train)), replace=False))
     found: dict[str, Tensor] = {}
 
     def seen(name: str) -> Callable[..., None]:
@@ -151,8 +151,8 @@ def _moments(model: VD2T, recipe: Recipe, data: TrainingData, seed: int) -> dict
 
     hooks = [layer.register_forward_hook(seen(name)) for name, layer in _layers(model)]
     with torch.inference_mode():
-        for start in range(0, len(rows), TOGETHER):
-            some = rows[start : start + TOGETHER]
+        for start in range(0, len(rows), SAMPLES_PER_PASS):
+            some = rows[start : start + SAMPLES_PER_PASS]
             dv = noisy_change(data, some, recipe.noises, recipe.snr_db, rng)
             batch = assemble(data, some, dv, data.log_predicted[data.deformation[some]])
             model(batch.dv, batch.clouds, batch.which, batch.log_predicted)
@@ -182,7 +182,7 @@ def _fill(narrow: Narrow, layer: nn.Module, moments: Tensor) -> None:
 def _factors(matrix: Tensor, moments: Tensor, rank: int) -> tuple[Tensor, Tensor]:
     """Return (inputs, rank) and (rank, outputs) whose product is nearest to a matrix, for features of these moments."""
     values, vectors = torch.linalg.eigh(moments)
-    root = values.clamp(min=LEAST * float(values.max())).sqrt()
+    root = values.clamp(min=MIN_MOMENT_SHARE * float(values.max())).sqrt()
     left, size, right = torch.linalg.svd(root[:, None] * (vectors.T @ matrix), full_matrices=False)
     half = size[:rank].sqrt()
     missing = rank - len(half)  # a layer may be wider in between than it is

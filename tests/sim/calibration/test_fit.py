@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from eitskin_sim.calibration.fit import MOST_STEPS, UnsettledError, fit
+from eitskin_sim.calibration.fit import MAX_STEPS, UnsettledError, fit
 
 
 class Linear:
@@ -111,7 +111,7 @@ def swinging(off, wrong=0.0):
 
 def test_a_search_that_swings_about_the_least_misfit_and_gains_nothing_any_more_has_found_it():
     found, best = swinging(0.5)
-    assert found.steps == MOST_STEPS
+    assert found.steps == MAX_STEPS
     assert found.misfit < found.limit
     assert abs(found.z - best.z)[0] < 0.5 * best.sd[0]
     worse, _ = swinging(0.5, wrong=100.0)
@@ -119,7 +119,7 @@ def test_a_search_that_swings_about_the_least_misfit_and_gains_nothing_any_more_
 
 
 def test_a_search_that_still_changes_after_its_last_step_has_found_nothing():
-    with pytest.raises(UnsettledError, match=rf"after {MOST_STEPS} steps the misfit is \S+ and still changes"):
+    with pytest.raises(UnsettledError, match=rf"after {MAX_STEPS} steps the misfit is \S+ and still changes"):
         swinging(10.0)
 
 

@@ -9,7 +9,7 @@ from eitskin_proto.skin.parts import Outline
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import named
 from eitskin_sim.devices.device import IDEAL
-from eitskin_sim.devices.draws import MOST_DRIFT, MOST_MM, draw_device, draw_drift, draw_moment
+from eitskin_sim.devices.draws import MAX_DRIFT, MAX_ELECTRODE_OFFSET_MM, draw_device, draw_drift, draw_moment
 from eitskin_sim.devices.readings import readings, sheet_differences
 from eitskin_sim.scene.parts import Bend, Electrodes
 
@@ -45,7 +45,7 @@ def test_electrodes_are_off_as_the_skin_says_and_never_beyond_what_is_seen() -> 
     drawn = [draw_device(LAB, rng(seed)).device.electrodes for seed in range(200)]
     off = np.array([one.arc_length_mm for one in drawn]) - np.array(nominal.arc_length_mm)
     assert off.std() == pytest.approx(0.7, rel=0.05)
-    assert np.abs(off).max() <= MOST_MM
+    assert np.abs(off).max() <= MAX_ELECTRODE_OFFSET_MM
     impedance = np.log([one.impedances_ohm_m2() for one in drawn])
     assert impedance.std() == pytest.approx(1.2, rel=0.05)
 
@@ -55,7 +55,7 @@ def test_drift_walks_from_little_to_the_skins_spread_with_a_few_far_beyond() -> 
     assert 0.001 < np.median(drift) < 0.006
     assert 0.01 < np.quantile(drift, 0.9) < 0.03
     assert 0.005 < np.mean(drift > 0.1) < 0.02
-    assert drift.max() <= MOST_DRIFT + 1e-12
+    assert drift.max() <= MAX_DRIFT + 1e-12
 
 
 def test_a_scan_is_behind_or_ahead_and_as_noisy_as_the_skin_says() -> None:

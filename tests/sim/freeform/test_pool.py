@@ -5,7 +5,7 @@ import pytest
 
 from eitskin_sim.freeform import draws
 from eitskin_sim.freeform.draws import (
-    CLUSTERED,
+    CLUSTERED_SHARE,
     GAP_MM,
     Bar,
     SetDrawer,
@@ -113,7 +113,7 @@ def test_sets_come_in_families_that_begin_with_touches_in_turn(pool: SetPool) ->
     assert max(np.bincount(singles)) <= 4  # 235 chains begin with 162 touches in turn, a few are drawn again
 
 
-@pytest.mark.parametrize("near", [0.0, CLUSTERED, 0.8])
+@pytest.mark.parametrize("near", [0.0, CLUSTERED_SHARE, 0.8])
 def test_as_many_pairs_as_asked_for_lie_near_to_each_other(near: float) -> None:
     """Near: nearer than all but a fifth of the pairs of touches that may stand together at all."""
     pool = set_pool({4: (900, 90), 5: (900, 90)}, 1, near)
@@ -160,7 +160,7 @@ def test_no_phantom_passes_not_even_slightly_moved(monkeypatch: pytest.MonkeyPat
     alone[:, 0] = np.arange(len(with_phantom))
     assert bar.may_resemble(alone)[0]
     assert bar.may_resemble(alone).mean() < 0.05
-    monkeypatch.setattr(draws, "COUNTS", (0.0, 1.0))
+    monkeypatch.setattr(draws, "COUNT_CHANCES", (0.0, 1.0))
     sets = SetDrawer(with_phantom).draw(2_000, np.random.default_rng(6))
     assert len(sets) == 2_000
     assert 0 not in sets.member

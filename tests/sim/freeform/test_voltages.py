@@ -57,7 +57,7 @@ def test_a_touch_under_a_contact_and_one_over_the_whole_sheet_are_exact_too() ->
 def test_deformations_share_batches_without_mixing(
     sheet: InvertedSheet, touches: TouchTable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(parts, "BATCH", 4)
+    monkeypatch.setattr(parts, "PARTS_PER_BATCH", 4)
     flat = inverted_sheet(Bend())
     some = gather([touches.of(number) for number in range(10)])
     both = set_voltages([sheet, flat], some)

@@ -5,7 +5,7 @@ import pytest
 
 from eitskin_proto.sensor.row_gaussian import RATIO_RANGE, RowGaussian, log_of_change, rows_of
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_sim.measurement.consistency import FLOOR, RowImputation, fit
+from eitskin_sim.measurement.consistency import VARIANCE_FLOOR, RowImputation, fit
 
 
 def drawn(count: int, seed: int = 0) -> tuple[np.ndarray, RowGaussian]:
@@ -53,7 +53,7 @@ def test_a_fit_finds_mean_and_covariance() -> None:
     found = fit(change)
     # 20,000 draws: a mean is known to 0.7 % of a spread of 0.25, a variance to 1 %.
     np.testing.assert_allclose(found.mean, known.mean, atol=0.01)
-    np.testing.assert_allclose(np.diag(found.covariance), np.diag(known.covariance) + FLOOR, rtol=0.06)
+    np.testing.assert_allclose(np.diag(found.covariance), np.diag(known.covariance) + VARIANCE_FLOOR, rtol=0.06)
 
 
 def test_samples_beyond_any_touch_are_cut_off() -> None:

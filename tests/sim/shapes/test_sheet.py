@@ -128,7 +128,7 @@ def test_a_sheet_solved_whole_reads_as_one_solved_where_it_is_touched(monkeypatc
     own = sheet()
     found = []
     for large in (0, 10_000):
-        monkeypatch.setattr("eitskin_sim.shapes.sheet.LARGE", large)
+        monkeypatch.setattr("eitskin_sim.shapes.sheet.WHOLE_SOLVE_NODES", large)
         found.append(own.solve(pieces))
     whole, part = found
     assert np.array_equal(whole.dofs, part.dofs)

@@ -6,7 +6,7 @@ import pytest
 from eitskin_sim.solvers import bounded
 from eitskin_sim.solvers.bounded import bounded_minimum, inverse
 from eitskin_sim.solvers.l1 import l1_image
-from eitskin_sim.solvers.operators import SATURATED, build_operators, linear_data, log_data
+from eitskin_sim.solvers.operators import SATURATED_CONTRAST, build_operators, linear_data, log_data
 from eitskin_sim.solvers.sbl import bounded_map, learn, sbl_image
 from eitskin_sim.solvers.tikhonov import tikhonov_matrix
 
@@ -41,7 +41,8 @@ def test_tikhonov_of_orthonormal_rows_is_the_transpose_shrunk():
 def test_sbl_goes_by_data_however_small(units, rms):
     data = np.random.default_rng(2).standard_normal(len(units.relative_jacobian))
     usual, small = (
-        sbl_image(units.relative_jacobian, size * data, units.shape, upper=SATURATED) / size for size in (1e-3, rms)
+        sbl_image(units.relative_jacobian, size * data, units.shape, upper=SATURATED_CONTRAST) / size
+        for size in (1e-3, rms)
     )
     assert np.allclose(small, usual, rtol=1e-3, atol=1e-3 * usual.max())
 
@@ -129,7 +130,7 @@ def test_bounded_minimum_is_found_by_either_way_of_changing_cells(monkeypatch, s
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((40, 40)) * np.exp(rng.uniform(-3, 3, 40))  # scales of cells differ 400-fold
     hessian, linear = root.T @ root + 1e-3 * np.eye(40), root.T @ rng.standard_normal(40)
-    monkeypatch.setattr(bounded, "ROUNDS", rounds)
+    monkeypatch.setattr(bounded, "BLOCK_ROUNDS", rounds)
     image = bounded_minimum(hessian, linear, upper)
     size = np.sqrt(np.diag(hessian))
     slope = (hessian @ image - linear) / size  # in units where every cell is worth the same
@@ -164,8 +165,8 @@ def test_every_solver_finds_a_faint_touch_where_it_is(units, unit):
     # A change too small to saturate is what the operators linearise: data made of one column has one answer.
     data = 0.5 * units.relative_jacobian[:, unit]
     for image in (
-        l1_image(units.relative_jacobian, data, upper=SATURATED),
-        sbl_image(units.relative_jacobian, data, units.shape, upper=SATURATED),
+        l1_image(units.relative_jacobian, data, upper=SATURATED_CONTRAST),
+        sbl_image(units.relative_jacobian, data, units.shape, upper=SATURATED_CONTRAST),
     ):
         assert int(np.argmax(image)) == unit
     tikhonov = tikhonov_matrix(units.relative_jacobian, 1e-8) @ data

@@ -8,7 +8,7 @@ import pytest
 
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.published import PHANTOM_RECTS_MM, PHANTOM_UNITS, is_published
-from eitskin_sim.unit_grid.patterns import MOST_UNITS, pack, paper_touch_sets, rich_touch_sets, unpack
+from eitskin_sim.unit_grid.patterns import MAX_UNITS, pack, paper_touch_sets, rich_touch_sets, unpack
 
 GRID = PAPER.grid
 
@@ -45,7 +45,7 @@ def test_richer_sets_hold_bars_and_ells_that_the_papers_lack() -> None:
     sets = rich_touch_sets(3_000, 0)
     assert len(keys(sets)) == len(sets)
     assert not sets[0].any()
-    assert sets.sum(axis=1).max() == MOST_UNITS
+    assert sets.sum(axis=1).max() == MAX_UNITS
     maps = sets.reshape(-1, *GRID.units)
     rows, columns = maps.any(axis=2).sum(axis=1), maps.any(axis=1).sum(axis=1)
     bars = (np.minimum(rows, columns) == 1) & (sets.sum(axis=1) >= 5) & (np.maximum(rows, columns) == sets.sum(axis=1))

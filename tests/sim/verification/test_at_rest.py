@@ -14,7 +14,7 @@ NONE = np.zeros(ROWS)
 @pytest.fixture
 def exact(monkeypatch: pytest.MonkeyPatch) -> None:
     """A touch changes nothing of what is off."""
-    monkeypatch.setattr(constants, "CHANGED_BY_TOUCH", 0.0)
+    monkeypatch.setattr(constants, "MODEL_ERROR_SHARE_OF_TOUCH", 0.0)
     monkeypatch.setattr(constants, "ROW_ERROR_BY_TOUCH", 0.0)
 
 
@@ -54,7 +54,9 @@ def test_more_than_was_thought_widens_what_is_left_and_a_touch_leaves_some_unkno
     assert odd.scale > 10.0
     size = [float(np.square(one.columns).sum()) for one in (usual, odd)]
     assert size[1] > 100.0 * size[0]
-    least = constants.CHANGED_BY_TOUCH**2 * ways @ ways.T + np.diag((constants.ROW_ERROR_BY_TOUCH * usual.beside) ** 2)
+    least = constants.MODEL_ERROR_SHARE_OF_TOUCH**2 * ways @ ways.T + np.diag(
+        (constants.ROW_ERROR_BY_TOUCH * usual.beside) ** 2
+    )
     left = usual.columns @ usual.columns.T
     assert np.linalg.eigvalsh(left - least).min() > -1e-9
 

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from eitskin_tools.bench.skip import TURN, interleaved, saving
+from eitskin_tools.bench.skip import FRAMES_PER_TURN, interleaved, saving
 from eitskin_tools.cli import main
 
 
@@ -30,10 +30,12 @@ class Busy:
 def test_ways_take_turns_and_every_frame_is_prepared_once() -> None:
     order: list[str] = []
     ways = {"with": Busy("with", order, 0.0), "without": Busy("without", order, 0.0)}
-    interleaved(dict(ways), 2 * TURN + 3)
+    interleaved(dict(ways), 2 * FRAMES_PER_TURN + 3)
     assert order[:2] == ["with", "without"]  # warm
-    assert order[2:] == (["with"] * TURN + ["without"] * TURN) * 2 + ["with"] * 3 + ["without"] * 3
-    assert ways["with"].prepared == list(range(2 * TURN + 3))
+    assert (
+        order[2:] == (["with"] * FRAMES_PER_TURN + ["without"] * FRAMES_PER_TURN) * 2 + ["with"] * 3 + ["without"] * 3
+    )
+    assert ways["with"].prepared == list(range(2 * FRAMES_PER_TURN + 3))
 
 
 def test_what_is_saved_is_the_difference_of_processor_time_not_of_waiting() -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from eitskin_sim.freeform.touches import WAYS
+from eitskin_sim.freeform.touches import TOUCH_KIND_OF_DRAW
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.cli import main
 
@@ -28,10 +28,10 @@ def test_the_shipped_recipes_name_recipes_of_their_own_skin_and_touches():
         found = recipes.load(name)
         others = found.others()
         assert {one: other.network for one, other in others.items()} == networks
-        ways = {WAYS[found.data[one].touches] for one in found.training[-1].data or found.data}
+        ways = {TOUCH_KIND_OF_DRAW[found.data[one].touches] for one in found.training[-1].data or found.data}
         for other in others.values():
             assert other.skin.digest == found.skin.digest
-            assert {WAYS[data.touches] for data in other.data.values()} == ways
+            assert {TOUCH_KIND_OF_DRAW[data.touches] for data in other.data.values()} == ways
 
 
 @pytest.mark.parametrize("name", ["small", "gentle"])

@@ -12,7 +12,7 @@ from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.toml import named, to_toml
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build import steps
-from eitskin_tools.build.making import REST_S, Pace, scale, seconds
+from eitskin_tools.build.making import FINAL_STAGES_S, Pace, scale, seconds
 from eitskin_tools.build.recipe import Leg, MissingElectrodesWork
 from eitskin_tools.build.steps import MISSING_RUN, fitted_to, plan_of
 from eitskin_tools.cli import main
@@ -157,7 +157,7 @@ def test_hours_scale_deformations_and_epochs_alike():
             assert share == pytest.approx(found.training[0].epochs / tiny.training[0].epochs, rel=0.15)
     with pytest.raises(ValueError, match=r"--hours 0.1 is too little on this machine, expected 0\.\d+ or more"):
         scale(tiny, 0.1, pace)
-    assert REST_S < 3600
+    assert FINAL_STAGES_S < 3600
 
 
 LESSON = "\n[missing_electrodes]\nfitting_steps = 3\nsteps = 2\n"

@@ -51,7 +51,7 @@ FILES = {
     kinds.BUNDLE: archive("manifest.json"),
     kinds.VOLTAGES: arrays("voltages", "voltages208", "scene"),
     kinds.GUIDED: arrays("reference_V", "reference_frames", "press_V"),
-    kinds.NOTED: arrays("received_ns", "scalars"),
+    kinds.DEMO_RECORD: arrays("received_ns", "scalars"),
     kinds.CONVERTED: arrays("voltages_V", "reference_V", "serial", "map", "solver", "wall_ns"),
     kinds.COMPUTED: arrays("seq", "map", "solver", "wall_ns"),
     kinds.PARQUET: b"PAR1\0\0",

@@ -14,7 +14,7 @@ from eitskin_tools import cli
 from eitskin_tools.evaluation.verified import recorded as module
 from eitskin_tools.evaluation.verified.recorded import VerifiedSolver
 from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork
-from eitskin_tools.evaluation.verified.untouched_baseline import FRAMES
+from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES
 from eitskin_tools.recording.reinfer import Computed, Rerun, reinfer, write
 from eitskin_tools.recording.script import Script, Step
 
@@ -70,7 +70,7 @@ def test_touched_frames_are_given_with_the_cloud_and_the_reference_that_held(
     assert fields["verified"]["not_verified"] == {}
     before, behind = physics  # a cloud was given amid the touch
     ((at_rest_V, frames),) = before.rested
-    assert frames == FRAMES
+    assert frames == BASELINE_FRAMES
     assert at_rest_V == pytest.approx(before.cases[0].flat_reference, rel=5e-3)
     assert len(behind.rested) == 1, "once more, since the touch is gone"
     assert np.allclose(behind.cases[0].sheet.cloud_mm, CLOUD, atol=1e-3)
@@ -125,7 +125,7 @@ def test_rows_that_are_missing_are_left_out(tmp_path: Path, monkeypatch: pytest.
 def test_what_the_sheet_read_untouched_is_told_before_its_first_touch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recorded(tmp_path / "a.mcap", measured(3 * FRAMES, skip_unchanged=True))
+    recorded(tmp_path / "a.mcap", measured(3 * BASELINE_FRAMES, skip_unchanged=True))
     told: list[Any] = []
 
     def solve(self: VerifiedNetwork, case: Any) -> Any:
@@ -138,7 +138,7 @@ def test_what_the_sheet_read_untouched_is_told_before_its_first_touch(
     reinfer(script, bundle, VerifiedSolver(script, bundle))
     (volts, frames), *others, behind = told
     assert volts == pytest.approx(counts() * VOLTS, rel=1e-4)
-    assert frames == FRAMES
+    assert frames == BASELINE_FRAMES
     assert others == ["frame", "frame"], "its cloud came amid the touch: of that shape nothing is known"
     assert len(behind) == 2, "but after it"
     told.clear()

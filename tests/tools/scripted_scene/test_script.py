@@ -17,7 +17,7 @@ SCRIPT = demonstration()
 @pytest.fixture(scope="module")
 def shipped():
     name = keyframes.digest(SCRIPT.moments(SCRIPT.period_s), keyframes.MODEL)
-    found = keyframes.load(name, keyframes.SHIPPED)
+    found = keyframes.load(name, keyframes.SHIPPED_FOLDER)
     assert found is not None, "solve what is shipped anew: python -m eitskin_tools.scripted_scene.script"
     return found
 

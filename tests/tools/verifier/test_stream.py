@@ -10,7 +10,7 @@ import pytest
 
 import eitskin
 from eitskin_tools import cli
-from eitskin_tools.evaluation.verified.untouched_baseline import FRAMES
+from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES
 from eitskin_tools.verifier.feed import LATE
 
 from .conftest import PATIENCE_S, TOUCHED, until
@@ -111,9 +111,9 @@ def test_what_the_sheet_reads_at_rest_is_told_once_for_each_surface(streaming):
         with stream.subscribed():
             until(rested.exists)
             begin = stream.skin.statistics.frames
-            until(lambda: stream.skin.statistics.frames > begin + 4 * FRAMES)
+            until(lambda: stream.skin.statistics.frames > begin + 4 * BASELINE_FRAMES)
             ((frames, most),) = [line.split() for line in rested.read_text().splitlines()]
-            assert int(frames) == FRAMES
+            assert int(frames) == BASELINE_FRAMES
             assert float(most) < 0.02  # a reference of 10 frames of 0.3 % noise is off by 0.1 %, by 0.4 % in some row
             stream.skin.set_cloud(stream.skin.description.grid.flat_cloud_mm() + 5.0)
             until(lambda: len(rested.read_text().splitlines()) == 2)

@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import nn
 
-from eitskin_training.network.sharpen import CELL, Sharpen, cells, pixel_of_cell
+from eitskin_training.network.sharpen import CELL_PIXELS, Sharpen, cells, pixel_of_cell
 
 SHAPES = [(30, 45), (9, 60)]
 
@@ -36,7 +36,7 @@ def test_a_pixel_is_seen_one_cell_further_with_every_block(channels: tuple[int, 
     changed = logits.clone()
     changed[0, 13 * 45 + 22] = 3.0  # cell (4, 7)
     difference = (sharpen(changed) - sharpen(logits)).view(shape).abs().numpy()
-    by_cell = difference.reshape(10, CELL, 15, CELL).max(axis=(1, 3)) > 0
+    by_cell = difference.reshape(10, CELL_PIXELS, 15, CELL_PIXELS).max(axis=(1, 3)) > 0
     rows, columns = np.nonzero(by_cell)
     assert (rows.min(), rows.max()) == (4 - len(channels), 4 + len(channels))
     assert (columns.min(), columns.max()) == (7 - len(channels), 7 + len(channels))
@@ -48,12 +48,14 @@ def test_it_is_the_same_everywhere_inside() -> None:
     sharpen = trained_looking()
     grid = torch.zeros(1, 1, *shape)
     grid[..., 9:12, 12:15] = torch.randn(3, 3, generator=torch.Generator().manual_seed(2))
-    moved = grid.roll((2 * CELL, 3 * CELL), dims=(2, 3))
-    found = sharpen(grid.flatten(1)).view(shape).roll((2 * CELL, 3 * CELL), dims=(0, 1))
+    moved = grid.roll((2 * CELL_PIXELS, 3 * CELL_PIXELS), dims=(2, 3))
+    found = sharpen(grid.flatten(1)).view(shape).roll((2 * CELL_PIXELS, 3 * CELL_PIXELS), dims=(0, 1))
     expected = sharpen(moved.flatten(1)).view(shape)
-    inside = (slice(3 * CELL, -CELL), slice(4 * CELL, -CELL))
+    inside = (slice(3 * CELL_PIXELS, -CELL_PIXELS), slice(4 * CELL_PIXELS, -CELL_PIXELS))
     # the background is sharpened too, and differently at the border, where cells are missing: compare away from it
-    torch.testing.assert_close(found[inside][2 * CELL :, 2 * CELL :], expected[inside][2 * CELL :, 2 * CELL :])
+    torch.testing.assert_close(
+        found[inside][2 * CELL_PIXELS :, 2 * CELL_PIXELS :], expected[inside][2 * CELL_PIXELS :, 2 * CELL_PIXELS :]
+    )
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -62,7 +64,7 @@ def test_the_order_of_cells_takes_nine_pixels_after_another(shape: tuple[int, in
     rows, columns = cells(shape)
     for row, column in ((0, 0), (0, columns - 1), (1, 0), (rows - 1, columns - 1)):
         cell = row * columns + column
-        own = order[CELL * row : CELL * (row + 1), CELL * column : CELL * (column + 1)]
+        own = order[CELL_PIXELS * row : CELL_PIXELS * (row + 1), CELL_PIXELS * column : CELL_PIXELS * (column + 1)]
         assert found[9 * cell : 9 * (cell + 1)].tolist() == own.ravel().tolist()
 
 

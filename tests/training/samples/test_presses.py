@@ -67,7 +67,7 @@ def test_presses_are_a_fifth_of_what_is_learned_and_some_are_never_learned(tmp_p
     both = join([data, alone])
     first = len(data.voltages)
     learned = both.train[both.train >= first] - first
-    assert len(learned) / len(both.train) == pytest.approx(presses.SHARE, abs=0.05)
+    assert len(learned) / len(both.train) == pytest.approx(presses.PRESS_SHARE, abs=0.05)
     assert sorted(set(learned) | set(presses.kept(alone))) == list(range(6))
     assert not set(learned) & set(presses.kept(alone))
     assert not set(both.validation) - set(data.validation)

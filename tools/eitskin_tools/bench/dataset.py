@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from eitskin_sim.dataset.plan import GROUP, VALIDATION, make_plan
+from eitskin_sim.dataset.plan import DEFORMATIONS_PER_POOL, VALIDATION_SHARE, make_plan
 from eitskin_sim.dataset.shards import make_shard, reference, shard_job, unit_contrasts, unit_sets
 from eitskin_sim.fem.forward import Factor
 from eitskin_sim.fem.solve import solve_scene
@@ -164,24 +164,24 @@ def _units(arguments: argparse.Namespace, kind: str) -> list[Row]:
 
 
 def _free(arguments: argparse.Namespace, kind: Any = "hard") -> list[Row]:
-    say("dataset", f"{arguments.free} free touch sets at each of {GROUP} deformations")
-    bends, grid = draw("A", GROUP, 0), shared_mesh()
+    say("dataset", f"{arguments.free} free touch sets at each of {DEFORMATIONS_PER_POOL} deformations")
+    bends, grid = draw("A", DEFORMATIONS_PER_POOL, 0), shared_mesh()
     what = "free" if kind == "hard" else f"free, {kind}"
 
     def ours() -> Any:
-        count = (arguments.free, round(VALIDATION * arguments.free))
-        pool = set_pool(dict.fromkeys(range(GROUP), count), 0, touches=kind)
+        count = (arguments.free, round(VALIDATION_SHARE * arguments.free))
+        pool = set_pool(dict.fromkeys(range(DEFORMATIONS_PER_POOL), count), 0, touches=kind)
         batches = geometry(pool.parts, grid)
         made, used = [], None
         for number, bend in enumerate(bends):
             sheet = inverted_sheet(bend, into=used)
             made.append(pool_voltages(sheet, grid, pool, batches, number))
             used = sheet.inverse
-        return pool.touches(pool.sets[GROUP - 1]), made
+        return pool.touches(pool.sets[DEFORMATIONS_PER_POOL - 1]), made
 
     (touches, made), seconds = _timed(ours)
     note = "drawing, geometry and set-up included; every sample a set of its own"
-    row = _row(what, "ours", GROUP * arguments.free, seconds, note)
+    row = _row(what, "ours", DEFORMATIONS_PER_POOL * arguments.free, seconds, note)
     sheet = inverted_sheet(bends[-1])
 
     def solve(number: int) -> Array:
@@ -193,12 +193,17 @@ def _free(arguments: argparse.Namespace, kind: Any = "hard") -> list[Row]:
 
 def _files(arguments: argparse.Namespace, devices: str) -> Row:
     plan = make_plan(
-        "free", deformations=GROUP, kept=0, per_deformation=arguments.free, touches="press", devices=devices
+        "free",
+        deformations=DEFORMATIONS_PER_POOL,
+        kept=0,
+        per_deformation=arguments.free,
+        touches="press",
+        devices=devices,
     )
     reference()
-    _, seconds = _timed(lambda: make_shard(shard_job(plan, list(range(GROUP)))))
+    _, seconds = _timed(lambda: make_shard(shard_job(plan, list(range(DEFORMATIONS_PER_POOL)))))
     note = "whole files: untouched sheets, references and clouds included"
-    return _row(f"free, press, {devices} device", "ours", GROUP * arguments.free, seconds, note)
+    return _row(f"free, press, {devices} device", "ours", DEFORMATIONS_PER_POOL * arguments.free, seconds, note)
 
 
 def _pyeit() -> Row:

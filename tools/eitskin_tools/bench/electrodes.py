@@ -56,16 +56,16 @@ Array = npt.NDArray[np.float64]
 
 Lost = tuple[int, ...]
 
-SETS: Final = 12
+LOST_SETS: Final = 12
 """Sets of two, and of three, electrodes that are tried, drawn once; of one, all 16."""
 
 REFERENCE_FRAMES: Final = 100
 """Noisy frames whose mean is the reference."""
 
 AFTER_FRAMES: Final = 30
-"""Frames that a failure is looked at; it counts as named if that takes ``IN_TIME`` at most."""
+"""Frames that a failure is looked at; it counts as named if that takes ``MAX_FRAMES_IN_TIME`` at most."""
 
-IN_TIME: Final = 20
+MAX_FRAMES_IN_TIME: Final = 20
 
 FAILURES: Final[dict[str, Callable[[int], Fault]]] = {
     "detached x1e5": lambda e: Detached(e, 1e5),
@@ -179,7 +179,7 @@ def _accuracy(
     if arguments.phantoms is None:
         return []
     phantoms = load_phantoms(files.find(arguments.phantoms, files.PHANTOMS))
-    sets = 2 if arguments.quick else SETS
+    sets = 2 if arguments.quick else LOST_SETS
     rows: list[Row] = []
     for noise in noises:
         conditions = Conditions(noise=noise, snr_db=arguments.snr_db)
@@ -383,7 +383,7 @@ def detection(
                 tried += 1
                 named = {(f.electrode, f.state) for f in watched.findings}
                 if named == expected(fault, reciprocal=name in BY_RECIPROCITY):
-                    right, late = right + (after <= IN_TIME), late + (after > IN_TIME)
+                    right, late = right + (after <= MAX_FRAMES_IN_TIME), late + (after > MAX_FRAMES_IN_TIME)
                     took.append(after)
                 else:
                     text = " ".join(f.text() for f in watched.findings) or "nothing"
@@ -416,7 +416,7 @@ def expected(fault: Fault, *, reciprocal: bool = False) -> set[tuple[int, str]]:
             return {(first, "swapped"), (second, "swapped")}
 
 
-def lost_sets(count: int, most: int = SETS) -> list[Lost]:
+def lost_sets(count: int, most: int = LOST_SETS) -> list[Lost]:
     """Return sets of ``count`` electrodes: the empty one, all 16 single ones, or ``most`` drawn ones."""
     every = list(combinations(range(N_ELECTRODES), count))
     if count <= 1:
@@ -430,7 +430,7 @@ def accuracy(
     bundle: Bundle,
     consistency: Consistency,
     conditions: Conditions,
-    most_sets: int = SETS,
+    most_sets: int = LOST_SETS,
 ) -> list[Row]:
     """Return mean CC by remedy and number of lost electrodes; the worst set's beside it.
 

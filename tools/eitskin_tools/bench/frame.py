@@ -42,7 +42,7 @@ RATES_HZ: Final = (200.0, 1000.0)
 WARM_CALLS: Final = 30
 """Calls of one variant back to back, before the next has its turn."""
 
-MOST_STREAMS: Final = 16
+MAX_STREAMS: Final = 16
 """Subscribers to what was measured."""
 
 LINE_FRAMES: Final = 1000
@@ -63,8 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
-    if not 0 <= arguments.streams <= MOST_STREAMS:
-        raise UsageError(f"--streams is {arguments.streams}, expected 0 to {MOST_STREAMS}")
+    if not 0 <= arguments.streams <= MAX_STREAMS:
+        raise UsageError(f"--streams is {arguments.streams}, expected 0 to {MAX_STREAMS}")
     if arguments.frames < 100 or arguments.calls < 10:
         raise UsageError("--frames must be at least 100 and --calls at least 10: percentiles need values")
     available = os.sched_getaffinity(0)

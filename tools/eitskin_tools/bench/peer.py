@@ -42,7 +42,7 @@ PAYLOAD_BYTES: Final = 12 * 32
 MARKER: Final = b"\xaa\x55"
 """Begins a flexitac frame (flexitac 0.3.1, sensor.py)."""
 
-BASE: Final = 100
+NUMBER_BASE: Final = 100
 """The number stands in the first four bytes as digits of this base."""
 
 PACKAGE: Final = "flexitac==0.3.1"
@@ -246,13 +246,13 @@ def payload(number: int) -> bytes:
     """Return the 384 bytes of a frame."""
     contents = np.random.default_rng(number).integers(0, MARKER[0], PAYLOAD_BYTES, dtype=np.uint8)
     for place in range(4):
-        contents[place] = number // BASE**place % BASE
+        contents[place] = number // NUMBER_BASE**place % NUMBER_BASE
     return contents.tobytes()
 
 
 def number_of(contents: Sequence[int]) -> int:
     """Return the number that the first four bytes say."""
-    return sum(digit * BASE**place for place, digit in enumerate(contents[:4]))
+    return sum(digit * NUMBER_BASE**place for place, digit in enumerate(contents[:4]))
 
 
 def on_the_wire(number: int, kind: Format) -> bytes:

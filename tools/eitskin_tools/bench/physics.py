@@ -27,7 +27,7 @@ from scipy.sparse.linalg import splu
 from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.borders.cut_elements import touch
-from eitskin_sim.fem.contacts import FRINGE
+from eitskin_sim.fem.contacts import FRINGE_SHARE
 from eitskin_sim.fem.forward import Factor, System, assemble, reciprocity_error
 from eitskin_sim.fem.jacobian import COARSE_MM, relative_jacobian
 from eitskin_sim.fem.mesh import MM, TensorMesh, graded_lines
@@ -207,7 +207,7 @@ def solve_triangles(scene: Scene, spacing_mm: float = 3.0, rounds: int = 14) -> 
     basis = skfem.Basis(mesh, skfem.ElementTriP2())
     thickness = scene.sheet.thickness_mm * MM
     stiffness = scene.sheet.conductivity_S_per_m * thickness * poisson.laplace.assemble(basis)
-    fringe = FRINGE * thickness / scene.sheet.conductivity_S_per_m if patch else 0.0
+    fringe = FRINGE_SHARE * thickness / scene.sheet.conductivity_S_per_m if patch else 0.0
     densities = (MM**2 if patch else thickness * MM) / (scene.electrodes.impedances_ohm_m2() + fringe)
     border = mesh.boundary_facets()
     parts = (mesh.p[:, mesh.t].mean(axis=1), mesh.p[:, mesh.facets[:, border]].mean(axis=1))

@@ -49,7 +49,7 @@ SEED: Final = 9105
 CONTRAST: Final = 20.0
 """S/m of the weakest touch."""
 
-TURN: Final = 10
+FRAMES_PER_TURN: Final = 10
 """Frames of one way before the other has its turn."""
 
 NOISE: Final = "N2"
@@ -231,9 +231,9 @@ def interleaved(ways: Mapping[str, FrameRunner], frames: int) -> dict[str, dict[
     wall: dict[str, list[int]] = {name: [] for name in ways}
     for way in ways.values():
         way()  # the frame that it was made with; the first is slower
-    for start in range(0, frames, TURN):
+    for start in range(0, frames, FRAMES_PER_TURN):
         for name, way in ways.items():
-            for index in range(start, min(start + TURN, frames)):
+            for index in range(start, min(start + FRAMES_PER_TURN, frames)):
                 way.prepare(index)
                 wall_ns, cpu_ns = time.perf_counter_ns(), time.thread_time_ns()
                 way()

@@ -64,7 +64,7 @@ L1_STEPS: Final = (10, 50, 200, 400)
 SMALLEST_ERROR: Final = 1e-4
 """Where the picture's axis ends."""
 
-BESIDE: Final = 2
+MAX_PANEL_COLUMNS: Final = 2
 """Panels of the picture side by side; more stand below each other."""
 
 OFFSET: Final = "offset points"
@@ -301,7 +301,7 @@ def plot(found: Mapping[str, Sequence[Row]], path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    columns = min(len(found), BESIDE)
+    columns = min(len(found), MAX_PANEL_COLUMNS)
     lines = -(-len(found) // columns)
     figure = Figure(figsize=(7.0 * columns, 5.2 * lines), layout="constrained")
     FigureCanvasAgg(figure)

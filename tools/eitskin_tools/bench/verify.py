@@ -22,7 +22,7 @@ from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.harness import Case, Run, Sheet
 from eitskin_sim.evaluation.metrics import Score, lost_mm, score
 from eitskin_sim.evaluation.mismatch import IDEAL
-from eitskin_sim.evaluation.near import NEAR_MM
+from eitskin_sim.evaluation.near import MAX_MATCH_DISTANCE_MM
 from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.measurement.consistency import RowImputation
 from eitskin_sim.measurement.noise import Kind, add_noise
@@ -185,13 +185,12 @@ def is_right(one: Score, labels: Labels) -> bool:
     """Return whether a map shows just the touched units, or as many touches as there are, each where it is."""
     if labels == "units":
         return one.exact == 1.0
-    return one.touches == one.true_touches and one.localisation_mm <= NEAR_MM
+    return one.touches == one.true_touches and one.localisation_mm <= MAX_MATCH_DISTANCE_MM
 
 
 def _figures(judged: list[Judged], labels: Labels) -> Row:
     found: Row = {"maps": len(judged)}
-    for index, name in ((0, "network_"), (1, "")):
-        own = [one[index] for one in judged]
+    for name, own in (("network_", [one for one, _, _ in judged]), ("", [one for _, one, _ in judged])):
         right = float(np.mean([is_right(one, labels) for one in own]))
         if labels == "units":
             found[f"{name}exact"] = right

@@ -27,7 +27,7 @@ from eitskin_sim.scene.scene import load_phantoms
 from eitskin_sim.scene.shapes import Ellipse, Rect
 from eitskin_sim.scene.shift import shifted
 from eitskin_tools.command_line import files
-from eitskin_tools.evaluation.verified.untouched_baseline import FRAMES
+from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES
 
 Array = npt.NDArray[np.float64]
 
@@ -46,7 +46,7 @@ SINGLE_MM: Final = 10.0
 FAMILIES: Final[tuple[Family, ...]] = ("A", "B")
 """Of deformations."""
 
-LARGER: Final = ((3.0, 16.0), (2.0, 16.0), (2.0, 20.0))
+LARGE_GENTLE_TOUCHES: Final = ((3.0, 16.0), (2.0, 16.0), (2.0, 20.0))
 """Contrasts and sides of gentle touches that are larger than a network of hard ones shows them."""
 
 PRESS_MM: Final = 16.0
@@ -100,7 +100,7 @@ def conditions() -> list[Condition]:
         Condition("soft borders of 2 mm", _units(border_mm=2.0)),
         Condition("scan noise 1 mm", _units(), Mismatch(scan_noise_mm=1.0)),
         Condition("lab device, hard touches", _units(), hard_lab),
-        Condition("seen at rest: lab device, hard touches", _units(), hard_lab, at_rest=FRAMES),
+        Condition("seen at rest: lab device, hard touches", _units(), hard_lab, at_rest=BASELINE_FRAMES),
         *(Condition(f"paper-like touches, {noise}", paper_like, noise=noise) for noise in ("N2", "N3")),
         Condition("singles of 10 mm", _singles()),
         *(Condition(f"pairs 10 mm apart, {family}", _pairs(family)) for family in FAMILIES),
@@ -112,7 +112,10 @@ def conditions() -> list[Condition]:
             Condition(f"across, of contrast {contrast:g}", _across(contrast, border))
             for contrast, border in ((50.0, 0.0), (0.4, PRESS_BORDER_MM))
         ),
-        *(Condition(f"contrast {contrast:g}, of {side:g} mm", _singles(contrast, side)) for contrast, side in LARGER),
+        *(
+            Condition(f"contrast {contrast:g}, of {side:g} mm", _singles(contrast, side))
+            for contrast, side in LARGE_GENTLE_TOUCHES
+        ),
         *_seen_at_rest(),
     ]
 
@@ -130,7 +133,7 @@ def _seen_at_rest() -> list[Condition]:
         "lab-like, presses of contrast 0.6": (_presses(0.6), LAB),
     }
     return [
-        Condition(f"seen at rest: {name}", phantoms, mismatch, at_rest=FRAMES)
+        Condition(f"seen at rest: {name}", phantoms, mismatch, at_rest=BASELINE_FRAMES)
         for name, (phantoms, mismatch) in rows.items()
     ]
 
@@ -157,7 +160,7 @@ def _units(contrast: float = 50.0, border_mm: float = 0.0) -> Draw:
 
 def _singles(contrast: float = 50.0, side_mm: float = SINGLE_MM) -> Draw:
     return lambda deformations, each: trials.single(
-        side_mm, deformations, each, "A", TouchProfile(contrast) if contrast != 50.0 else trials.HARD
+        side_mm, deformations, each, "A", TouchProfile(contrast) if contrast != 50.0 else trials.HARD_SQUARE
     )
 
 

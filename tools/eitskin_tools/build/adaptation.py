@@ -10,10 +10,10 @@ from eitskin_proto.skin.parts import Touches
 from eitskin_proto.skin.skin import Skin
 from eitskin_tools.build.recipe import SKIN, BuildRecipe, CardWork, Data, GateWork, Leg
 
-FEW_STEPS: Final = 200
+DISCARDED_GATE_STEPS: Final = 200
 """Of a gate that is not kept."""
 
-HARD: Final = 5.0
+HARD_CONTRAST: Final = 5.0
 """From this contrast on all touches that raise conductance answer much alike: the usual ones teach more of them."""
 
 
@@ -65,14 +65,14 @@ def adapted(
     if smaller is None:
         return found
     other, again = replace(data, seed=data.seed + 1), replace(leg, start_from=None)
-    gate = GateWork(0, FEW_STEPS)  # the pair has the larger one's
+    gate = GateWork(0, DISCARDED_GATE_STEPS)  # the pair has the larger one's
     small = replace(found, name=f"{name}, small", network=smaller, training=(again,), gate=gate)
     return replace(found, networks={SMALL: replace(small, data={"touches": other})})
 
 
 def _others(touches: Touches, own: Touches) -> bool:
     """Return whether a skin's touches are others than a bundle's own, and not just as hard."""
-    hard = touches.higher and not touches.lower and math.prod(touches.raising_contrast) >= HARD**2
+    hard = touches.higher and not touches.lower and math.prod(touches.raising_contrast) >= HARD_CONTRAST**2
     return touches != own and not (hard and touches.size_mm == own.size_mm)
 
 

@@ -13,16 +13,16 @@ from eitskin_tools.build import steps
 from eitskin_tools.build.recipe import BuildRecipe
 from eitskin_tools.build.steps import Tell, plan_of
 
-REST_S: Final = 600.0
+FINAL_STAGES_S: Final = 600.0
 """For gate, export and card: five minutes on two quiet cores."""
 
-SHARES: Final = {SMALL: 0.35, GENTLE: 0.1}
+TRAINING_SHARES: Final = {SMALL: 0.35, GENTLE: 0.1}
 """Of networks besides: they begin as the bundle's own and need few epochs, but data of their own take as long."""
 
-SAMPLES: Final = (50, 550)
+PROBE_SAMPLES: Final = (50, 550)
 """Samples a deformation of the two small data sets, as far from each other as tells a sample's time from noise."""
 
-LEAST_DEFORMATIONS: Final = 2
+MIN_DEFORMATIONS: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ def measure(recipe: BuildRecipe, workers: int, tell: Tell) -> Pace:
     first = next(iter(recipe.data.values()))
     with tempfile.TemporaryDirectory(prefix="eitskin-build-") as name:
         folder = Path(name)
-        sizes = (SAMPLES[0], *SAMPLES)  # the first one warms up
+        sizes = (PROBE_SAMPLES[0], *PROBE_SAMPLES)  # the first one warms up
         small = [replace(first, deformations=2, kept=0, per_deformation=each, touch_sets=None) for each in sizes]
         with processes(1) as pool:
             taken = pool.submit(_made, [plan_of(recipe, one) for one in small], folder).result()
@@ -61,8 +61,8 @@ def measure(recipe: BuildRecipe, workers: int, tell: Tell) -> Pace:
         history = train.train(data, network, folder / "run").history
     batch = min(network.batch, len(data.train))
     trained = len(data.train) // batch * batch
-    sample_s = max(1e-4, (taken[2] - taken[1]) / (2 * (SAMPLES[1] - SAMPLES[0])))
-    deformation_s = max(1e-3, taken[1] / 2 - SAMPLES[0] * sample_s)
+    sample_s = max(1e-4, (taken[2] - taken[1]) / (2 * (PROBE_SAMPLES[1] - PROBE_SAMPLES[0])))
+    deformation_s = max(1e-3, taken[1] / 2 - PROBE_SAMPLES[0] * sample_s)
     return Pace(deformation_s / workers, sample_s / workers, history[-1].seconds / trained)
 
 
@@ -90,17 +90,17 @@ def scale(recipe: BuildRecipe, hours: float, pace: Pace, share: float = 1.0) -> 
     Raises:
         ValueError: Not even the smallest fits; the text says what would.
     """
-    budget = 3600.0 * share * hours - REST_S
+    budget = 3600.0 * share * hours - FINAL_STAGES_S
     fixed, linear, square = _costs(recipe, pace)
     least = fixed + linear * 1e-2 + square * 1e-4
     if budget < least:
-        enough = (REST_S + least) / (3600.0 * share)
+        enough = (FINAL_STAGES_S + least) / (3600.0 * share)
         named = "" if share == 1.0 else f" for {recipe.name}, whose share is {100 * share:.0f} %,"
         raise ValueError(f"--hours {hours:g} is too little{named} on this machine, expected {enough:.2f} or more")
     left = budget - fixed
     factor = 2.0 * left / (linear + (linear * linear + 4.0 * square * left) ** 0.5)
     data = {
-        name: replace(one, deformations=max(LEAST_DEFORMATIONS, round(factor * one.deformations)))
+        name: replace(one, deformations=max(MIN_DEFORMATIONS, round(factor * one.deformations)))
         for name, one in recipe.data.items()
     }
     legs = tuple(replace(leg, epochs=max(1, round(factor * leg.epochs))) for leg in recipe.training)
@@ -109,7 +109,7 @@ def scale(recipe: BuildRecipe, hours: float, pace: Pace, share: float = 1.0) -> 
 
 def seconds(recipe: BuildRecipe, pace: Pace) -> float:
     """Return how long a recipe takes at a pace."""
-    return REST_S + sum(_costs(recipe, pace))
+    return FINAL_STAGES_S + sum(_costs(recipe, pace))
 
 
 def _costs(recipe: BuildRecipe, pace: Pace) -> tuple[float, float, float]:
@@ -231,7 +231,7 @@ class Making:
         bundle, identity = made.bundle, made.identity
         for name, recipe in others.items():
             beside = made.recipe, work
-            share = SHARES[name]
+            share = TRAINING_SHARES[name]
             making = replace(self, tell=self._of(name, self.tell), say=self._of(name, self.say))
             other = making.made(recipe, work / name, given, share=share, larger=made.run, beside=beside)
             own = work / f"{name}.eitskin"

@@ -42,7 +42,7 @@ VERSION: Final = 1
 MISSING: Final = "missing_electrodes"
 """The table of the last lesson."""
 
-LEAST: Final = {"seed": 0, "kept": 0, "untouched": 0, "fitting_steps": 0}
+MIN_NUMBERS: Final = {"seed": 0, "kept": 0, "untouched": 0, "fitting_steps": 0}
 """Of whole numbers; all others are at least 1."""
 
 LARGEST_NUMBER: Final = 10**9
@@ -301,7 +301,7 @@ def _record(kind: type[Record], table: Fields) -> Record:
         elif float in get_args(hint):
             values[one.name] = table.number(one.name, low=0.0, high=LARGEST_NUMBER)
         else:
-            values[one.name] = table.whole(one.name, low=LEAST.get(one.name, 1), high=LARGEST_NUMBER)
+            values[one.name] = table.whole(one.name, low=MIN_NUMBERS.get(one.name, 1), high=LARGEST_NUMBER)
     table.close()
     return kind(**values)
 

@@ -48,7 +48,7 @@ CONFIGURATION: Final = Kind("a configuration as TOML", "eitskin_proto.configurat
 POINTS: Final = Kind("measured points of the surface, as .ply, .pcd, .xyz or .npy", "eitskin_tools.scenes", ".ply")
 RECORDING: Final = Kind("recorded frames as .npy, (n, 104) V, or a .mcap of 'eitskin record'")
 MEASURED: Final = Kind("measured samples as .npz, see docs/evaluation.md, or a .mcap of 'eitskin record'")
-TO_CALIBRATE: Final = Kind("what was recorded of the sheet as .npz, see docs/calibrate.md")
+CALIBRATION_RECORDING: Final = Kind("what was recorded of the sheet as .npz, see docs/calibrate.md")
 TANK: Final = Kind("frames of a tank as .npz, see docs/evaluation.md")
 MISMATCHES: Final = Kind("a JSON list of mismatches", "eitskin_tools.mismatches", ".json", ("lab", "random"))
 BUNDLE: Final = Kind("a bundle made by 'eitskin build'", "eitskin.bundles", ".eitskin")
@@ -63,7 +63,7 @@ DATA_SET: Final = Kind("a folder made by 'eitskin dataset'")
 PICTURES: Final = (".png", ".pdf", ".svg", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".eps", ".ps")
 """How the name of a picture may end; without an end it is a PNG."""
 
-A_BUNDLE: Final = "a bundle, shipped or a file"
+BUNDLE_HELP: Final = "a bundle, shipped or a file"
 """What ``--bundle`` takes, for its help."""
 
 
@@ -209,10 +209,10 @@ def _missing(path: Path) -> str:
     return f"no file {str(path)!r}{where}"
 
 
-WRITTEN: Final = ("out", "plot", "picture", "record", "log", "wire_times")
+OUTPUT_ARGUMENTS: Final = ("out", "plot", "picture", "record", "log", "wire_times")
 """Arguments that name what is written."""
 
-GROWS: Final[dict[str, tuple[str, ...]]] = {
+UPDATED_INPUTS: Final[dict[str, tuple[str, ...]]] = {
     "card": ("bundle",), "pair": ("bundle",), "reference": ("against",),
 }  # fmt: skip
 """Command -> what it reads and may write anew: nothing of it is lost, or that is what was asked for."""
@@ -225,7 +225,7 @@ def check_outputs(arguments: argparse.Namespace) -> None:
         UsageError: It would.
     """
     given = vars(arguments)
-    written = [name for name in WRITTEN if isinstance(given.get(name), str | Path)]
+    written = [name for name in OUTPUT_ARGUMENTS if isinstance(given.get(name), str | Path)]
     if given.get("guided"):
         written.append("recording")
     for index, name in enumerate(written):
@@ -233,7 +233,7 @@ def check_outputs(arguments: argparse.Namespace) -> None:
         for other in written[:index]:
             if _same(target, Path(given[other])):
                 raise UsageError(f"{_option(name)} and {_option(other)} name one file, {target}; name two")
-        left_out = (*written, *GROWS.get(arguments.command, ()))
+        left_out = (*written, *UPDATED_INPUTS.get(arguments.command, ()))
         for path in (path for other, value in given.items() if other not in left_out for path in _paths(value)):
             if path.is_file() and _same(target, path):
                 raise UsageError(f"{_option(name)} {target} is read too, and would be lost; name another file")

@@ -13,7 +13,7 @@ from typing import BinaryIO, Final
 from eitskin_proto.files.archive import BadArchiveError, members
 from eitskin_proto.files.reading import FileError, opened
 
-LOOKED_AT: Final = 1 << 16
+HEAD_BYTES: Final = 1 << 16
 """Bytes at a file's beginning that are looked at."""
 
 ANY_LENGTH: Final = 1 << 62
@@ -49,7 +49,7 @@ BUNDLE: Final = Known("a bundle", holds=("manifest.json",))
 CLOUD: Final = Known("a cloud of 'eitskin surface'", holds=("magic.npy", "cloud.npy"))
 VOLTAGES: Final = Known("voltages of 'eitskin simulate'", holds=("voltages.npy", "voltages208.npy"))
 GUIDED: Final = Known("a recording to calibrate from", holds=("reference_V.npy", "reference_frames.npy"))
-NOTED: Final = Known("what 'eitskin demo' noted", holds=("received_ns.npy", "scalars.npy"))
+DEMO_RECORD: Final = Known("what 'eitskin demo' noted", holds=("received_ns.npy", "scalars.npy"))
 CONVERTED: Final = Known("a converted recording (.npz)", holds=("voltages_V.npy", "reference_V.npy", "serial.npy"))
 COMPUTED: Final = Known("maps of 'eitskin reinfer'", holds=("map.npy", "solver.npy", "wall_ns.npy"))
 PARQUET: Final = Known("a Parquet file", rb"\APAR1")
@@ -65,7 +65,8 @@ OTHER_ARCHIVE: Final = Known("an archive of other arrays or files", rb"\APK")
 OTHER_JSON: Final = Known("another JSON file", rb"\A\s*[\[{]\s*[\[\]{}\"0-9]")
 
 KINDS: Final = (
-    REFERENCE, BUNDLE, CLOUD, VOLTAGES, GUIDED, NOTED, CONVERTED, COMPUTED, PARQUET, RECORDING, PICTURE, ARRAY, LOG,
+    REFERENCE, BUNDLE, CLOUD, VOLTAGES, GUIDED, DEMO_RECORD, CONVERTED, COMPUTED, PARQUET, RECORDING, PICTURE, ARRAY,
+    LOG,
     POINTS, OTHER_ARCHIVE, OTHER_JSON, SKIN, RECIPE, ROBOT, CONFIGURATION,
 )  # fmt: skip
 """The first that fits is what a file is."""
@@ -101,7 +102,7 @@ def kind_of_file(path: Path) -> Known | None:
         OSError: It cannot be read.
     """
     with opened(path, ANY_LENGTH) as stream:
-        head = stream.read(LOOKED_AT)
+        head = stream.read(HEAD_BYTES)
         names = _names(stream) if head.startswith(b"PK") else frozenset[str]()
     return next((kind for kind in KINDS if kind.fits(head, names)), None)
 

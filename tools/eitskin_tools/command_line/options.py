@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from eitskin.messaging.curve_keys import ClientKeys
     from eitskin_proto.skin.skin import Skin
 
-ONE_WAY: Final[tuple[TouchKind, ...]] = ("lower", "raise")
+TOUCH_KINDS: Final[tuple[TouchKind, ...]] = ("lower", "raise")
 """What ``--touches`` takes."""
 
 SNR_DB: Final = (0.0, 200.0)
@@ -93,7 +93,7 @@ def add_bundle(parser: argparse.ArgumentParser, what: str) -> None:
         parser: Of the command.
         what: What the bundle is for, and which one is the default.
     """
-    parser.add_argument("--bundle", type=files.bundle, metavar="FILE", help=f"{files.A_BUNDLE}, {what}")
+    parser.add_argument("--bundle", type=files.bundle, metavar="FILE", help=f"{files.BUNDLE_HELP}, {what}")
 
 
 def add_skin(parser: argparse.ArgumentParser, what: str) -> None:
@@ -138,7 +138,7 @@ def add_touches(parser: argparse.ArgumentParser, default: str, what: str = "touc
     """
     parser.add_argument(
         "--touches",
-        choices=ONE_WAY,
+        choices=TOUCH_KINDS,
         help=f"{what}: lower conductance, as a finger's press on a hydrogel, or raise it, as the paper's touches "
         f"(default: {default})",
     )

@@ -78,7 +78,7 @@ def _recorded(name: str, twin: Any, bundle: Any) -> tuple[Any, str]:
 
     if bundle.labels != "area":
         raise UsageError("--presses: a bundle of units cannot learn from presses, which have places anywhere")
-    path = files.find(name, files.TO_CALIBRATE)
+    path = files.find(name, files.CALIBRATION_RECORDING)
     recording = load_recording(path, twin)
     try:
         check(recording)

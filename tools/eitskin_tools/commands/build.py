@@ -15,7 +15,7 @@ from eitskin_tools.console.terminal import note
 if TYPE_CHECKING:
     from eitskin_tools.build.recipe import BuildRecipe
 
-MANY: Final = 3000
+MANY_DEFORMATIONS: Final = 3000
 """Deformations that a core draws in a minute; before any is computed with, each is checked to be one that can be."""
 
 
@@ -79,7 +79,7 @@ def make(
 
     from eitskin_tools.build import folder as half_made
     from eitskin_tools.build import steps
-    from eitskin_tools.build.making import SHARES, Making
+    from eitskin_tools.build.making import TRAINING_SHARES, Making
     from eitskin_tools.command_line import files, kinds, options
     from eitskin_tools.console.progress import Stages
     from eitskin_tools.evaluation import card
@@ -88,8 +88,8 @@ def make(
     files.writable(arguments.out, kinds.BUNDLE)
     work = arguments.work or arguments.out.with_name(f"{arguments.out.name}.build")
     others = asked.others()
-    if (many := sum(one.deformations for one in asked.data.values())) > MANY:
-        note(f"drawing {many:,} deformations, some {many // MANY} min; then the first data set")
+    if (many := sum(one.deformations for one in asked.data.values())) > MANY_DEFORMATIONS:
+        note(f"drawing {many:,} deformations, some {many // MANY_DEFORMATIONS} min; then the first data set")
     for one in (asked, *others.values()):
         steps.check(one)
     half_made.begun(work, asked, hours_asked)
@@ -100,8 +100,8 @@ def make(
     hint = "wait until it has ended, or name another folder with --work"
     with held(work, "another process makes a bundle there", hint), Stages() as tell:
         making = Making(steps.processes(arguments.workers), tell, note)
-        own = 1.0 - sum(SHARES[name] for name in others)
-        parts = [(other, work / name, SHARES[name]) for name, other in others.items()]
+        own = 1.0 - sum(TRAINING_SHARES[name] for name in others)
+        parts = [(other, work / name, TRAINING_SHARES[name]) for name, other in others.items()]
         making.begin([(asked, work, own), *parts], hours_asked)
         made = making.made(asked, work, hours_asked, share=own, presses=presses)
         made = making.with_others(made, others, work, hours_asked, gentle_of)

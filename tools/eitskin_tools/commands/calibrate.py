@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
         _record(arguments, skin)
     elif given := [flag(name) for name in GUIDED if getattr(arguments, name) is not None]:
         raise UsageError(f"without --guided nothing is recorded now: leave {', '.join(given)} out")
-    recording = load_recording(files.find(arguments.recording, files.TO_CALIBRATE), skin)
+    recording = load_recording(files.find(arguments.recording, files.CALIBRATION_RECORDING), skin)
 
     def tell(step: int, misfit: float) -> None:
         print(f"eitskin calibrate: step {step}, misfit {misfit:.3g}", file=sys.stderr, flush=True)

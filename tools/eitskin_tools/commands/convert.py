@@ -14,9 +14,9 @@ from eitskin_tools.errors import UsageError
 FORMATS = {".npz": "npz", ".parquet": "parquet", "": "rosbag2"}
 """By the end of the name; a folder has none."""
 
-WRITTEN = {"npz": kinds.CONVERTED, "parquet": kinds.PARQUET}
+OUTPUT_KINDS = {"npz": kinds.CONVERTED, "parquet": kinds.PARQUET}
 
-MODULES = {"npz": (), "parquet": ("pyarrow",), "rosbag2": ("rosbags",)}
+NEEDED_MODULES = {"npz": (), "parquet": ("pyarrow",), "rosbag2": ("rosbags",)}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, required=True, metavar="OUT", help="X.npz, X.parquet, or a new folder for rosbag2"
     )
-    parser.add_argument("--format", choices=tuple(MODULES), help="default: by the end of OUT's name")
+    parser.add_argument("--format", choices=tuple(NEEDED_MODULES), help="default: by the end of OUT's name")
     add_span(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -36,8 +36,8 @@ def run(arguments: argparse.Namespace) -> int:
     if kind is None:
         raise UsageError(expected_one_of("the end of --out", arguments.out.suffix, (".npz", ".parquet", "none")))
     check_span(arguments)
-    needs.require(f"convert to {kind}", MODULES[kind])
-    files.parent(arguments.out) if kind == "rosbag2" else files.writable(arguments.out, WRITTEN[kind])
+    needs.require(f"convert to {kind}", NEEDED_MODULES[kind])
+    files.parent(arguments.out) if kind == "rosbag2" else files.writable(arguments.out, OUTPUT_KINDS[kind])
     from eitskin_tools.recording.script import Script
 
     script = Script(arguments.file)

@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     options.check_solver(arguments)
     scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
     if arguments.record is not None:
-        files.writable(arguments.record, kinds.NOTED)
+        files.writable(arguments.record, kinds.DEMO_RECORD)
     if arguments.picture is not None:
         files.picture(arguments.picture)
     bundle, kind = choose(arguments.bundle, options.chosen_touches(arguments))

@@ -13,7 +13,7 @@ from eitskin_tools.command_line.parser import expected_one_of
 from eitskin_tools.console.progress import ProgressBar
 from eitskin_tools.console.terminal import say
 from eitskin_tools.errors import UsageError
-from eitskin_tools.evaluation.options import MODE_OPTIONS, SIMULATED, add_arguments, way_of
+from eitskin_tools.evaluation.options import MODE_OPTIONS, SIMULATED_SUBJECTS, add_arguments, way_of
 
 __all__ = ["add_arguments", "run"]
 
@@ -68,7 +68,7 @@ def _check_classical(arguments: argparse.Namespace, way: str) -> None:
     """
     from eitskin_sim.evaluation.harness import SOLVERS
 
-    if arguments.solver not in SOLVERS or way not in SIMULATED:
+    if arguments.solver not in SOLVERS or way not in SIMULATED_SUBJECTS:
         return
     said = f"does nothing with --solver {arguments.solver}, which is made of the skin alone"
     if arguments.prediction != MODE_OPTIONS["prediction"].usual:
@@ -194,10 +194,10 @@ def _tell_unknown(request: Any, groups: Any) -> None:
 
 
 def _softness(arguments: argparse.Namespace) -> Any:
-    from eitskin_sim.evaluation.trials import HARD
+    from eitskin_sim.evaluation.trials import HARD_SQUARE
 
     asked = {"contrast": arguments.contrast, "border_mm": arguments.border, "disc": arguments.disc or None}
-    return replace(HARD, **{name: value for name, value in asked.items() if value is not None})
+    return replace(HARD_SQUARE, **{name: value for name, value in asked.items() if value is not None})
 
 
 def _counts(text: str) -> tuple[int, int]:

@@ -22,7 +22,7 @@ from eitskin_tools.processes.signals import endings
 POLL_S = 0.25
 """How long it waits at most for what comes."""
 
-LEAST_S = 0.03
+MIN_WAIT_S = 0.03
 """How long it waits at least: a stream's next frame comes first, and ends the chunk that is due."""
 
 SILENCE_S = 1.0
@@ -31,7 +31,7 @@ SILENCE_S = 1.0
 PICTURES_HZ = 30.0
 """Pictures a second, unless it is said."""
 
-FIRST_S = 10.0
+SKIN_TIMEOUT_S = 10.0
 """How long a runtime may take to say what skin it has."""
 
 
@@ -134,7 +134,7 @@ def _go_on(arguments: argparse.Namespace, recorder: Any, intake: Any, stopped: _
                 recorder.series.sync()
             if recorder.full:
                 return True
-            if recorder.series is None and now_s - begin_s > (patience_s := arguments.timeout_s or FIRST_S):
+            if recorder.series is None and now_s - begin_s > (patience_s := arguments.timeout_s or SKIN_TIMEOUT_S):
                 raise intake.unusable or _nothing(arguments.endpoint, patience_s, silent=intake.silent is not None)
             if arguments.timeout_s is not None and now_s - heard_s > arguments.timeout_s:
                 return False
@@ -165,7 +165,7 @@ def _nothing(endpoint: str | None, waited_s: float, *, silent: bool) -> NoFrame:
 
 def _wait_s(series: Any) -> float:
     """Return how long to wait for what comes: where nothing does, what waits in memory is written when it is due."""
-    return POLL_S if series is None else min(max(series.due_s, LEAST_S), POLL_S)
+    return POLL_S if series is None else min(max(series.due_s, MIN_WAIT_S), POLL_S)
 
 
 def _text(recorder: Any) -> str:

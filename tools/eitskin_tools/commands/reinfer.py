@@ -11,7 +11,7 @@ from eitskin_tools.command_line import files, kinds, options
 from eitskin_tools.command_line.options import add_span, check_span
 from eitskin_tools.errors import UsageError
 
-MOST_KEPT = 200_000
+MAX_MAPS = 200_000
 """Maps in a file: a gigabyte of memory."""
 
 PICTURES = 6
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
         from_s=arguments.from_s,
         to_s=arguments.to_s,
         every=arguments.every,
-        keep=MOST_KEPT if arguments.out or arguments.plot else 0,
+        keep=MAX_MAPS if arguments.out or arguments.plot else 0,
         progress=progress,
     )
     line.end()

@@ -18,7 +18,7 @@ from eitskin_tools.verifier import options as verifier
 SPEEDS = (1e-3, 1e6)
 """Frames that came 5 ms apart are 5 s apart, and all come at once."""
 
-LOOK_S = 0.01
+POLL_S = 0.01
 """Between two looks whether somebody subscribed, with --wait."""
 
 SETTLED_S = 0.5
@@ -112,7 +112,7 @@ def _wait(skin: Any, publisher: Any) -> None:
             found, since_s = topics, time.monotonic()
         if (publisher.wanted or publisher.streams.asked) and time.monotonic() - since_s >= SETTLED_S:
             return
-        time.sleep(LOOK_S)
+        time.sleep(POLL_S)
 
 
 def _check(arguments: argparse.Namespace) -> None:

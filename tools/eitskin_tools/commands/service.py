@@ -17,7 +17,7 @@ from eitskin_tools.errors import UsageError
 
 FOLDER: Final = "shipped"
 
-COMMON: Final = "common.conf"
+COMMON_FILE: Final = "common.conf"
 
 USER_NAME: Final = re.compile(r"[a-z_][a-z0-9_-]{0,30}")
 PROGRAM_PATH: Final = re.compile(r"(/[A-Za-z0-9._+@-]+)+")
@@ -67,7 +67,7 @@ def text_of(name: str, user: str, program: str) -> str:
         )
     text = _read(name)
     if name.endswith(".service"):
-        text = text.replace("{common}", _read(COMMON)).replace("{user}", user).replace("{eitskin}", program)
+        text = text.replace("{common}", _read(COMMON_FILE)).replace("{user}", user).replace("{eitskin}", program)
     return text
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from eitskin.messaging.curve_keys import ClientKeys
     from eitskin.robot.described import ProcessState
 
-LOOK_S = 0.5
+INTERVAL_S = 0.5
 """Between two looks: at 200 frames/s some hundred frames."""
 
 
@@ -81,7 +81,7 @@ def looked_at(states: "tuple[ProcessState, ...]", timeout_s: float, keys: "Clien
     with ThreadPoolExecutor(len(states)) as pool:
         first = list(pool.map(ask, states))
         if any("error" not in answer for _, answer in first):
-            time.sleep(LOOK_S)
+            time.sleep(INTERVAL_S)
         second = list(pool.map(ask, states))
     return [_row(*each) for each in zip(states, first, second, strict=True)]
 

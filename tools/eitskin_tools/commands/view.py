@@ -17,7 +17,7 @@ from eitskin_tools.processes.signals import endings
 PORT = 8416
 """Unless another one is named."""
 
-LOOK_S = 1.0
+POLL_S = 1.0
 """How soon Ctrl-C is heard at the latest."""
 
 
@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
 
             webbrowser.open(address)
         ended = threading.Event()
-        while not ended.wait(LOOK_S):  # a signal that comes just before a wait does not end that one
+        while not ended.wait(POLL_S):  # a signal that comes just before a wait does not end that one
             pass
     return 0
 

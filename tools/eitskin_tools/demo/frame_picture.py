@@ -13,13 +13,13 @@ import numpy.typing as npt
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.pictures import palette, save
 
-LEAST_ANGLE_DEG: Final = 50.0
+MIN_ANGLE_DEG: Final = 50.0
 """A frame worth showing is bent at least so far."""
 
 SIZE_INCH: Final = (14.0, 4.4)
 DPI: Final = 110
 
-FINE: Final = 4
+CELLS_PER_PIXEL: Final = 4
 """Surface cells a pixel, so that the bent sheet is smooth and pixels keep their edges."""
 
 
@@ -36,10 +36,10 @@ def choose(record: Record, script: Any, start_us: int) -> tuple[int, float]:
     found = []
     for index, time_s in enumerate(times_s):
         scene = script.scene_at(time_s)
-        if scene.touches and abs(scene.bend.angle_deg) >= LEAST_ANGLE_DEG:
+        if scene.touches and abs(scene.bend.angle_deg) >= MIN_ANGLE_DEG:
             found.append((len(scene.touches), index, time_s))
     if not found:
-        raise ValueError(f"no frame of this record is touched and bent by {LEAST_ANGLE_DEG:g} deg; record more seconds")
+        raise ValueError(f"no frame of this record is touched and bent by {MIN_ANGLE_DEG:g} deg; record more seconds")
     most = max(count for count, _, _ in found)
     rated = [
         (correlation(record.maps[index].astype(np.float64), script.truth_at(time_s)), index, time_s)
@@ -81,7 +81,7 @@ def picture(record: Record, script: Any, start_us: int, path: Path) -> None:
     points = _surface(script, time_s)
     for place, (values, title) in enumerate(((truth, "truth, as it is bent"), (image, "streamed, as it is bent"))):
         axes = figure.add_subplot(1, 3, place + 1, projection="3d")
-        faces = colours(np.kron(values, np.ones((FINE, FINE))))
+        faces = colours(np.kron(values, np.ones((CELLS_PER_PIXEL, CELLS_PER_PIXEL))))
         axes.plot_surface(*points, facecolors=faces, rstride=1, cstride=1, shade=True, antialiased=False, linewidth=0)
         axes.set_box_aspect([max(np.ptp(axis), 1.0) for axis in points], zoom=1.25)
         axes.view_init(elev=38, azim=-70)
@@ -120,13 +120,13 @@ def _outline(axes: Any, touches: Any) -> None:
 
 
 def _surface(script: Any, time_s: float) -> tuple[npt.NDArray[np.float64], ...]:
-    """Return x, y, z of the corners of the surface's cells, (rows FINE + 1, columns FINE + 1) each."""
+    """Return x, y, z of the corners of the surface's cells, (n rows + 1, n columns + 1) each, n cells a pixel."""
     from eitskin_sim.scene.bend import surface
 
     scene = script.scene_at(time_s)
     (rows, columns), (length, width) = script.skin.grid.shape, script.skin.outline.size_mm
-    x = np.linspace(0.0, length, columns * FINE + 1)
-    y = np.linspace(0.0, width, rows * FINE + 1)
+    x = np.linspace(0.0, length, columns * CELLS_PER_PIXEL + 1)
+    y = np.linspace(0.0, width, rows * CELLS_PER_PIXEL + 1)
     flat = np.stack(np.meshgrid(x, y), axis=-1)
     points = surface(scene.bend, scene.sheet, flat.reshape(-1, 2)).reshape(*flat.shape[:2], 3)
     return points[..., 0], points[..., 1], points[..., 2]

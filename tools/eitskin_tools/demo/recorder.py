@@ -1,7 +1,7 @@
 """The subscriber's process: takes every frame, notes when, keeps the maps, and writes all of it to one file at the end.
 
 It does nothing with a frame but copy it, so that what it measures is the stream and not itself. Memory is allocated at
-the start; of a long run every n-th map is kept, never more than ``MOST_MAPS``.
+the start; of a long run every n-th map is kept, never more than ``MAX_MAPS``.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from eitskin_tools.processes.signals import Stopped, raise_stopped_on_signals
 STAGES: Final = ("read", "decode", "normalise", "gate", "infer", "pack", "publish")
 """Stamps of the runtime, in order."""
 
-MOST_MAPS: Final = 6000
+MAX_MAPS: Final = 6000
 """Maps kept: of the paper's skin, 16 MB."""
 
 SILENCE_S: Final = 60.0
@@ -51,7 +51,7 @@ class Record:
     @classmethod
     def empty(cls, capacity: int, shape: tuple[int, int]) -> "Record":
         """Return room for so many frames, whose maps have so many rows and columns."""
-        stride = max(1, -(-capacity // MOST_MAPS))
+        stride = max(1, -(-capacity // MAX_MAPS))
         whole = np.zeros(capacity, dtype=np.int64)
         return cls(
             whole, whole.copy(), whole.copy(), np.zeros((capacity, len(STAGES)), dtype=np.int64),

@@ -44,7 +44,7 @@ START_S: Final = 600.0
 READY_S: Final = 120.0
 """How long the runtime may take for handshake and reference."""
 
-FIRST: Final = "first"
+FIRST_FRAME_LINE: Final = "first"
 """What the subscriber says when its first frame has come."""
 
 CLOUDS_HZ: Final = 4.0
@@ -172,13 +172,13 @@ def _shown(options: Options, folder: Path, publish: str, control: str, children:
     begin_s, first_s = time.monotonic(), None
     try:
         _start(options, folder, publish, control, children)
-        children[2].line(children[2].out, FIRST, READY_S, children)
+        children[2].line(children[2].out, FIRST_FRAME_LINE, READY_S, children)
         first_s = time.monotonic() - begin_s
         if options.talk:
             print(f"first frame after {first_s:.1f} s; streaming for {options.seconds:g} s", file=sys.stderr)
         _look_on(options, publish, folder / "skin.log", children)
     except KeyboardInterrupt:
-        if len(children) < 3 or FIRST not in children[2].out.read_text():
+        if len(children) < 3 or FIRST_FRAME_LINE not in children[2].out.read_text():
             raise  # there is nothing to sum up
         first_s = first_s or time.monotonic() - begin_s
         children[2].stop()
@@ -359,13 +359,13 @@ def script_of(scene: Path | None, bundle: Path | None, touches: TouchKind) -> An
 
 def touches_in_words(script: Any) -> str:
     """Return for people what the demonstration's touches do to conductance; nothing of a scene's, which says itself."""
-    from eitskin_tools.scripted_scene.choreography import LOWERED, RAISED
+    from eitskin_tools.scripted_scene.choreography import LOWERED_CONTRAST, RAISED_CONTRAST
 
     if not isfinite(script.period_s):
         return ""
     if script.skin.touch_kind == "raise":
-        return f", where conductance is {RAISED:g} times as high"
-    return f", as of a finger: conductance falls to {100 * LOWERED:g} %"
+        return f", where conductance is {RAISED_CONTRAST:g} times as high"
+    return f", as of a finger: conductance falls to {100 * LOWERED_CONTRAST:g} %"
 
 
 def live(publish: str, script: Any, start_us: int, going_on: Callable[[], bool]) -> None:

@@ -19,13 +19,13 @@ from eitskin_tools.command_line import files
 from eitskin_tools.evaluation.devices import trials_of
 from eitskin_tools.evaluation.solvers import Request, judge_of, named, touched_trial
 
-RAISING: Final = (50.0, 10.0, 5.0, 3.0, 2.0, 1.5)
+RAISING_CONTRASTS: Final = (50.0, 10.0, 5.0, 3.0, 2.0, 1.5)
 """Contrasts of 10 mm squares, or of units."""
 
-LOWERING: Final = (0.2, 0.4, 0.6, 0.8)
+LOWERING_CONTRASTS: Final = (0.2, 0.4, 0.6, 0.8)
 """Contrasts of 16 mm squares and discs with borders of 4 mm, or of units."""
 
-NAMED: Final = (
+CARD_MISMATCHES: Final = (
     "electrodes off by 1 mm", "gauge factor +1", "gauge factor -1", "drift +10 %", "uneven drift of 5 %",
     "reference stretched 1 %", "scan noise 1 mm",
 )  # fmt: skip
@@ -104,14 +104,14 @@ def _figures(row: dict[str, Any]) -> str:
 
 def _contrasts(bundle: Bundle) -> tuple[float, ...]:
     if bundle.labels == "units" and bundle.skin.calibrated_from:
-        return RAISING[:1]  # drawn units have the paper's contrast
-    lowering = LOWERING if bundle.touch_kind != "raise" else ()
-    return lowering + (RAISING if bundle.touch_kind != "lower" else ())
+        return RAISING_CONTRASTS[:1]  # drawn units have the paper's contrast
+    lowering = LOWERING_CONTRASTS if bundle.touch_kind != "raise" else ()
+    return lowering + (RAISING_CONTRASTS if bundle.touch_kind != "lower" else ())
 
 
 def _mismatches() -> list[Row]:
     listed = dict(load_rows(files.find("single", files.MISMATCHES)))
-    return [("none", IDEAL), ("random", None), ("lab mix", LAB), *((name, listed[name]) for name in NAMED)]
+    return [("none", IDEAL), ("random", None), ("lab mix", LAB), *((name, listed[name]) for name in CARD_MISMATCHES)]
 
 
 def _trials(bundle: Bundle, deformations: int, each: int) -> list[runs.Trial]:

@@ -24,12 +24,12 @@ Array = npt.NDArray[np.float64]
 
 MODES: Final = ("met", "followed")
 
-LOOKS: Final = 26
-TOGETHER: Final = 24
+CHECKS: Final = 26
+FRAMES_PER_CHECK: Final = 24
 REFERENCE_FRAMES: Final = 100
 
-SLOW_LOOKS: Final = 3500
-SLOW_TOGETHER: Final = 120
+SLOW_CHECKS: Final = 3500
+SLOW_FRAMES_PER_CHECK: Final = 120
 """The drift takes 35 minutes at 200 frames/s."""
 
 
@@ -59,13 +59,13 @@ class DriftRemoved:
         self._drift.restart(spread, REFERENCE_FRAMES, fresh=self._mode == "followed")
         if self._mode == "followed":
             moved = np.log(drifted / reference)
-            for part in np.linspace(0.0, 1.0, SLOW_LOOKS) if moved.any() else (0.0,):
-                self._show(noisy(reference * np.exp(part * moved), SLOW_TOGETHER), None)
+            for part in np.linspace(0.0, 1.0, SLOW_CHECKS) if moved.any() else (0.0,):
+                self._show(noisy(reference * np.exp(part * moved), SLOW_FRAMES_PER_CHECK), None)
 
     def meet(self, untouched: Array, predicted_log: Array | None, noisy: Callable[[Array, int], Array]) -> None:
         """See a deformation, untouched."""
-        for _ in range(LOOKS):
-            self._show(noisy(untouched, TOGETHER), predicted_log)
+        for _ in range(CHECKS):
+            self._show(noisy(untouched, FRAMES_PER_CHECK), predicted_log)
 
     def correct(self, volts: Array) -> Array:
         """Return (104,) V without drift."""

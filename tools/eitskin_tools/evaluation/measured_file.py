@@ -34,7 +34,7 @@ from eitskin_proto.skin.made_for import check_arrays_made_for
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import EARLIER_WORDS, TouchKind
 
-ONE_WAY: Final[tuple[TouchKind, ...]] = ("lower", "raise")
+TOUCH_KINDS: Final[tuple[TouchKind, ...]] = ("lower", "raise")
 """The kinds of touch."""
 
 LARGEST_FILE: Final = 1 << 30
@@ -46,7 +46,7 @@ UNTOUCHED: Final = "untouched"
 ROUNDING: Final = 1e-6
 """A share may be this far outside 0 to 1."""
 
-KNOWN: Final = (
+ARRAYS: Final = (
     "reference_V", "reference_cloud_mm", "voltages_V", "cloud_mm", "cloud_index", "truth", "kind", "touch_kind",
     "protocol_id", "grid_id", "skin_digest",
 )  # fmt: skip
@@ -129,7 +129,7 @@ def _measured(arrays: Arrays, skin: Skin) -> Measured:
     for name in ("reference_V", "voltages_V"):
         if name not in arrays:
             there = ", ".join(quoted(name) for name in list(arrays)[:12]) or "no array"
-            raise ValueError(f"lacks {name}; found {there}; a measured file has {', '.join(KNOWN[:5])}")
+            raise ValueError(f"lacks {name}; found {there}; a measured file has {', '.join(ARRAYS[:5])}")
     reference = _voltages(arrays, "reference_V", (N_ROWS,))
     weak_rows(reference)  # refuses what nothing can be held against
     voltages = _voltages(arrays, "voltages_V", (None, N_ROWS))
@@ -153,7 +153,7 @@ def _measured(arrays: Arrays, skin: Skin) -> Measured:
         kinds=_kinds(arrays, n, truth),
         skin=skin,
         touch_kind=_touch_kind(arrays),
-        ignored=tuple(sorted(set(arrays) - set(KNOWN))),
+        ignored=tuple(sorted(set(arrays) - set(ARRAYS))),
     )
 
 
@@ -225,6 +225,6 @@ def _touch_kind(arrays: Arrays) -> TouchKind | None:
         return None
     found = text(arrays, "touch_kind")
     kind = EARLIER_WORDS.get(found, found)
-    if kind not in ONE_WAY:
-        raise ValueError(f"touch_kind is {quoted(found)}, expected one of {', '.join(ONE_WAY)}")
+    if kind not in TOUCH_KINDS:
+        raise ValueError(f"touch_kind is {quoted(found)}, expected one of {', '.join(TOUCH_KINDS)}")
     return "lower" if kind == "lower" else "raise"

@@ -6,29 +6,29 @@ from typing import Final
 from eitskin_tools.command_line import options
 from eitskin_tools.command_line.options import ModeOption, settle
 
-TOUCHED: Final = ("single", "pair", "random")
-TRIALS: Final = (*TOUCHED, "untouched")
-WAYS: Final = ("phantoms", *TRIALS, "measured", "tank", "devices")
+TOUCHED_TRIALS: Final = ("single", "pair", "random")
+TRIALS: Final = (*TOUCHED_TRIALS, "untouched")
+SUBJECTS: Final = ("phantoms", *TRIALS, "measured", "tank", "devices")
 """What can be evaluated; each is an option, and one of them is given."""
 
-SIMULATED: Final = ("phantoms", *TRIALS)
-SOLVED: Final = (*SIMULATED, "measured", "devices")
+SIMULATED_SUBJECTS: Final = ("phantoms", *TRIALS)
+SOLVER_SUBJECTS: Final = (*SIMULATED_SUBJECTS, "measured", "devices")
 """Where a solver is named, a network's too."""
 
 MODE_OPTIONS: Final = {
-    "solver": ModeOption("vd2t", (*SOLVED, "tank"), {"tank": "tikhonov"}),
-    "reference": ModeOption(None, SOLVED),
-    "bundle": ModeOption(None, SOLVED),
-    "prediction": ModeOption("scan", SOLVED),
-    "noise": ModeOption("N2", (*SIMULATED, "devices")),
-    "snr_db": ModeOption(50.0, (*SIMULATED, "devices")),
-    "seeds": ModeOption(1, SIMULATED),
-    "shift_px": ModeOption(0.0, SIMULATED),
-    "cloud": ModeOption("scan", SIMULATED),
-    "at_rest": ModeOption(0, SIMULATED),
+    "solver": ModeOption("vd2t", (*SOLVER_SUBJECTS, "tank"), {"tank": "tikhonov"}),
+    "reference": ModeOption(None, SOLVER_SUBJECTS),
+    "bundle": ModeOption(None, SOLVER_SUBJECTS),
+    "prediction": ModeOption("scan", SOLVER_SUBJECTS),
+    "noise": ModeOption("N2", (*SIMULATED_SUBJECTS, "devices")),
+    "snr_db": ModeOption(50.0, (*SIMULATED_SUBJECTS, "devices")),
+    "seeds": ModeOption(1, SIMULATED_SUBJECTS),
+    "shift_px": ModeOption(0.0, SIMULATED_SUBJECTS),
+    "cloud": ModeOption("scan", SIMULATED_SUBJECTS),
+    "at_rest": ModeOption(0, SIMULATED_SUBJECTS),
     "family": ModeOption("A", TRIALS),
     "deformations": ModeOption(20, (*TRIALS, "devices")),
-    "each": ModeOption(5, (*TOUCHED, "devices")),
+    "each": ModeOption(5, (*TOUCHED_TRIALS, "devices")),
     "labels": ModeOption("area", ("random", "untouched")),
     "contrast": ModeOption(None, ("single",)),
     "border": ModeOption(None, ("single",)),
@@ -42,12 +42,14 @@ MODE_OPTIONS: Final = {
 
 
 def way_of(arguments: argparse.Namespace) -> str:
-    """Return what is evaluated, one of :data:`WAYS`, once every option has what holds.
+    """Return what is evaluated, one of :data:`SUBJECTS`, once every option has what holds.
 
     Raises:
         UsageError: An option was named that does nothing there.
     """
-    way = next(name for name in WAYS if getattr(arguments, name) is not None and getattr(arguments, name) is not False)
+    way = next(
+        name for name in SUBJECTS if getattr(arguments, name) is not None and getattr(arguments, name) is not False
+    )
     settle(arguments, way, MODE_OPTIONS)
     return way
 

@@ -7,11 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.tank.common import LEAST, SIGMAS, common_factor
+from eitskin_sim.tank.common import MIN_COMMON_FACTOR, SIGNIFICANT_SD, common_factor
 from eitskin_sim.tank.images import IMAGES
 from eitskin_sim.tank.model import TankModel, front_end_of, tank_model, widths_deg
 from eitskin_sim.tank.objects import SECTOR_DEG, Found, find_objects, ghosts, judge
-from eitskin_sim.tank.recording import SIGNED, TankFrame, load_tank
+from eitskin_sim.tank.recording import SIGNED_MATERIALS, TankFrame, load_tank
 from eitskin_tools.evaluation.solvers import Progress
 
 SOLVERS: Final = tuple(IMAGES)
@@ -117,7 +117,9 @@ def table(found: dict[str, Any]) -> str:
             lines.append(f"angles off by {angles['median']:.1f} degrees median, {angles['worst']:.1f} at most")
         lines.append(_what_common_changed(found))
     if found["not_judged"]:
-        lines.append(f"{found['not_judged']} not judged: of no material whose sign is known ({' or '.join(SIGNED)})")
+        lines.append(
+            f"{found['not_judged']} not judged: of no material whose sign is known ({' or '.join(SIGNED_MATERIALS)})"
+        )
     return "\n".join(lines)
 
 
@@ -161,8 +163,8 @@ def _common(common: dict[str, Any]) -> str:
     if common["taken_out"]:
         changed = "the same objects found" if not common["changed"] else f"{common['changed']} found or lost by it"
         return f"{alike}: taken out, {changed}"
-    if abs(common["percent"]) < 100.0 * LEAST:
-        return f"{alike}: left in, below {100.0 * LEAST:g} %"
+    if abs(common["percent"]) < 100.0 * MIN_COMMON_FACTOR:
+        return f"{alike}: left in, below {100.0 * MIN_COMMON_FACTOR:g} %"
     if not common["told"]:
-        return f"{alike}: left in, below {SIGMAS:g} standard errors objects may make it"
+        return f"{alike}: left in, below {SIGNIFICANT_SD:g} standard errors objects may make it"
     return f"{alike}: left in, too much for drift"

@@ -33,10 +33,10 @@ PRESS_S: Final = 0.15
 FIRST_CONTACT: Final = 0.7
 """Size at which a touch comes and goes, relative to its size when pressed."""
 
-RAISED: Final = 50.0
+RAISED_CONTRAST: Final = 50.0
 """Conductivity of a touched place over the sheet's (paper section V.A)."""
 
-LOWERED: Final = 0.4
+LOWERED_CONTRAST: Final = 0.4
 """The same of a press on a skin that knows only touches that lower it."""
 
 SOFT_MM: Final = 4.0
@@ -77,8 +77,8 @@ class Press:
         width, height = self.size_mm[0] * scale / 2, self.size_mm[1] * scale / 2
         shape = Disc(x, y, width) if self.disc else Rect(x - width, y - height, x + width, y + height)
         if skin.touches.higher:
-            return Touch((shape,), RAISED * float(skin.layer.conductivity_S_per_m.nominal(1)[0]))
-        return Touch((shape,), contrast=LOWERED, border_mm=SOFT_MM)
+            return Touch((shape,), RAISED_CONTRAST * float(skin.layer.conductivity_S_per_m.nominal(1)[0]))
+        return Touch((shape,), contrast=LOWERED_CONTRAST, border_mm=SOFT_MM)
 
 
 PRESSES: Final[tuple[Press, ...]] = (

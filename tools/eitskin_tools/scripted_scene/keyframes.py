@@ -34,7 +34,7 @@ Array = npt.NDArray[np.float64]
 STEP_S: Final = 0.05
 """Between two keyframes at most: it leaves 2e-4 of V, rms."""
 
-LEAST_STEPS: Final = 6
+MIN_STEPS: Final = 6
 """Between two events at least: a touch that is being pressed changes faster than anything else."""
 
 MODEL: Final = "tensor mesh snapped to touches, biquadratic, kinked; 2"
@@ -43,7 +43,7 @@ MODEL: Final = "tensor mesh snapped to touches, biquadratic, kinked; 2"
 LARGEST_FILE: Final = 64 << 20
 """Bytes of kept keyframes; those of the demonstration have 110,000."""
 
-SHIPPED: Final = Path(__file__).with_name("solved")
+SHIPPED_FOLDER: Final = Path(__file__).with_name("solved")
 """Keyframes that come with the package."""
 
 Solve = Callable[[Scene], Array]
@@ -94,7 +94,7 @@ def moment_times_s(events_s: Sequence[float], until_s: float, step_s: float = ST
     for start, stop in itertools.pairwise(events_s):
         if start > until_s:
             break
-        count = max(LEAST_STEPS, int(np.ceil((stop - start) / step_s - 1e-9)))
+        count = max(MIN_STEPS, int(np.ceil((stop - start) / step_s - 1e-9)))
         times.extend(np.linspace(start, stop, count + 1).tolist())
     return np.array(times)
 

@@ -139,7 +139,7 @@ def script_of(scene: str | Path | None, skin: Skin = PAPER) -> Script:
     return demonstration(skin) if scene is None else from_scene(scene, skin)
 
 
-FEW: Final = 20
+QUIETLY_SOLVED_MOMENTS: Final = 20
 """So many moments are solved before anybody wonders."""
 
 
@@ -175,7 +175,7 @@ def _shipped(script: Script) -> Keyframes | None:
     """Return the package's keyframes of a script, if they are of this script as it is now."""
     if not np.isfinite(script.period_s):
         return None
-    return keyframes.load(keyframes.digest(script.moments(script.period_s), keyframes.MODEL), keyframes.SHIPPED)
+    return keyframes.load(keyframes.digest(script.moments(script.period_s), keyframes.MODEL), keyframes.SHIPPED_FOLDER)
 
 
 def ship(*scripts: Script) -> list[str]:
@@ -183,17 +183,17 @@ def ship(*scripts: Script) -> list[str]:
     names = []
     for script in scripts:
         name = keyframes.digest(script.moments(script.period_s), keyframes.MODEL)
-        if keyframes.load(name, keyframes.SHIPPED) is None:
-            keyframes.save(name, prepare(script, script.period_s, cache=False), keyframes.SHIPPED)
+        if keyframes.load(name, keyframes.SHIPPED_FOLDER) is None:
+            keyframes.save(name, prepare(script, script.period_s, cache=False), keyframes.SHIPPED_FOLDER)
         names.append(name)
-    for stale in keyframes.SHIPPED.glob("*.npz"):
+    for stale in keyframes.SHIPPED_FOLDER.glob("*.npz"):
         if stale.stem not in names:
             stale.unlink()
     return names
 
 
 def _solve_all(scenes: list[Scene], workers: int) -> list[keyframes.Array]:
-    if len(scenes) > FEW and not sys.stderr.isatty():
+    if len(scenes) > QUIETLY_SOLVED_MOMENTS and not sys.stderr.isatty():
         text = f"solving {len(scenes)} moments of the script for this sheet, once; it may take minutes"
         print(f"eitskin: {text}", file=sys.stderr)
     with ExitStack() as stack:

@@ -21,7 +21,7 @@ from eitskin.pipeline.stillness import Stillness
 from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
 from eitskin_proto.skin.toml import to_toml
-from eitskin_tools.evaluation.verified.untouched_baseline import FRAMES, UntouchedBaseline
+from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES, UntouchedBaseline
 from eitskin_tools.verifier.child import VerifierProcess
 from eitskin_tools.verifier.letters import BUDGET_S, LARGEST_PACKET, STATE, FrameLetter, RestLetter, Rows, Setup, unpack
 
@@ -142,7 +142,7 @@ class VerifierFeed:
         if not self._setup or self._setup_packet or self._missing.any():
             return
         if (mean := self._baseline.add(self._pipeline.buffers.change[0])) is not None:
-            self._send(RestLetter(self._setup, FRAMES, mean).packed())
+            self._send(RestLetter(self._setup, BASELINE_FRAMES, mean).packed())
 
     def _is_known(self) -> bool:
         """Return whether the frame in hand is the one that was handed over last, but for noise, however long ago."""

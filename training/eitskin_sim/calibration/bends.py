@@ -38,16 +38,16 @@ Array = npt.NDArray[np.float64]
 DRAWS: Final = 120
 SEED: Final = 23_011
 FOLDS: Final = 4
-LARGE: Final = 12
+MAX_DIRECTIONS: Final = 12
 """Directions of their own."""
 
-SHRUNK: Final = 0.3
+SHRINKAGE: Final = 0.3
 """Share of the covariance that is taken from its diagonal: fewer draws than would tell all of it."""
 
-STRETCHED: Final = 0.05
+MIN_GAUGE_RESPONSE: Final = 0.05
 """Bends whose voltages follow the gauge factor less, on average, tell nothing of it."""
 
-SURE: Final = 0.95
+MIN_EXPLAINED_SHARE: Final = 0.95
 """Share of unseen errors that must be within what the covariance allows."""
 
 
@@ -115,9 +115,9 @@ def error_of(errors: Array, slopes: Array, gauges: Array) -> BendError:
     fold = np.arange(len(errors)) % FOLDS
     judged = [_distances(errors[fold != k], errors[fold == k], slopes[fold == k]) for k in range(FOLDS)]
     apart, gauge = (np.concatenate(part) for part in zip(*judged, strict=True))
-    scale = max(float(np.quantile(apart, SURE)), 1.0)
+    scale = max(float(np.quantile(apart, MIN_EXPLAINED_SHARE)), 1.0)
     if gauge.size:
-        scale = max(scale, float(np.quantile(gauge, SURE) / chi2.ppf(SURE, 1)))
+        scale = max(scale, float(np.quantile(gauge, MIN_EXPLAINED_SHARE) / chi2.ppf(MIN_EXPLAINED_SHARE, 1)))
     mean, covariance = _moments(errors)
     return BendError(mean, scale * covariance, steeper, max(float(apart.max()) / scale, 1.0))
 
@@ -172,11 +172,11 @@ def _moments(errors: Array) -> tuple[Array, Array]:
     mean = errors.mean(axis=0)
     _, size, directions = np.linalg.svd(errors - mean, full_matrices=False)
     variance = size**2 / (len(errors) - 1)
-    kept = min(LARGE, len(errors) // 3)
+    kept = min(MAX_DIRECTIONS, len(errors) // 3)
     rest = max(float(variance[kept:].sum()) / (errors.shape[1] - kept), 1e-12)
     large = np.maximum(variance[:kept] - rest, 0.0)
     covariance = (directions[:kept].T * large) @ directions[:kept] + rest * np.eye(errors.shape[1])
-    return mean, np.asarray((1.0 - SHRUNK) * covariance + SHRUNK * np.diag(np.diag(covariance)))
+    return mean, np.asarray((1.0 - SHRINKAGE) * covariance + SHRINKAGE * np.diag(np.diag(covariance)))
 
 
 def _distances(known: Array, unseen: Array, slopes: Array) -> tuple[Array, Array]:
@@ -184,7 +184,7 @@ def _distances(known: Array, unseen: Array, slopes: Array) -> tuple[Array, Array
     mean, covariance = _moments(known)
     off = unseen - mean
     weighed = np.linalg.solve(covariance, off.T).T
-    stretched = np.abs(slopes.mean(axis=1)) > STRETCHED
+    stretched = np.abs(slopes.mean(axis=1)) > MIN_GAUGE_RESPONSE
     along = np.sum(slopes * weighed, axis=1)[stretched]
     size = np.einsum("ni,ni->n", slopes, np.linalg.solve(covariance, slopes.T).T)[stretched]
     return np.einsum("ni,ni->n", off, weighed) / off.shape[1], along**2 / size

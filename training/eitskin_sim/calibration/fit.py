@@ -6,7 +6,7 @@ is as it was stated, the least value is chi-square distributed with as many degr
 priors pay for the parameters. So a misfit is told from noise without counting parameters.
 
 A device that is 20 % off is two hundred times its noise away, where the problem is far from linear. So rows are first
-taken for uncertain by ``SOFT`` of themselves, then by less, and in the end as they are.
+taken for uncertain by ``SOFTENING_ERRORS`` of themselves, then by less, and in the end as they are.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,38 +21,38 @@ from eitskin_proto.errors import SkinError
 
 Array = npt.NDArray[np.float64]
 
-SOFT: Final = (0.1, 0.01, 0.002, 0.0)
+SOFTENING_ERRORS: Final = (0.1, 0.01, 0.002, 0.0)
 """Relative errors that are added to every row, one after the other."""
 
-LONGEST: Final = 1.0
+MAX_STEP_SD: Final = 1.0
 """Largest change of a parameter in a step, in prior standard deviations."""
 
-FREE: Final = 4
+UPHILL_STEPS: Final = 4
 """First steps that may go uphill: a bent valley is crossed in one where damped steps creep along its floor."""
 
-MOST_STEPS: Final = 25
-CLOSE: Final = 0.02
-ROUGHLY: Final = 0.3
+MAX_STEPS: Final = 25
+FINAL_STEP_SD: Final = 0.02
+ROUGH_STEP_SD: Final = 0.3
 """A step that is shorter, in posterior standard deviations of a parameter, is the last one; or the last but exact."""
 
 REMEDY: Final = "look at the recording, and at the uncertainties that the skin states"
 
-MOST_DAMPING: Final = 1e6
-CHANCE: Final = 1e-4
+MAX_DAMPING: Final = 1e6
+MISFIT_LEVEL: Final = 1e-4
 """How often an honest recording is called a misfit."""
 
-FAR: Final = 4.0
+NAMED_ROW_SD: Final = 4.0
 """Rows whose residual is so many times what it should be are named."""
 
 
-SETTLED: Final = 0.1
+MIN_GAIN: Final = 0.1
 """Of minus twice the log posterior: a step that gains less moves no parameter by what its standard error would show."""
 
-SETTLED_SHARE: Final = 1e-3
+MIN_GAIN_SHARE: Final = 1e-3
 """The same as a share of the whole, where the whole is far above noise."""
 
 LEVEL_STEPS: Final = 5
-"""After the most steps the search is at its end, too, if none of so many last ones gained ``SETTLED``: it goes to and
+"""After the most steps the search is at its end, too, if none of so many last ones gained ``MIN_GAIN``: it goes to and
 fro across the bottom of a valley that bends, and comes nearer a little each time."""
 
 
@@ -125,7 +125,7 @@ def fit(
     progress: Callable[[int, float], None] | None = None,
     *,
     start: Array | None = None,
-    soft: Sequence[float] = SOFT,
+    soft: Sequence[float] = SOFTENING_ERRORS,
     done: int = 0,
     rough: bool = False,
 ) -> Fit:
@@ -170,21 +170,21 @@ def _descend(
     damping = 0.0
     residuals, jacobian = model.linearised(z)
     cost, gains = float(residuals @ residuals + z @ z), []
-    for step in range(1, MOST_STEPS + 1):
+    for step in range(1, MAX_STEPS + 1):
         if progress is not None:
             progress(done + step, cost / len(residuals))
         curvature = jacobian.T @ jacobian + np.eye(len(z))
         slope = jacobian.T @ residuals - z
         while True:
             change = np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), slope)
-            whole = change * min(1.0, LONGEST / np.abs(change).max())
+            whole = change * min(1.0, MAX_STEP_SD / np.abs(change).max())
             tried = _cost(model, z + whole)
-            if tried <= cost * (1.0 + 1e-9) or (step <= FREE and not damping and np.isfinite(tried)):
+            if tried <= cost * (1.0 + 1e-9) or (step <= UPHILL_STEPS and not damping and np.isfinite(tried)):
                 break
             damping = max(10.0 * damping, 1e-2)
-            if damping > MOST_DAMPING and (rough or (last and cost <= _limit(len(residuals)))):
+            if damping > MAX_DAMPING and (rough or (last and cost <= _limit(len(residuals)))):
                 return z, residuals, jacobian, step
-            if damping > MOST_DAMPING:
+            if damping > MAX_DAMPING:
                 raise UnsettledError(
                     f"no step from a misfit of {cost / len(residuals):.3g} makes it smaller", residuals
                 )
@@ -197,20 +197,20 @@ def _descend(
             raise UnsettledError(f"it ends at a sheet that cannot be ({error})", residuals) from error
         before, cost = cost, float(residuals @ residuals + z @ z)
         gains.append(abs(before - cost))
-        if rough and step > FREE and gains[-1] < SETTLED + SETTLED_SHARE * cost:
+        if rough and step > UPHILL_STEPS and gains[-1] < MIN_GAIN + MIN_GAIN_SHARE * cost:
             return z, residuals, jacobian, step
-        if far < (CLOSE if last else ROUGHLY) and not damped:
+        if far < (FINAL_STEP_SD if last else ROUGH_STEP_SD) and not damped:
             return z, residuals, jacobian, step
-    if last and len(gains) >= LEVEL_STEPS and max(gains[-LEVEL_STEPS:]) < SETTLED:
-        return z, residuals, jacobian, MOST_STEPS
+    if last and len(gains) >= LEVEL_STEPS and max(gains[-LEVEL_STEPS:]) < MIN_GAIN:
+        return z, residuals, jacobian, MAX_STEPS
     raise UnsettledError(
-        f"after {done + MOST_STEPS} steps the misfit is {cost / len(residuals):.3g} and still changes", residuals
+        f"after {done + MAX_STEPS} steps the misfit is {cost / len(residuals):.3g} and still changes", residuals
     )
 
 
 def _limit(rows: int) -> float:
     """Return what chance alone lets |r|^2 + |z|^2 exceed once in ten thousand recordings."""
-    return float(chi2.isf(CHANCE, rows))
+    return float(chi2.isf(MISFIT_LEVEL, rows))
 
 
 def _cost(model: Residuals, z: Array) -> float:

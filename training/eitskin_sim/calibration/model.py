@@ -15,7 +15,7 @@ from eitskin_proto.sensor.table import FULL_TABLE, N_FULL_ROWS, N_ROWS, TABLE
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.wire.scan_rows import TABLE_ROW_OF_FULL
 from eitskin_sim.calibration.modes import SmoothModes
-from eitskin_sim.calibration.parameters import OWN_LAYER, Group, Parameters, check_contacts
+from eitskin_sim.calibration.parameters import LAYER_MODES, Group, Parameters, check_contacts
 from eitskin_sim.calibration.recording import Recording
 from eitskin_sim.calibration.rows import noise_V, of_table
 from eitskin_sim.calibration.solved import Metric, Shape, Solved
@@ -37,7 +37,7 @@ FRONT_END: Final = ("gain", "offset_V", "stray_pF", "minus_gain", "sink_share")
 TOUCH_STEP: Final = 1e-2
 """Half the distance of compared touches, in prior standard deviations."""
 
-TINY: Final = 1e-4
+DERIVATIVE_STEP: Final = 1e-4
 """Relative step of voltages along a derivative: the front end is all but linear."""
 
 
@@ -165,7 +165,7 @@ class Model:
     def solved(self, z: Array, lying: SheetState | None = None) -> Solved:
         """Return the sheet; as it lay when the reference was taken where nothing else is said."""
         lying = self.base if lying is None else lying
-        own = z[self.parameters.slices[OWN_LAYER]] if self.layer.count else np.zeros(0)
+        own = z[self.parameters.slices[LAYER_MODES]] if self.layer.count else np.zeros(0)
         metric, shape = lying.scanned or flat_metric, self.shape(z, lying)
         return Solved(self.size_mm, self.electrodes(z), metric, shape, self.layer.at, own, lying.touches(z))
 
@@ -187,11 +187,11 @@ class Model:
         names, rates = self._rates(z, sheet, lying)
         norm = np.linalg.norm(differences)
         size = np.linalg.norm(scale * rates, axis=(1, 2)) + 1e-300
-        steps = TINY * norm * rates * scale / size[:, None, None]
+        steps = DERIVATIVE_STEP * norm * rates * scale / size[:, None, None]
         moved = instrument.read(responses_of(differences + steps), table) - volts
         jacobian = np.zeros((len(volts), self.count))
         for at, change, much in zip(names, moved, size, strict=True):
-            jacobian[:, at] += change * much / (TINY * norm)
+            jacobian[:, at] += change * much / (DERIVATIVE_STEP * norm)
         self._by_front_end(z, responses_of(differences), table, jacobian)
         jacobian *= factor[:, None]
         if self.unseen is not None and lying.at_reference:
@@ -262,7 +262,7 @@ class Model:
             stretch = parameters.values("reference_stretch", z)
             add("reference_stretch", both, by_z("reference_stretch") / (1.0 + stretch))
         if self.layer.count:
-            add(OWN_LAYER, sheet.by_layer(), np.ones(self.layer.count))
+            add(LAYER_MODES, sheet.by_layer(), np.ones(self.layer.count))
         for one in lying.touched_by:
             step = TOUCH_STEP * np.eye(self.count)[one]
             at.append(one)

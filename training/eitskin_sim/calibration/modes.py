@@ -19,10 +19,10 @@ Array = npt.NDArray[np.float64]
 GRID_MM: Final = 10.0
 """Distance of the grid's points: below half of the shortest correlation length that matters."""
 
-KEPT: Final = 0.998
+VARIANCE_SHARE: Final = 0.998
 """Share of the variance that the modes have."""
 
-MOST: Final = 60
+MAX_MODES: Final = 60
 LENGTHS: Final = 5
 """Correlation lengths that stand for their range."""
 
@@ -50,7 +50,7 @@ class SmoothModes:
             size, vectors = np.linalg.eigh(self._kernel(self._grid))
             size, vectors = size[::-1], vectors[:, ::-1]
             share = np.cumsum(size) / size.sum()
-            self.count = min(int(np.searchsorted(share, KEPT)) + 1, MOST)
+            self.count = min(int(np.searchsorted(share, VARIANCE_SHARE)) + 1, MAX_MODES)
             self._to_modes = vectors[:, : self.count] / np.sqrt(size[: self.count])
 
     def at(self, xy_mm: Array) -> Array:

@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 LEVEL_SPREAD: Final = 0.7
 """Of the logarithm of the level: a factor of two either way."""
 
-OWN_LAYER: Final = "layer"
+LAYER_MODES: Final = "layer"
 """Name of the smooth modes of the layer's log conductivity."""
 
 
@@ -83,7 +83,7 @@ class Parameters:
             *_group("sink_share", "", own.sink_share, 1),
         ]
         if n_modes:
-            groups.append(Group(OWN_LAYER, "", np.zeros(n_modes), 1.0))
+            groups.append(Group(LAYER_MODES, "", np.zeros(n_modes), 1.0))
         groups.extend(more)
         self.groups: dict[str, Group] = {one.name: one for one in groups}
         stops = np.cumsum([len(one.stated) for one in groups])

@@ -5,18 +5,18 @@ from typing import Any
 import numpy as np
 
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.calibration.fit import FAR
-from eitskin_sim.calibration.parameters import OWN_LAYER
-from eitskin_sim.calibration.stamp import OWN, PLACE
+from eitskin_sim.calibration.fit import NAMED_ROW_SD
+from eitskin_sim.calibration.parameters import LAYER_MODES
+from eitskin_sim.calibration.stamp import PLACE, PRESS_CONTRAST
 
 
 def table(report: dict[str, Any]) -> str:
     """Return the report as people read it."""
     lines = [f"{'parameter':28}{'value':>12}{'error':>11}{'before':>11}"]
     for name, one in report["parameters"].items():
-        if name in (OWN, PLACE):  # with its press
+        if name in (PRESS_CONTRAST, PLACE):  # with its press
             continue
-        if name == OWN_LAYER:
+        if name == LAYER_MODES:
             lines.append(_layer(one))
             continue
         several = len(one["values"]) > 1
@@ -37,9 +37,9 @@ def table(report: dict[str, Any]) -> str:
     )
     lines += _by_pairs(report["residuals"])
     if report["far"]:
-        lines.append(f"rows beyond {FAR:g}: {', '.join(report['far'])}")
+        lines.append(f"rows beyond {NAMED_ROW_SD:g}: {', '.join(report['far'])}")
     for name, moment in report["moments"].items():
-        beyond = f"; rows beyond {FAR:g}: {', '.join(moment['far'])}" if moment["far"] else ""
+        beyond = f"; rows beyond {NAMED_ROW_SD:g}: {', '.join(moment['far'])}" if moment["far"] else ""
         lines.append(f"{name}: misfit {moment['misfit']:.2f}{_press(moment['press'])}{beyond}")
     if report["reference_scan"] is not None:
         scan = report["reference_scan"]

@@ -31,10 +31,10 @@ from eitskin_proto.skin.skin import Skin
 
 LARGEST_FILE: Final = 1 << 28
 SMALLEST_V: Final = 1e-9
-LARGEST_V: Final = 1e9
+MAX_V: Final = 1e9
 """Nothing that was measured is larger, whatever its unit."""
 STAMP_MM: Final = (3.0, 60.0)
-MOST_MOMENTS: Final = 200
+MAX_MOMENTS: Final = 200
 """Of a kind: each costs a solve and a step."""
 
 
@@ -167,9 +167,9 @@ def _together(arrays: Arrays, names: tuple[str, ...]) -> bool:
 def _moments(arrays: Arrays, name: str) -> Array:
     """Return (n, 104) V."""
     volts = _numbers(arrays, name)
-    if volts.ndim != 2 or volts.shape[1] not in (N_ROWS, N_FULL_ROWS) or not 1 <= len(volts) <= MOST_MOMENTS:
+    if volts.ndim != 2 or volts.shape[1] not in (N_ROWS, N_FULL_ROWS) or not 1 <= len(volts) <= MAX_MOMENTS:
         raise ValueError(
-            f"{name} has shape {volts.shape}, expected (n, {N_ROWS}) or (n, {N_FULL_ROWS}), n from 1 to {MOST_MOMENTS}"
+            f"{name} has shape {volts.shape}, expected (n, {N_ROWS}) or (n, {N_FULL_ROWS}), n from 1 to {MAX_MOMENTS}"
         )
     _check_size(volts, name)
     return volts[:, ROW_IN_FULL] if volts.shape[1] == N_FULL_ROWS else volts
@@ -193,5 +193,5 @@ def _rows(volts: Array, name: str) -> Array:
 
 def _check_size(volts: Array, name: str) -> None:
     largest = float(np.abs(volts).max())
-    if largest > LARGEST_V:
-        raise ValueError(f"{name} goes up to {largest:.3g} V, expected at most {LARGEST_V:g}: no front end gives that")
+    if largest > MAX_V:
+        raise ValueError(f"{name} goes up to {largest:.3g} V, expected at most {MAX_V:g}: no front end gives that")

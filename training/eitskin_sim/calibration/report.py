@@ -9,21 +9,21 @@ from scipy.stats import chi2
 
 from eitskin_proto.sensor.table import N_ROWS, TABLE
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.calibration.fit import CHANCE, FAR, REMEDY, CalibrationError, Fit, UnsettledError, fit
+from eitskin_sim.calibration.fit import MISFIT_LEVEL, NAMED_ROW_SD, REMEDY, CalibrationError, Fit, UnsettledError, fit
 from eitskin_sim.calibration.model import Model
 from eitskin_sim.calibration.recording import Later, Recording
 from eitskin_sim.calibration.session import Progress, Session, check_felt
-from eitskin_sim.calibration.stamp import BORDER, GROWTH, OWN, PLACE, STRENGTH, ways
-from eitskin_sim.calibration.twin import UNKNOWN, calibrated_skin
+from eitskin_sim.calibration.stamp import BORDER, GROWTH, PLACE, PRESS_CONTRAST, STRENGTH, ways
+from eitskin_sim.calibration.twin import MAX_LEARNED_SD_RATIO, calibrated_skin
 from eitskin_sim.calibration.unseen import UNSEEN
 
-LATER: Final = (0.01, 0.0)
+MOMENT_ERRORS: Final = (0.01, 0.0)
 """Relative errors that are added to the rows of moments, one after the other, once the reference is fitted."""
 
-NEAR_1_A: Final = 5.0
+LEVEL_PRIOR_FACTOR: Final = 5.0
 """The level's prior reaches so far."""
 
-MOST_NAMED: Final = 6
+MAX_NAMED_ROWS: Final = 6
 """Rows that a message names."""
 
 MOMENT_ROWS: Final = [f"drive {drive} measure {measure}" for drive, measure in TABLE]
@@ -63,14 +63,14 @@ def calibrate(
 def per_ampere(skin: Skin, recording: Recording) -> tuple[Recording, float]:
     """Return a recording as under 1 A, and the current that it was taken with as far as that can be told.
 
-    The layer's conductivity and the current are told apart by the contacts alone, so voltages that are within
-    ``NEAR_1_A`` of the stated skin's under 1 A are left as they are: that is the level's to find. A current below 0 is
-    one whose voltages have the sign that other programs give a pair.
+    The layer's conductivity and the current are told apart by the contacts alone, so voltages that are
+    within ``LEVEL_PRIOR_FACTOR`` of the stated skin's under 1 A are left as they are: the level finds it. A current
+    below 0 is one whose voltages have the sign that other programs give a pair.
     """
     model = Model(skin, recording)
     stated = model.read(np.zeros(model.count), derivatives=False).voltages_V
     current_A = float(np.median(np.abs(recording.reference_V) / np.abs(stated)))
-    if 1.0 / NEAR_1_A < current_A < NEAR_1_A:
+    if 1.0 / LEVEL_PRIOR_FACTOR < current_A < LEVEL_PRIOR_FACTOR:
         current_A = 1.0
     current_A *= float(np.sign(np.median(recording.reference_V / stated)))
     if current_A == 1.0:
@@ -90,7 +90,7 @@ def _with_moments(session: Session, flat: Fit, progress: Progress | None) -> tup
     start = np.concatenate([flat.z, np.zeros(tried[0].count - len(flat.z))])
 
     def off(one: Session) -> float:
-        one.soften(start, LATER[0])
+        one.soften(start, MOMENT_ERRORS[0])
         return float(np.sum(one.residuals(start) ** 2))
 
     chosen = tried[0] if len(tried) == 1 else min(tried, key=off)
@@ -98,7 +98,7 @@ def _with_moments(session: Session, flat: Fit, progress: Progress | None) -> tup
         check_felt(chosen, start)
     names = [*row_names(chosen.flat), *(f"{one.name} {row}" for one in chosen.moments for row in MOMENT_ROWS)]
     found = _named_if_unsettled(
-        lambda: fit(chosen, progress, start=start, soft=LATER, done=flat.steps, rough=True), names
+        lambda: fit(chosen, progress, start=start, soft=MOMENT_ERRORS, done=flat.steps, rough=True), names
     )
     check_moments(chosen, found)
     check_rows(chosen.flat, found, chosen.blocks[0])
@@ -127,14 +127,14 @@ def check_moments(session: Session, found: Fit) -> None:
         CalibrationError: With the moment, or the press, and its rows.
     """
     own, rows = session.flat.parameters.slices, len(TABLE)
-    chance = float(chi2.isf(CHANCE / len(session.moments), rows)) / rows
+    chance = float(chi2.isf(MISFIT_LEVEL / len(session.moments), rows)) / rows
     worst: tuple[float, float, float, str, slice] | None = None
     for number, (moment, block) in enumerate(zip(session.moments, session.blocks[1:], strict=True)):
         size = float(np.sum(found.residuals[block] ** 2))
         if moment.lying.touched_by:
             press = number - len(session.flat.recording.bents)
             place = own[PLACE].start + 2 * press
-            size += float(found.z[own[OWN].start + press] ** 2 + np.sum(found.z[place : place + 2] ** 2))
+            size += float(found.z[own[PRESS_CONTRAST].start + press] ** 2 + np.sum(found.z[place : place + 2] ** 2))
         misfit, limit = size / rows, chance * moment.allowed
         if worst is None or misfit / limit > worst[0]:
             worst = (misfit / limit, misfit, limit, moment.name, block)
@@ -163,7 +163,7 @@ def check_rows(model: Model, found: Fit, block: slice) -> None:
     """
     residuals = found.residuals[block]
     misfit = float((residuals @ residuals + found.z @ found.z) / len(residuals))
-    limit = float(chi2.isf(CHANCE, len(residuals))) / len(residuals)
+    limit = float(chi2.isf(MISFIT_LEVEL, len(residuals))) / len(residuals)
     scan = ""
     if model.unseen is not None:
         limit += (model.unseen.largest - 1.0) * N_ROWS / len(residuals)
@@ -183,7 +183,7 @@ def _named(found: Fit, block: slice) -> str:
 
 
 def _worst(far: Any, rows: list[str]) -> str:
-    return ", ".join(f"{rows[at]} by {abs(far[at]):.1f}" for at in np.argsort(-np.abs(far))[:MOST_NAMED])
+    return ", ".join(f"{rows[at]} by {abs(far[at]):.1f}" for at in np.argsort(-np.abs(far))[:MAX_NAMED_ROWS])
 
 
 def row_names(model: Model) -> list[str]:
@@ -205,8 +205,8 @@ def fields(session: Session, found: Fit, twin: Skin) -> dict[str, Any]:
             "values": values.tolist(),
             "standard_errors": errors.tolist(),
             "prior_errors": group.errors(z, np.ones(len(z))).tolist(),
-            "unknown": bool((sd > UNKNOWN).all()),
-            "unknown_ones": np.flatnonzero(sd > UNKNOWN).tolist(),
+            "unknown": bool((sd > MAX_LEARNED_SD_RATIO).all()),
+            "unknown_ones": np.flatnonzero(sd > MAX_LEARNED_SD_RATIO).tolist(),
         }
     rows = row_names(model)
     moments = {}
@@ -217,7 +217,7 @@ def fields(session: Session, found: Fit, twin: Skin) -> dict[str, Any]:
         moments[moment.name] = {
             "misfit": float(np.mean(found.residuals[own] ** 2)),
             "residuals": dict(zip(named, far.tolist(), strict=True)),
-            "far": [row for row, one in zip(named, far, strict=True) if abs(one) > FAR],
+            "far": [row for row, one in zip(named, far, strict=True) if abs(one) > NAMED_ROW_SD],
             "press": own_fields(session, found, number - n_bents) if moment.lying.touched_by else None,
         }
     return {
@@ -229,7 +229,7 @@ def fields(session: Session, found: Fit, twin: Skin) -> dict[str, Any]:
         "parameters": parameters,
         "reference_scan": scan_fields(model, found),
         "residuals": dict(zip(rows, found.far[block].tolist(), strict=True)),
-        "far": [row for row, far in zip(rows, found.far[block], strict=True) if abs(far) > FAR],
+        "far": [row for row, far in zip(rows, found.far[block], strict=True) if abs(far) > NAMED_ROW_SD],
         "moments": moments,
         "press": press_fields(session, found),
         "unknown": [_unknown(name, one) for name, one in parameters.items() if one["unknown_ones"]],
@@ -248,11 +248,14 @@ def _unknown(name: str, parameter: dict[str, Any]) -> str:
 def own_fields(session: Session, found: Fit, number: int) -> dict[str, Any]:
     """Return how much stronger a press was than the others, as a factor of log contrast, and how far off its place."""
     groups, own = session.flat.parameters.groups, session.flat.parameters.slices
-    strength, at = slice(own[OWN].start + number, own[OWN].start + number + 1), own[PLACE].start + 2 * number
-    factor = float(np.exp(groups[OWN].spread * found.z[strength][0]))
+    strength, at = (
+        slice(own[PRESS_CONTRAST].start + number, own[PRESS_CONTRAST].start + number + 1),
+        own[PLACE].start + 2 * number,
+    )
+    factor = float(np.exp(groups[PRESS_CONTRAST].spread * found.z[strength][0]))
     return {
         "strength": factor,
-        "strength_error": factor * groups[OWN].spread * float(found.sd[strength][0]),
+        "strength_error": factor * groups[PRESS_CONTRAST].spread * float(found.sd[strength][0]),
         "off_mm": (groups[PLACE].spread * found.z[at : at + 2]).tolist(),
         "off_error_mm": (groups[PLACE].spread * found.sd[at : at + 2]).tolist(),
     }

@@ -17,7 +17,7 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration import stamp as stamps
 from eitskin_sim.calibration.bends import bend_error
-from eitskin_sim.calibration.fit import CHANCE, CalibrationError
+from eitskin_sim.calibration.fit import MISFIT_LEVEL, CalibrationError
 from eitskin_sim.calibration.model import GAUGE, Model, Read, SheetState
 from eitskin_sim.calibration.recording import Later, Recording
 from eitskin_sim.calibration.rows import noise_V, of_table
@@ -28,13 +28,13 @@ Array = npt.NDArray[np.float64]
 DRIFT: Final = 0.01
 """Of real skins within a hundred presses."""
 
-UNEVEN: Final = 0.1
+UNEVEN_DRIFT_SHARE: Final = 0.1
 """Share of a drift that is not common to all rows."""
 
 PRESS_ERROR: Final = 0.03
 """Of a press's own change, row by row: elements of 3 mm, and no stamp's outline is exactly a disc or a rectangle."""
 
-SURE: Final = 0.5
+MIN_SIGN_COSINE: Final = 0.5
 """Cosine of what a press changed and what the model says: from here on its way is told."""
 
 
@@ -155,7 +155,9 @@ class Session:
         ratio = read.voltages_V / reference
         noise = (noise_V(skin, read.voltages_V, level, read.frames) / reference) ** 2
         noise += (ratio * noise_V(skin, reference, level, frames) / reference) ** 2
-        return np.asarray(DRIFT**2 * np.outer(ratio, ratio) + np.diag(noise + (UNEVEN * DRIFT * ratio) ** 2))
+        return np.asarray(
+            DRIFT**2 * np.outer(ratio, ratio) + np.diag(noise + (UNEVEN_DRIFT_SHARE * DRIFT * ratio) ** 2)
+        )
 
     def _bents(self) -> list[Moment]:
         found = []
@@ -197,12 +199,12 @@ def check_felt(session: Session, z: Array) -> None:
         CalibrationError: They do.
     """
     presses, skin = session.flat.recording.presses, session.flat.skin
-    if session.changed() <= float(chi2.isf(CHANCE / len(presses), N_ROWS)) / N_ROWS:
+    if session.changed() <= float(chi2.isf(MISFIT_LEVEL / len(presses), N_ROWS)) / N_ROWS:
         raise CalibrationError(
             f"presses change no more than noise and a drift of {DRIFT:.0%} do: nothing is told of what a press is "
             "like; press harder, or leave press_V, press_xy_mm and stamp_mm out"
         )
-    if len(stamps.ways(skin.touches)) == 1 and (session.alike(z) < -SURE).all():
+    if len(stamps.ways(skin.touches)) == 1 and (session.alike(z) < -MIN_SIGN_COSINE).all():
         found, stated = ("raise", "lower") if session.way < 0 else ("lower", "raise")
         raise CalibrationError(
             f"presses {found} conductance, and [touches] of skin {skin.name} says that touches {stated} it: correct "

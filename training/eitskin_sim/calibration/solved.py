@@ -32,7 +32,7 @@ ELEMENT_MM: Final = 3.0
 """The untouched voltages are 2e-4 from converged."""
 
 STEP_MM: Final = 1e-2
-STEP: Final = 1e-3
+RELATIVE_STEP: Final = 1e-3
 """Half the distance of compared systems: of places and sizes, and of shapes (all of them near 1)."""
 
 Touches = Sequence[Touch]
@@ -104,8 +104,10 @@ class Solved:
     def by_shape(self, name: str) -> Array:
         """Return (16, 16) dD by one of the numbers of a :class:`Shape`."""
         at = getattr(self.shape, name)
-        low, high = (self._energy(self._system(replace(self.shape, **{name: at + h}))) for h in (-STEP, STEP))
-        return -(high - low) / (2.0 * STEP)
+        low, high = (
+            self._energy(self._system(replace(self.shape, **{name: at + h}))) for h in (-RELATIVE_STEP, RELATIVE_STEP)
+        )
+        return -(high - low) / (2.0 * RELATIVE_STEP)
 
     def by_place(self) -> Array:
         """Return (16, 16, 16) dD by each electrode's place along the border, in mm."""

@@ -18,23 +18,23 @@ import numpy.typing as npt
 
 from eitskin_proto.skin.parts import Touches
 from eitskin_sim.calibration.parameters import Group, Parameters
-from eitskin_sim.scene.parts import LEAST_LOG_CONTRAST, Touch
+from eitskin_sim.scene.parts import MIN_LOG_CONTRAST, Touch
 from eitskin_sim.scene.shapes import Disc, Rect, Shape
-from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
+from eitskin_sim.scene.soft_touch import MIN_BORDER_MM
 
 Array = npt.NDArray[np.float64]
 
 STRENGTH: Final = "press_log_contrast"
-OWN: Final = "press_own"
+PRESS_CONTRAST: Final = "press_own"
 GROWTH: Final = "press_growth_mm"
 BORDER: Final = "press_border_mm"
 SHIFT: Final = "press_shift_mm"
 PLACE: Final = "press_place_mm"
 
-PRESSES: Final = (STRENGTH, OWN, GROWTH, BORDER, SHIFT, PLACE)
+PRESSES: Final = (STRENGTH, PRESS_CONTRAST, GROWTH, BORDER, SHIFT, PLACE)
 """Groups of presses, which are no numbers of the skin's file."""
 
-OWN_SPREAD: Final = 0.15
+PRESS_CONTRAST_SD: Final = 0.15
 """Of the logarithm of one press's log contrast; quartiles of a robot's presses of one depth are 1.2 to 1.4 apart."""
 
 GROWTH_MM: Final = 3.0
@@ -108,7 +108,7 @@ def groups(touches: Touches, way: Way, count: int) -> list[Group]:
     border = np.sqrt(max(touches.border_mm[0], 1.0) * max(touches.border_mm[1], 4.0))
     return [
         Group(STRENGTH, "", np.array([np.sqrt(low * high)]), float(max(np.log(high / low) / 2.0, 0.3)), True),
-        Group(OWN, "", np.zeros(count), OWN_SPREAD),
+        Group(PRESS_CONTRAST, "", np.zeros(count), PRESS_CONTRAST_SD),
         Group(GROWTH, "mm", np.zeros(1), GROWTH_MM),
         Group(BORDER, "mm", np.array([border]), 0.6, True),
         Group(SHIFT, "mm", np.zeros(2), SHIFT_MM),
@@ -128,11 +128,11 @@ def press(stamp: Stamp, xy_mm: Array, way: Way, number: int, parameters: Paramet
     """
 
     def touches(z: Array) -> tuple[Touch]:
-        own = float(parameters.values(OWN, z)[number])
-        size = max(parameters.one(STRENGTH, z) * float(np.exp(own)), 2.0 * LEAST_LOG_CONTRAST)
+        own = float(parameters.values(PRESS_CONTRAST, z)[number])
+        size = max(parameters.one(STRENGTH, z) * float(np.exp(own)), 2.0 * MIN_LOG_CONTRAST)
         at = xy_mm + parameters.values(SHIFT, z) + parameters.values(PLACE, z)[2 * number : 2 * number + 2]
         shape = stamp.at(at, parameters.one(GROWTH, z))
-        border = min(max(parameters.one(BORDER, z), LEAST_BORDER_MM), shape.width_mm)
+        border = min(max(parameters.one(BORDER, z), MIN_BORDER_MM), shape.width_mm)
         return (Touch((shape,), contrast=float(np.exp(way * size)), border_mm=border),)
 
     return touches
@@ -143,4 +143,4 @@ def own_parameters(parameters: Parameters, number: int) -> list[int]:
     slices = parameters.slices
     shared = [one for name in (STRENGTH, GROWTH, BORDER, SHIFT) for one in range(slices[name].start, slices[name].stop)]
     place = slices[PLACE].start + 2 * number
-    return [*shared, slices[OWN].start + number, place, place + 1]
+    return [*shared, slices[PRESS_CONTRAST].start + number, place, place + 1]

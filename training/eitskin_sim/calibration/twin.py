@@ -9,23 +9,23 @@ from eitskin_proto.skin.quantity import Law, Quantity
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration.fit import Fit
 from eitskin_sim.calibration.model import Model
-from eitskin_sim.calibration.parameters import OWN_LAYER
+from eitskin_sim.calibration.parameters import LAYER_MODES
 from eitskin_sim.calibration.session import Session
-from eitskin_sim.calibration.stamp import BORDER, OWN_SPREAD, PRESSES, STRENGTH
+from eitskin_sim.calibration.stamp import BORDER, PRESS_CONTRAST_SD, PRESSES, STRENGTH
 from eitskin_sim.calibration.unseen import UNSEEN
 
 DIGITS: Final = 7
 """Of what is written: far below any standard error."""
 
-UNKNOWN: Final = 0.8
+MAX_LEARNED_SD_RATIO: Final = 0.8
 """Standard error over the prior's: above, nothing worth mentioning was learned."""
 
 
-PRESSED: Final = 2.0
+PRESS_CONTRAST_RANGE: Final = 2.0
 """Presses are taken to have from the inverse of so many times the log contrast found to so many times it: as a stamp is
 pressed lightly or hard. Touches that raise conductance touch or do not: theirs reach as far as they are uncertain."""
 
-SURE: Final = 2.0
+TOUCH_RANGE_SD: Final = 2.0
 """Standard errors that what is uncertain of touches reaches."""
 
 
@@ -44,7 +44,7 @@ def calibrated_skin(skin: Skin, session: Session, found: Fit) -> Skin:
     parts: dict[str, Any] = {}
     for name, group in model.parameters.groups.items():
         z, sd = (one[model.parameters.slices[name]] for one in (found.z, found.sd))
-        if name == OWN_LAYER:
+        if name == LAYER_MODES:
             middle = xy_of(model)
             rms = float(np.sqrt(np.mean((model.layer.at(middle) @ z) ** 2)))
             parts.setdefault("may_be_off", {})["layer_rms"] = (_round(0.8 * rms), _round(1.2 * rms))
@@ -79,10 +79,14 @@ def _touches(session: Session, found: Fit) -> dict[str, Any]:
         own = parameters.slices[name]
         return float(parameters.groups[name].errors(found.z[own], found.sd[own])[0])
 
-    factor = PRESSED if session.way < 0 else np.exp(SURE * np.hypot(error(STRENGTH) / strength, OWN_SPREAD))
+    factor = (
+        PRESS_CONTRAST_RANGE
+        if session.way < 0
+        else np.exp(TOUCH_RANGE_SD * np.hypot(error(STRENGTH) / strength, PRESS_CONTRAST_SD))
+    )
     ends = sorted(float(np.exp(session.way * strength * one)) for one in (1.0 / factor, factor))
     name, low, high = ("lowering_contrast", 0.01, 0.99) if session.way < 0 else ("raising_contrast", 1.01, 1000.0)
-    soft = SURE * error(BORDER)
+    soft = TOUCH_RANGE_SD * error(BORDER)
     return {
         "kind": "lower" if session.way < 0 else "raise",
         name: tuple(_round(min(max(one, low), high)) for one in ends),

@@ -33,7 +33,7 @@ from eitskin_sim.surface.measured_cloud import measured_cloud
 DEVICE, MOMENT, DRIFT, SCAN = 7, 8, 9, 10
 """Seeds of a plan's draws, beside those of :mod:`eitskin_sim.dataset.plan` and others."""
 
-USABLE: Final = (0.4, 2.5)
+REFERENCE_RATIO_RANGE: Final = (0.4, 2.5)
 """A reference over the nominal one, in every row: who sees another looks for the fault, and takes no data."""
 
 ATTEMPTS: Final = 100
@@ -92,21 +92,23 @@ def referenced_device(job: dict[str, Any], nominal: Array) -> ReferencedDevice:
         if _usable(found / nominal):
             return ReferencedDevice(drawn, found)
         drawn = replace(drawn, device=replace(drawn.device, front_end=draw_front_end(skin, rng)))
+    least, most = REFERENCE_RATIO_RANGE
     perfect = readings(Device(drawn.device.sheet, drawn.device.electrodes), before) / nominal
     if not _usable(perfect):
         raise ValueError(
             f"skin {skin.name}: a random sheet reads {perfect.min():.3g} to {perfect.max():.3g} times the nominal "
-            f"reference, expected every row within {USABLE[0]:g} and {USABLE[1]:g}; make what is off in {SHEET} smaller"
+            f"reference, expected every row within {least:g} and {most:g}; make what is off in {SHEET} smaller"
         )
     raise ValueError(
-        f"skin {skin.name}: in {ATTEMPTS} draws of its front end none read every row within {USABLE[0]:g} and "
-        f"{USABLE[1]:g} times the nominal reference; make what is off in [front_end] smaller"
+        f"skin {skin.name}: in {ATTEMPTS} draws of its front end none read every row within {least:g} and "
+        f"{most:g} times the nominal reference; make what is off in [front_end] smaller"
     )
 
 
 def _usable(share: Array) -> bool:
     """Return whether a reference is usable, of (104,) shares of the nominal one."""
-    return bool(USABLE[0] < share.min() and share.max() < USABLE[1])
+    least, most = REFERENCE_RATIO_RANGE
+    return bool(least < share.min() and share.max() < most)
 
 
 def true_bend(drawn: DrawnDevice, bend: Bend) -> Bend:

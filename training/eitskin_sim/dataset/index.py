@@ -10,7 +10,7 @@ from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import parse
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.freeform.touches import TOUCH_KINDS, WAYS
+from eitskin_sim.freeform.touches import TOUCH_KIND_OF_DRAW, TOUCH_KINDS
 
 FORMAT: Final = "eitskin-dataset"
 VERSION: Final = 1
@@ -18,7 +18,7 @@ VERSION_OF_SOFT: Final = 2
 """Of data sets whose touches are not hard ones alone, which a reader of version 1 would take for such."""
 HINT: Final = "make it again with 'eitskin dataset'"
 
-MOST_SHARDS: Final = 10_000
+MAX_SHARDS: Final = 10_000
 
 
 def is_soft(index: dict[str, Any]) -> bool:
@@ -35,7 +35,7 @@ def touch_kind_of(index: dict[str, Any]) -> TouchKind:
     found = index.get("touch_kind", "hard")
     if not isinstance(found, str) or found not in TOUCH_KINDS:
         raise ValueError(f"touch_kind is {quoted(found)}, expected one of {', '.join(TOUCH_KINDS)}")
-    return skin_of(index).touch_kind if found == "skin" else WAYS[found]
+    return skin_of(index).touch_kind if found == "skin" else TOUCH_KIND_OF_DRAW[found]
 
 
 def skin_of(index: dict[str, Any]) -> Skin:
@@ -80,8 +80,8 @@ def read_index(folder: Path) -> dict[str, Any]:
                 f"data set {folder}: {name}", found=stated(index.get(name)), expected=expected, hint=HINT
             )
     shards = index.get("deformations")
-    if not isinstance(shards, list) or not 1 <= len(shards) <= MOST_SHARDS:
+    if not isinstance(shards, list) or not 1 <= len(shards) <= MAX_SHARDS:
         raise ProtocolError(
-            f"{path}: deformations found {quoted(shards)}, expected a list of up to {MOST_SHARDS}; {HINT}"
+            f"{path}: deformations found {quoted(shards)}, expected a list of up to {MAX_SHARDS}; {HINT}"
         )
     return index

@@ -23,7 +23,7 @@ from eitskin_proto.files.digest import id_of_values
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import named
 from eitskin_sim.devices.draws import check_outline
-from eitskin_sim.freeform.draws import CLUSTERED
+from eitskin_sim.freeform.draws import CLUSTERED_SHARE
 from eitskin_sim.freeform.touches import TouchKind, ranges_of
 from eitskin_sim.scene.family import draw, paper_bends
 from eitskin_sim.scene.nominal import nominal_sheet
@@ -40,7 +40,7 @@ DEVICE_KINDS: Final[tuple[DeviceKind, ...]] = ("ideal", "random")
 
 SET_NAMES: Final[tuple[SetName, ...]] = ("paper", "units", "free")
 
-VALIDATION: Final = 0.1
+VALIDATION_SHARE: Final = 0.1
 """Share of touch sets that is held out (paper section V.A)."""
 
 DEFAULTS: Final[dict[str, tuple[int, int, int]]] = {
@@ -53,13 +53,13 @@ DEFAULTS: Final[dict[str, tuple[int, int, int]]] = {
 RECIPES: Final[dict[str, int]] = {"paper": 1, "units": 1, "free": 4}
 """Counts up when the same plan would give other numbers: a folder is never made half by one and half by another."""
 
-KEPT: Final = 20
+HELD_OUT_DEFORMATIONS: Final = 20
 """Deformations of A, and as many of B, that are kept apart; a third of those trained on where these are few."""
 
-GROUP: Final = 2
+DEFORMATIONS_PER_POOL: Final = 2
 """Deformations of the free set that take their touches from one pool, whose geometry is then made once for them."""
 
-SHOWN_KEPT: Final = 500
+SETS_PER_HELD_OUT_DEFORMATION: Final = 500
 """Held-out touch sets shown at each deformation kept apart."""
 
 
@@ -106,7 +106,7 @@ class Plan:
     @property
     def group(self) -> int:
         """How many deformations are made together."""
-        return GROUP if self.set_name == "free" else 1
+        return DEFORMATIONS_PER_POOL if self.set_name == "free" else 1
 
     def shards(self) -> list[list[int]]:
         """Return the deformations that are made together: of one group and one split."""
@@ -119,7 +119,7 @@ class Plan:
     def counts(self) -> tuple[int, ...]:
         """How many samples each deformation has."""
         if self.set_name == "free":
-            apart = min(SHOWN_KEPT, self.per_deformation)
+            apart = min(SETS_PER_HELD_OUT_DEFORMATION, self.per_deformation)
             return tuple(self.per_deformation if split == "train" else apart for split in self.splits)
         return tuple(len(self.shown(number)) for number in range(len(self.bends)))
 
@@ -131,7 +131,7 @@ class Plan:
     def held_out(self, deformation: int) -> int:
         """Return how many free touch sets of a deformation are held out: its last ones, or all."""
         count = self.counts[deformation]
-        return round(VALIDATION * count) if self.splits[deformation] == "train" else count
+        return round(VALIDATION_SHARE * count) if self.splits[deformation] == "train" else count
 
     def validation(self) -> npt.NDArray[np.bool_]:
         """Return (T,) which touch sets are held out."""
@@ -142,7 +142,7 @@ class Plan:
                 held[stop - self.held_out(number) : stop] = True
             return held
         generator = np.random.default_rng([self.seed, 1])
-        held[generator.permutation(self.touch_sets)[: round(VALIDATION * self.touch_sets)]] = True
+        held[generator.permutation(self.touch_sets)[: round(VALIDATION_SHARE * self.touch_sets)]] = True
         return held
 
     def shown(self, deformation: int) -> npt.NDArray[np.int32]:
@@ -157,7 +157,9 @@ class Plan:
             chosen = generator.choice(self.touch_sets, self.per_deformation, replace=False)
         else:
             held = np.flatnonzero(self.validation())
-            chosen = generator.choice(held, min(len(held), SHOWN_KEPT, self.per_deformation), replace=False)
+            chosen = generator.choice(
+                held, min(len(held), SETS_PER_HELD_OUT_DEFORMATION, self.per_deformation), replace=False
+            )
         return np.sort(chosen).astype(np.int32)
 
 
@@ -207,11 +209,11 @@ def make_plan(
     default = DEFAULTS[set_name]
     n_bends = default[0] if deformations is None else deformations
     n_sets = default[1] if touch_sets is None else touch_sets
-    apart = min(KEPT, -(-n_bends // 3)) if kept is None else kept
+    apart = min(HELD_OUT_DEFORMATIONS, -(-n_bends // 3)) if kept is None else kept
     if set_name == "free":
         n_shown = default[2] if per_deformation is None else per_deformation
-        n_sets = n_bends * n_shown + 2 * apart * min(SHOWN_KEPT, n_shown)
-        near = CLUSTERED if near is None else near
+        n_sets = n_bends * n_shown + 2 * apart * min(SETS_PER_HELD_OUT_DEFORMATION, n_shown)
+        near = CLUSTERED_SHARE if near is None else near
         _check("share of near touches", near, 0.0, 1.0)
     else:
         n_shown = min(n_sets, default[2]) if per_deformation is None else per_deformation

@@ -7,7 +7,7 @@
     drift       of each sample: a common factor of all resistances
 
 Drift is a random walk that starts when the reference is taken. A sample comes at a time that is log-uniform, from
-``FIRST`` of a session to its end, and the skin's spread is what the walk reaches at the end: with one of 3 %, half of
+``EARLIEST_SAMPLE`` of a session to its end, and the walk reaches the skin's spread at the end: with one of 3 %, half of
 the samples are off by less than 0.5 % and a tenth by more than 2.3 %. A few have a reference of long ago: one in a
 hundred is off by 12 % or more. The uneven part walks likewise, as a smooth field and a tilt.
 """
@@ -31,22 +31,22 @@ Array = npt.NDArray[np.float64]
 SEEDS: Final = 2**31
 """Seeds of smooth fields are below."""
 
-FIRST: Final = 1.0 / 300.0
+EARLIEST_SAMPLE: Final = 1.0 / 300.0
 """The earliest sample, as a share of a session of 300 presses."""
 
-OLD: Final = 0.03
+OLD_REFERENCE_SHARE: Final = 0.03
 """Share of samples whose reference is of another day."""
 
-OLD_FACTOR: Final = 4.0
+OLD_REFERENCE_DRIFT_FACTOR: Final = 4.0
 """Their drift is so many times what a session's is at its end."""
 
-MOST_DRIFT: Final = 0.3
+MAX_DRIFT: Final = 0.3
 """No sample's logarithm of the common factor is further from 0."""
 
-MOST_MM: Final = 2.0
+MAX_ELECTRODE_OFFSET_MM: Final = 2.0
 """No electrode is further from its stated place: it would be seen."""
 
-SMALLEST: Final = 0.5
+MIN_ELECTRODE_SIZE_RATIO: Final = 0.5
 """No electrode is smaller than this share of its stated size, nor larger than its inverse."""
 
 
@@ -146,22 +146,24 @@ def draw_moment(skin: Skin, rng: np.random.Generator) -> Moment:
 def draw_drift(skin: Skin, count: int, rng: np.random.Generator) -> Array:
     """Return (count,) common factors of samples' resistances since the reference was taken."""
     whole, walked = skin.may_be_off.drift.draw(rng, count), _walked(count, rng)
-    old = rng.random(count) < OLD
-    return np.asarray(np.exp(np.clip(np.where(old, OLD_FACTOR, walked) * whole, -MOST_DRIFT, MOST_DRIFT)))
+    old = rng.random(count) < OLD_REFERENCE_SHARE
+    return np.asarray(np.exp(np.clip(np.where(old, OLD_REFERENCE_DRIFT_FACTOR, walked) * whole, -MAX_DRIFT, MAX_DRIFT)))
 
 
 def _walked(count: int, rng: np.random.Generator) -> Array:
     """Return (count,) how far random walks have come, as shares of a session's."""
-    return np.sqrt(np.exp(rng.uniform(np.log(FIRST), 0.0, count)))
+    return np.sqrt(np.exp(rng.uniform(np.log(EARLIEST_SAMPLE), 0.0, count)))
 
 
 def _electrodes(skin: Skin, rng: np.random.Generator) -> Electrodes:
     ring, count = skin.electrodes, N_ELECTRODES
     stated, sizes = ring.arc_length_mm.nominal(count), ring.size_mm.nominal(count)
-    moved = np.clip(ring.arc_length_mm.draw(rng, count), stated - MOST_MM, stated + MOST_MM)
+    moved = np.clip(
+        ring.arc_length_mm.draw(rng, count), stated - MAX_ELECTRODE_OFFSET_MM, stated + MAX_ELECTRODE_OFFSET_MM
+    )
     if ring.contact == "edge":  # which may lie in a corner, on either side of where arc lengths begin
         moved %= skin.outline.perimeter_mm
-    own = np.clip(ring.size_mm.draw(rng, count), SMALLEST * sizes, sizes / SMALLEST)
+    own = np.clip(ring.size_mm.draw(rng, count), MIN_ELECTRODE_SIZE_RATIO * sizes, sizes / MIN_ELECTRODE_SIZE_RATIO)
     impedance = np.maximum(ring.contact_impedance_ohm_m2.draw(rng, count), 1e-9)
     impedance = impedance * float(skin.layer.conductivity_S_per_m.nominal(1)[0])  # the layer is scaled to 1 S/m
     return Electrodes(

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eitskin_sim.fem.contacts import FRINGE, Contacts, Part, elements_along, gathered
+from eitskin_sim.fem.contacts import FRINGE_SHARE, Contacts, Part, elements_along, gathered
 from eitskin_sim.fem.forward import System, assemble
 from eitskin_sim.fem.mesh import MM, Array, Index, Metric, TensorMesh
 from eitskin_sim.fem.q2 import GAUSS, LINE_POINTS, LINE_WEIGHTS, WEIGHTS, values
@@ -19,7 +19,7 @@ from eitskin_sim.scene.electrodes import Piece, place
 from eitskin_sim.scene.layer import is_uneven, relative_conductivity
 from eitskin_sim.scene.parts import Electrodes, Sheet
 
-LEAST_MM = 1e-6
+MIN_OVERLAP_MM = 1e-6
 """An element that is covered by less along a side is not under the electrode."""
 
 
@@ -98,8 +98,8 @@ def check_apart(contacts: Contacts) -> Contacts:
 
 def _covered(lines: Array, low: float, high: float) -> tuple[Index, Array, Array]:
     """Return which cells of lines an interval covers, and where in each, from 0 to 1."""
-    first = max(int(np.searchsorted(lines, low + LEAST_MM, side="right")) - 1, 0)
-    last = min(int(np.searchsorted(lines, high - LEAST_MM, side="left")), len(lines) - 1)
+    first = max(int(np.searchsorted(lines, low + MIN_OVERLAP_MM, side="right")) - 1, 0)
+    last = min(int(np.searchsorted(lines, high - MIN_OVERLAP_MM, side="left")), len(lines) - 1)
     cell = np.arange(first, last)
     size = lines[cell + 1] - lines[cell]
     return (
@@ -126,7 +126,7 @@ def _patch(mesh: TensorMesh, sheet: Sheet, piece: Piece, size_mm: float, metric:
     shapes = values(unit.reshape(-1, 2)).reshape(len(element), len(GAUSS), 9)
     load = np.einsum("eq,eqi->ei", weight, shapes)
     mass = np.einsum("eq,eqi,eqj->eij", weight, shapes, shapes)
-    fringe = FRINGE * sheet.thickness_mm * MM / (area @ WEIGHTS)
+    fringe = FRINGE_SHARE * sheet.thickness_mm * MM / (area @ WEIGHTS)
     if is_uneven(sheet):  # current crosses a layer that conducts so much better or worse
         fringe = fringe / (relative_conductivity(sheet, where, first) @ WEIGHTS)
     return element, np.full(len(element), piece.electrode), mass, load, fringe

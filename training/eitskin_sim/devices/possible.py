@@ -13,7 +13,7 @@ from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
 from eitskin_sim.scene.parts import SceneError
 
-TRIED: Final = 40
+TRIED_DEVICES: Final = 40
 """Random devices whose electrodes are placed."""
 
 
@@ -23,20 +23,20 @@ def check_skin(skin: Skin) -> None:
     A disc has no corners: that its electrodes have room along the border is all there is, and its reading knows that.
 
     Raises:
-        SceneError: An electrode reaches where its contact cannot; so it does in most of ``TRIED`` random devices.
+        SceneError: An electrode reaches where its contact cannot; so it does in most of ``TRIED_DEVICES``.
     """
     if skin.outline.kind == "disc":
         return
     sheet = nominal_sheet(skin)
     place(sheet, nominal_electrodes(skin))
     failed: list[SceneError] = []
-    for seed in range(TRIED):
+    for seed in range(TRIED_DEVICES):
         try:
             place(sheet, draw_device(skin, np.random.default_rng(seed)).device.electrodes)
         except SceneError as error:
             failed.append(error)
-    if 2 * len(failed) > TRIED:
+    if 2 * len(failed) > TRIED_DEVICES:
         raise SceneError(
-            f"{len(failed)} of {TRIED} random devices of skin {skin.name} cannot be ({failed[0]}), expected few: state "
-            "places or sizes in [electrodes] less uncertain, or farther from what they meet"
+            f"{len(failed)} of {TRIED_DEVICES} random devices of skin {skin.name} cannot be ({failed[0]}), expected "
+            "few: state places or sizes in [electrodes] less uncertain, or farther from what they meet"
         )

@@ -21,7 +21,7 @@ from eitskin_sim.surface.measured_cloud import measured_cloud
 
 Array = npt.NDArray[np.float64]
 
-FARTHEST_SD = 2.5
+MAX_OFFSET_SD = 2.5
 """An electrode is off by at most so many standard deviations: it stays on its side of the border."""
 
 DRAW_SEED = 31_007
@@ -85,7 +85,7 @@ def draw_device(mismatch: Mismatch, seed: int, number: int, skin: Skin = PAPER) 
     """
     mismatch.require(skin)
     rng = np.random.default_rng([DRAW_SEED, seed, number])
-    places = np.clip(rng.standard_normal(N_ELECTRODES), -FARTHEST_SD, FARTHEST_SD)
+    places = np.clip(rng.standard_normal(N_ELECTRODES), -MAX_OFFSET_SD, MAX_OFFSET_SD)
     contacts = rng.standard_normal(N_ELECTRODES)
     field_seed, late_seed = (int(one) for one in rng.integers(2**31, size=2))
     gains, offsets, strays = rng.standard_normal((3, N_ELECTRODES))

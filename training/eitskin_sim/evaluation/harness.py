@@ -30,7 +30,7 @@ from eitskin_sim.scene.parts import Bend, Phantom, Scene, SceneError
 from eitskin_sim.scene.shift import shifted
 from eitskin_sim.solvers.l1 import ITERATIONS, l1_image
 from eitskin_sim.solvers.operators import (
-    SATURATED,
+    SATURATED_CONTRAST,
     Cells,
     Operators,
     linear_data,
@@ -168,7 +168,7 @@ def solve_l1(case: Case, cells: Cells | None = None, iterations: int = ITERATION
     """Return the map of FISTA with the bounds of an effective contrast."""
     operators = case.sheet.operators(_cells(case, cells))
     data = _sign(case) * linear_data(case.voltages, case.reference)
-    image = l1_image(operators.relative_jacobian, data, upper=SATURATED, iterations=iterations)
+    image = l1_image(operators.relative_jacobian, data, upper=SATURATED_CONTRAST, iterations=iterations)
     return scaled(operators.to_map(image))
 
 
@@ -176,7 +176,9 @@ def solve_sbl(case: Case, cells: Cells | None = None) -> Array:
     """Return the map of structure-aware SBL with the bounds of an effective contrast."""
     operators = case.sheet.operators(_cells(case, cells))
     data = _sign(case) * linear_data(case.voltages, case.reference)
-    return scaled(operators.to_map(sbl_image(operators.relative_jacobian, data, operators.shape, upper=SATURATED)))
+    return scaled(
+        operators.to_map(sbl_image(operators.relative_jacobian, data, operators.shape, upper=SATURATED_CONTRAST))
+    )
 
 
 def _registry() -> dict[str, Solver]:

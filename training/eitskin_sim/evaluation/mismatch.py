@@ -21,7 +21,7 @@ from eitskin_sim.scene.shapes import Disc
 from eitskin_sim.scene.soft_touch import check_touch
 
 LARGEST_FILE: Final = 1 << 20
-MOST_ROWS: Final = 200
+MAX_ROWS: Final = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +88,8 @@ class Mismatch:
             SceneError: Its length is another sheet's.
         """
         nominal = skin.outline.size_mm[0]
-        if self.length_mm is not None and abs(self.length_mm / nominal - 1.0) > FARTHEST_LENGTH:
-            low, high = (nominal * (1.0 + sign * FARTHEST_LENGTH) for sign in (-1.0, 1.0))
+        if self.length_mm is not None and abs(self.length_mm / nominal - 1.0) > MAX_LENGTH_ERROR:
+            low, high = (nominal * (1.0 + sign * MAX_LENGTH_ERROR) for sign in (-1.0, 1.0))
             raise SceneError(
                 f"length_mm is {self.length_mm:g}, expected {low:.0f} to {high:.0f}: skin {skin.name!r} is "
                 f"{nominal:g} mm long"
@@ -101,7 +101,7 @@ class Mismatch:
         return bool(self.border_mm or self.dent_mm)
 
 
-FARTHEST_LENGTH: Final = 1.0 / 15.0
+MAX_LENGTH_ERROR: Final = 1.0 / 15.0
 """A sheet is longer or shorter than the nominal one by at most this part of it."""
 
 IDEAL: Final = Mismatch()
@@ -196,7 +196,7 @@ def load_rows(path: str | Path) -> list[Row]:
     except FileError as error:
         raise SceneError(str(error)) from error
     try:
-        listed = fields_of({"devices": value}).entries("devices", least=1, most=MOST_ROWS, of="mismatches")
+        listed = fields_of({"devices": value}).entries("devices", least=1, most=MAX_ROWS, of="mismatches")
         return [_row(listed.table(place)) for place in listed]
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from error

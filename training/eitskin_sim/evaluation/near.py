@@ -12,7 +12,7 @@ from eitskin_sim.evaluation.metrics import touch_centres_mm, truth_level
 
 Array = npt.NDArray[np.float64]
 
-NEAR_MM: Final = 15.0
+MAX_MATCH_DISTANCE_MM: Final = 15.0
 """A touch is missed if none is found this near to it."""
 
 
@@ -29,6 +29,6 @@ def distances_mm(image: Array, truth: Array, grid: Grid = PAPER.grid) -> Array:
 
 def missed_and_rms(distance_mm: Array) -> tuple[float | None, float | None]:
     """Return the share of touches that are missed, and the root mean square distance of the others; None for none."""
-    near = distance_mm[distance_mm <= NEAR_MM]
-    missed = float(np.mean(distance_mm > NEAR_MM)) if distance_mm.size else None
+    near = distance_mm[distance_mm <= MAX_MATCH_DISTANCE_MM]
+    missed = float(np.mean(distance_mm > MAX_MATCH_DISTANCE_MM)) if distance_mm.size else None
     return missed, float(np.sqrt(np.mean(near**2))) if near.size else None

@@ -31,7 +31,7 @@ MEASURES: Final = (
 )
 """What is reported of each phantom and of their mean: the fields of a score, and the share of right counts."""
 
-NEAR_MM: Final = 5.0
+MAX_RESOLVED_DISTANCE_MM: Final = 5.0
 """Touches are told apart where as many are found as there are, this near to them: half the width of a touch."""
 
 RESAMPLES: Final = 2000
@@ -88,7 +88,7 @@ def summary(results: Results, each: int, grid: Grid = PAPER.grid) -> dict[str, A
         "localisation_median_mm": float(np.median(distance)),
         "localisation_p95_mm": float(np.percentile(distance, 95)),
         "missed": float(np.mean(distance >= lost_mm(grid))),
-        "told_apart": float(np.mean(right & (distance <= NEAR_MM))),
+        "told_apart": float(np.mean(right & (distance <= MAX_RESOLVED_DISTANCE_MM))),
         "interval_95": _intervals(groups, lost_mm(grid)),
         "deformations": [
             {"bend": _bend(group[0][0]), **_finite({"cc": mean})} for group, mean in zip(groups, cc, strict=True)

@@ -62,7 +62,7 @@ class TouchProfile:
     """Round, and not square."""
 
 
-HARD: Final = TouchProfile()
+HARD_SQUARE: Final = TouchProfile()
 
 
 def single(
@@ -70,7 +70,7 @@ def single(
     deformations: int,
     each: int,
     family: Family = "A",
-    softness: TouchProfile = HARD,
+    softness: TouchProfile = HARD_SQUARE,
     skin: Skin = PAPER,
     seed: int = 0,
 ) -> list[Phantom]:
@@ -95,7 +95,7 @@ def single(
     def touches(rng: np.random.Generator) -> tuple[Touch, ...]:
         x, y = rng.uniform((0.0, 0.0), (length - size_mm, width - size_mm))
         square = _square(float(x), float(y), size_mm)
-        if softness == HARD:
+        if softness == HARD_SQUARE:
             return (square,)
         radius = size_mm / 2
         shapes = (Disc(float(x) + radius, float(y) + radius, radius),) if softness.disc else square.shapes

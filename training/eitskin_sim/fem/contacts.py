@@ -17,7 +17,7 @@ from eitskin_sim.fem.q2 import GAUSS, WEIGHTS, edge_integrals, values
 from eitskin_sim.scene.electrodes import Piece
 from eitskin_sim.scene.parts import Electrodes, Sheet
 
-FRINGE: Final = 0.2
+FRINGE_SHARE: Final = 0.2
 """The share c of the layer's thickness that a face contact's current crosses."""
 
 SHAPES: Final[Array] = values(GAUSS)
@@ -48,7 +48,7 @@ class Contacts:
     impedance_ohm_m2: Array
     """(m,) of the electrode above."""
     fringe_m: Array
-    """(m,) FRINGE times the deformed thickness for a patch, 0 for an edge."""
+    """(m,) FRINGE_SHARE times the deformed thickness for a patch, 0 for an edge."""
 
     def density(self, sigma: Array) -> Array:
         """Return the (m,) conductance per area, S/m^2, where element ``element[i]`` has conductivity ``sigma[i]``."""
@@ -119,7 +119,7 @@ def _patch(mesh: TensorMesh, sheet: Sheet, piece: Piece, size_mm: float, area: A
     size = np.multiply.outer(np.diff(mesh.y_lines_mm)[rows], np.diff(mesh.x_lines_mm)[columns]).ravel()
     weight = WEIGHTS * area[element] * size[:, None] * MM**2
     mass = (weight @ SQUARES).reshape(-1, 9, 9)
-    fringe = FRINGE * sheet.thickness_mm * MM / (area[element] @ WEIGHTS)
+    fringe = FRINGE_SHARE * sheet.thickness_mm * MM / (area[element] @ WEIGHTS)
     return element, np.full(len(element), piece.electrode), mass, weight @ SHAPES, fringe
 
 

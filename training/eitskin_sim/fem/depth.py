@@ -41,11 +41,11 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Box = tuple[float, float, float, float]
 
-REACH: Final = 2.5
+REACH_THICKNESSES: Final = 2.5
 """Thicknesses around a contact: the first mode falls to exp(-2.5 pi) = 4e-4 there, and again on its way back."""
-EDGE: Final = 0.05
+EDGE_ELEMENT: Final = 0.05
 """Elements beside a contact's edge, in thicknesses or contact sizes, whichever is less."""
-CAP: Final = 0.75
+MAX_ELEMENT_THICKNESSES: Final = 0.75
 """The largest elements of a window, in thicknesses."""
 EXACT_POLES: Final = 2
 FITTED_POLES: Final = 9
@@ -93,7 +93,7 @@ def plates(system: System, scene: Scene, metric: Metric) -> tuple[Plate, ...]:
 
 def _groups(scene: Scene) -> list[tuple[Box, list[Piece]]]:
     """Return the windows' boxes, cut off at the sheet's border, with the contacts in each."""
-    reach = REACH * scene.sheet.thickness_mm
+    reach = REACH_THICKNESSES * scene.sheet.thickness_mm
     groups: list[tuple[Box, list[Piece]]] = []
     for piece in place(scene.sheet, scene.electrodes):
         own = _box(scene, [piece], 0.0)
@@ -142,8 +142,8 @@ def _lines(scene: Scene, box: Box, pieces: Sequence[Piece], axis: int) -> Array:
     low, high = box[axis], box[axis + 2]
     sizes, thickness = scene.electrodes.sizes_mm(), scene.sheet.thickness_mm
     size = float(min(sizes[piece.electrode] for piece in pieces))
-    cap = max(CAP * thickness, size / 6)
-    edge = EDGE * min(thickness, size)
+    cap = max(MAX_ELEMENT_THICKNESSES * thickness, size / 6)
+    edge = EDGE_ELEMENT * min(thickness, size)
     fixed = [(low, cap), (high, cap)]
     for piece in pieces:
         patch = piece.patch_mm(scene.sheet, float(sizes[piece.electrode]))

@@ -2,7 +2,7 @@
 
 Nodes are numbered along x first; an element's nine nodes in the same order::
 
-    6---7---8        size(x) = min(cap, size_a + GROWTH * (x - a), size_b + GROWTH * (b - x))   between two fixed lines
+    6---7---8        size(x) = min(cap, size_a + g (x - a), size_b + g (b - x))   between two fixed lines
     |   |   |
     3   4   5        lines stand at equal steps of the integral of dx / size, which is known in closed form: the cells
     |   |   |        form geometric series from both ends, and half the element size halves every cell.
@@ -26,10 +26,10 @@ Metric = Callable[[Array], Array]
 MM: Final = 1e-3
 """Metres in a millimetre."""
 
-GROWTH: Final = 0.8
+GROWTH_PER_MM: Final = 0.8
 """Growth of the element's size per mm of distance from a fixed line; neighbours differ by about exp(0.8) at most."""
 
-MOST_FIXED: Final = 3000
+MAX_FIXED_LINES: Final = 3000
 """Fixed lines along one direction; each is held against each."""
 
 MERGE_MM: Final = 1e-6
@@ -134,28 +134,28 @@ def _merged(fixed: Sequence[tuple[float, float]], cap_mm: float) -> tuple[Array,
         else:
             positions.append(position)
             sizes.append(size)
-    if len(positions) > MOST_FIXED:
+    if len(positions) > MAX_FIXED_LINES:
         raise SceneError(
-            f"touches and electrodes ask for {len(positions)} lines of the mesh, expected at most {MOST_FIXED}"
+            f"touches and electrodes ask for {len(positions)} lines of the mesh, expected at most {MAX_FIXED_LINES}"
         )
     where, size_there = np.array(positions), np.minimum(sizes, cap_mm)
-    spread = size_there[:, None] + GROWTH * np.abs(where[:, None] - where)
+    spread = size_there[:, None] + GROWTH_PER_MM * np.abs(where[:, None] - where)
     return where, spread.min(axis=0)
 
 
 def _between(a: float, b: float, size_a: float, size_b: float, cap: float, density: float) -> Array:
     """Return the lines after ``a`` up to ``b``."""
-    meet = (b - a) / 2 + (size_b - size_a) / (2 * GROWTH)  # where the two ramps cross, measured from a
-    top = min(cap, size_a + GROWTH * meet)
-    ramp_a, ramp_b = np.log(top / size_a) / GROWTH, np.log(top / size_b) / GROWTH
-    length_a, length_b = (top - size_a) / GROWTH, (top - size_b) / GROWTH
+    meet = (b - a) / 2 + (size_b - size_a) / (2 * GROWTH_PER_MM)  # where the two ramps cross, measured from a
+    top = min(cap, size_a + GROWTH_PER_MM * meet)
+    ramp_a, ramp_b = np.log(top / size_a) / GROWTH_PER_MM, np.log(top / size_b) / GROWTH_PER_MM
+    length_a, length_b = (top - size_a) / GROWTH_PER_MM, (top - size_b) / GROWTH_PER_MM
     flat = max((b - a - length_a - length_b) / top, 0.0)
     total = ramp_a + flat + ramp_b
     count = max(1, int(np.ceil(total * density - 1e-9)))
     step = total * np.arange(1, count + 1) / count
-    rising = a + size_a * np.expm1(GROWTH * np.minimum(step, ramp_a)) / GROWTH
+    rising = a + size_a * np.expm1(GROWTH_PER_MM * np.minimum(step, ramp_a)) / GROWTH_PER_MM
     level = rising + top * np.clip(step - ramp_a, 0.0, flat)
-    falling = b - size_b * np.expm1(GROWTH * (total - np.maximum(step, ramp_a + flat))) / GROWTH
+    falling = b - size_b * np.expm1(GROWTH_PER_MM * (total - np.maximum(step, ramp_a + flat))) / GROWTH_PER_MM
     lines = np.where(step < ramp_a + flat, level, falling)
     lines[-1] = b
     return np.asarray(lines)

@@ -27,7 +27,7 @@ EDGE_DEPTH_MM: Final = 0.03
 """Behind the border, for the same reason."""
 TOUCH_EDGE_MM: Final = 0.5
 """Beside a touch's border, whose corners are weak singularities."""
-MOST_ELEMENTS: Final = 120_000
+MAX_ELEMENTS: Final = 120_000
 """As many take :func:`eitskin_sim.fem.solve.solve_scene` 1.3 GB and 10 s of one core; 0.5 mm in the open sheet have
 71,000. The law "modes" takes several times that: 71,000 take it 2.2 GB and 90 s, and the limit does not bound it."""
 CURVED_MM: Final = 1.0
@@ -35,7 +35,7 @@ CURVED_MM: Final = 1.0
 GRADED_MM: Final = 0.5
 """The least of them across a graded border; half of its width where that is more."""
 
-CLOSE_MM: Final = 3.5
+MAX_PATCH_GAP_MM: Final = 3.5
 """Patches that are no further apart have a line between them where a mesh serves devices with electrodes off it."""
 
 Fixed = list[tuple[float, float]]
@@ -72,7 +72,7 @@ def lines_between(sheet: Sheet, electrodes: Electrodes) -> tuple[list[float], li
     for one, other in zip(boxes, np.roll(boxes, -1, axis=0), strict=True):
         low, high = np.minimum(one[2:], other[2:]), np.maximum(one[:2], other[:2])
         axis = int(np.argmax(high - low))
-        if 0.0 < high[axis] - low[axis] <= CLOSE_MM:
+        if 0.0 < high[axis] - low[axis] <= MAX_PATCH_GAP_MM:
             found[axis].append(float(low[axis] + high[axis]) / 2.0)
     return found
 
@@ -116,9 +116,9 @@ def scene_mesh(scene: Scene) -> TensorMesh:
         for f, extent in ((x + touch_x, length), (y + touch_y, width))
     ]
     mesh = TensorMesh(*lines)
-    if mesh.n_elements > MOST_ELEMENTS:
+    if mesh.n_elements > MAX_ELEMENTS:
         raise SceneError(
-            f"the scene needs a mesh of {mesh.n_elements} elements, expected at most {MOST_ELEMENTS}: raise "
+            f"the scene needs a mesh of {mesh.n_elements} elements, expected at most {MAX_ELEMENTS}: raise "
             f"element_size_mm (it is {scene.element_size_mm:g}), or leave touches out"
         )
     return mesh

@@ -35,26 +35,26 @@ from eitskin_sim.scene.gap import gap_mm, half_extents_mm
 from eitskin_sim.scene.published import PHANTOM_RECTS_MM
 from eitskin_sim.scene.touch_table import RECTANGLE, Array, TouchTable, gather
 
-COUNTS: Final = (0.02, 0.29, 0.21, 0.16, 0.11, 0.09, 0.07, 0.03, 0.02)
+COUNT_CHANCES: Final = (0.02, 0.29, 0.21, 0.16, 0.11, 0.09, 0.07, 0.03, 0.02)
 """Chances of 0, 1 .. 8 touches."""
 
 GAP_MM: Final = 1.0
 """The least distance between two touches."""
 
-CLUSTERED: Final = 1 / 3
+CLUSTERED_SHARE: Final = 1 / 3
 """Share of the chains whose touches lie near to each other, unless another is asked for."""
 
-NEAREST_OF: Final = 8
+NEAREST_CANDIDATES: Final = 8
 """Touches of which the nearest to the one before is tried there: then half of the pairs are about 25 mm apart or less,
 from middle to middle."""
 
-RESEMBLES: Final = 0.97
+PHANTOM_CORRELATION: Final = 0.97
 """A map with at least this correlation to a phantom's is that phantom, slightly moved."""
 
 ATTEMPTS: Final = 40
 """Touches tried for a place in a chain before the chain ends there."""
 
-REDRAWN: Final = 4
+MAX_REDRAWS: Final = 4
 """Times that chains which ended early are drawn again; then their largest sets have fewer touches."""
 
 
@@ -67,7 +67,7 @@ class SetDrawer:
         grid: Of the sheet that they lie on.
     """
 
-    def __init__(self, pool: TouchTable, near: float = CLUSTERED, grid: Grid = PAPER.grid) -> None:
+    def __init__(self, pool: TouchTable, near: float = CLUSTERED_SHARE, grid: Grid = PAPER.grid) -> None:
         self._clustered = near
         self._near = near_table(pool)
         self._middle_mm = middles_mm(pool)
@@ -78,9 +78,9 @@ class SetDrawer:
         if not count:
             return PartSets(np.zeros(0, dtype=np.intp), np.zeros(1, dtype=np.intp))
         total = len(self._near) - 1
-        wanted = np.bincount(generator.choice(len(COUNTS), count, p=COUNTS), minlength=len(COUNTS))
+        wanted = np.bincount(generator.choice(len(COUNT_CHANCES), count, p=COUNT_CHANCES), minlength=len(COUNT_CHANCES))
         chain = np.concatenate([np.arange(number) for number in wanted])
-        size = np.repeat(np.arange(len(COUNTS)), wanted)
+        size = np.repeat(np.arange(len(COUNT_CHANCES)), wanted)
         length = np.zeros(max(wanted[1:].max(), 1), dtype=np.intp)
         np.maximum.at(length, chain[size > 0], size[size > 0])
         turns = -(-len(length) // total)
@@ -94,11 +94,11 @@ class SetDrawer:
     def _families(self, begin: Index, length: Index, generator: np.random.Generator) -> Index:
         """Return (f, 8) touches of chains, -1 after the last, from their first ones and lengths."""
         shared = generator.random(len(length)) < 0.5
-        tries = np.where(generator.random(len(length)) < self._clustered, NEAREST_OF, 1)
+        tries = np.where(generator.random(len(length)) < self._clustered, NEAREST_CANDIDATES, 1)
         found = _draw(self._near, self._middle_mm, begin, length, shared, tries, generator)
         for attempt in count_up():
             again = self._bar.may_resemble(found)
-            if attempt < REDRAWN:
+            if attempt < MAX_REDRAWS:
                 again |= (found >= 0).sum(axis=1) < length
             rows = np.flatnonzero(again)
             if not len(rows):
@@ -128,7 +128,7 @@ def _draw(
         tries: (f,) of how many touches the nearest to the one before is taken.
         generator: Where draws come from.
     """
-    total, most = len(near) - 1, len(COUNTS) - 1
+    total, most = len(near) - 1, len(COUNT_CHANCES) - 1
     own_class = begin % CLASSES
     found = np.full((len(begin), most), -1, dtype=np.intp)
     found[:, 0] = np.where(length > 0, begin, -1)
@@ -137,7 +137,7 @@ def _draw(
         for _ in range(ATTEMPTS):
             if not len(missing):
                 break
-            drawn = generator.integers(total, size=(len(missing), NEAREST_OF))
+            drawn = generator.integers(total, size=(len(missing), NEAREST_CANDIDATES))
             of_class = drawn - drawn % CLASSES + own_class[missing, None]
             of_class = np.where(of_class < total, of_class, own_class[missing, None])
             drawn = np.where(shared[missing, None], of_class, drawn)
@@ -145,7 +145,9 @@ def _draw(
             several = np.flatnonzero(tries[missing] > 1)
             before = found[missing[several], place - 1]
             apart = np.hypot(*(middle_mm[drawn[several]] - middle_mm[before, None]).transpose(2, 0, 1))
-            excluded = near[drawn[several], before[:, None]] | (np.arange(NEAREST_OF) >= tries[missing[several], None])
+            excluded = near[drawn[several], before[:, None]] | (
+                np.arange(NEAREST_CANDIDATES) >= tries[missing[several], None]
+            )
             nearest = np.where(excluded, np.inf, apart).argmin(axis=1)
             candidate[several] = drawn[several, nearest]
             free = ~near[candidate[:, None], found[missing, :place]].any(axis=1)
@@ -190,10 +192,10 @@ class Bar:
         self._sum: Array = np.append(np.asarray(maps.sum(axis=1)).ravel(), 0.0)
 
     def may_resemble(self, found: Index) -> npt.NDArray[np.bool_]:
-        """Return which of (f, 8) chains have a set that may correlate with a phantom by ``RESEMBLES`` or more."""
+        """Return which of (f, 8) chains have a set that may correlate with a phantom by ``PHANTOM_CORRELATION``."""
         product, square, total = (table[found].cumsum(axis=1) for table in (self._product, self._square, self._sum))
         length = np.sqrt(np.maximum(square - total**2 / self._pixels, 1e-12))
-        return np.asarray((product >= RESEMBLES * length[..., None]).any(axis=(1, 2)))
+        return np.asarray((product >= PHANTOM_CORRELATION * length[..., None]).any(axis=(1, 2)))
 
 
 @lru_cache(maxsize=4)
@@ -216,7 +218,7 @@ def phantom_maps(grid: Grid = PAPER.grid) -> Array:
 TOUCHES_PER_SET: Final = 0.2
 """Touches of a pool for each set that a deformation shows; more are more varied, and take longer."""
 
-LEAST: Final = 2 * CLASSES
+MIN_POOL_TOUCHES: Final = 2 * CLASSES
 """Touches that a pool has at least."""
 
 
@@ -241,7 +243,7 @@ class SetPool:
 def set_pool(
     counts: dict[int, tuple[int, int]],
     seed: int,
-    near: float = CLUSTERED,
+    near: float = CLUSTERED_SHARE,
     touches: str = "hard",
     skin: Skin = PAPER,
 ) -> SetPool:
@@ -260,7 +262,7 @@ def set_pool(
     pools = []
     for kind, size in enumerate((learned, held)):
         generator = np.random.default_rng([seed, 4, first, kind])
-        many = max(LEAST, round(TOUCHES_PER_SET * size)) if size else 0
+        many = max(MIN_POOL_TOUCHES, round(TOUCHES_PER_SET * size)) if size else 0
         pools.append(pool_of(touches, many, generator, skin))
     drawers = [SetDrawer(pool, near, skin.grid) for pool in pools]
     sets = {}

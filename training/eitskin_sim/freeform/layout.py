@@ -18,7 +18,7 @@ import numpy as np
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.freeform.mesh import SharedMesh
 
-SIDE: Final = 5
+MAX_ELEMENTS_PER_SIDE: Final = 5
 """The most elements along a cell's side."""
 
 
@@ -115,7 +115,7 @@ def _cells(part: Index, element: Index, count: int, grid: SharedMesh) -> tuple[I
         np.minimum.at(low, part, at)
         np.maximum.at(high, part, at + 1)
         extent = np.maximum(high - low, 1)
-        steps = -(-extent // SIDE)
+        steps = -(-extent // MAX_ELEMENTS_PER_SIDE)
         most = int(steps.max(initial=1))
         number = number * most + ((at - low[part]) * steps[part]) // extent[part]
     unique, cell = np.unique(number, return_inverse=True)

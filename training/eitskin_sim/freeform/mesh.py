@@ -32,10 +32,10 @@ from eitskin_sim.scene.parts import Electrodes
 ELEMENT_MM: Final = 3.5
 """The largest element."""
 
-MIDDLE: Final = 4
+MIDDLE_NODE: Final = 4
 """Place of an element's middle among its nine nodes."""
 
-KEPT: Final = np.array([0, 1, 2, 3, 5, 6, 7, 8, 9])
+KEPT_NODES: Final = np.array([0, 1, 2, 3, 5, 6, 7, 8, 9])
 """Places of the eight other nodes, and the electrode after them."""
 
 
@@ -85,7 +85,7 @@ def shared_mesh(size_mm: float = ELEMENT_MM, electrodes: Electrodes | None = Non
         even_lines(sheet.size_mm[1], [*(at for at, _ in y), *between[1]], size_mm),
     )
     contacts = check_apart(system_on(mesh, sheet, electrodes or nominal, flat_metric, nominal).contacts)
-    outer = np.setdiff1d(np.arange(mesh.n_nodes), mesh.element_nodes[:, MIDDLE])
+    outer = np.setdiff1d(np.arange(mesh.n_nodes), mesh.element_nodes[:, MIDDLE_NODE])
     column = outer % (2 * mesh.shape[1] + 1)
     low, high = _spans(contacts, mesh.shape[1])
     wide = int(-(-(high - low).max() // 2))  # an electrode's lines are then three neighbours at most
@@ -98,7 +98,7 @@ def shared_mesh(size_mm: float = ELEMENT_MM, electrodes: Electrodes | None = Non
     terminals = place[len(outer) :]
     terminal = np.full(mesh.n_elements, -1)
     terminal[contacts.element] = terminals[contacts.electrode]
-    dofs = np.column_stack([of_node[mesh.element_nodes[:, KEPT[:8]]], terminal])
+    dofs = np.column_stack([of_node[mesh.element_nodes[:, KEPT_NODES[:8]]], terminal])
     sharing = np.bincount(dofs[dofs >= 0], minlength=len(order))
     sharing[terminals] += 1
     first = np.searchsorted(line[order], np.arange(line.max() + 2))
@@ -141,6 +141,6 @@ def with_contacts(blocks: Array, elements: Index, density: Array, contacts: Cont
 
 def without_middle(blocks: Array) -> Array:
     """Return (n, 9, 9) blocks of the eight outer nodes and the electrode, from (n, 10, 10)."""
-    column = blocks[:, KEPT, MIDDLE]
-    kept = blocks[:, KEPT[:, None], KEPT]
-    return np.asarray(kept - column[:, :, None] * (column / blocks[:, MIDDLE, MIDDLE, None])[:, None, :])
+    column = blocks[:, KEPT_NODES, MIDDLE_NODE]
+    kept = blocks[:, KEPT_NODES[:, None], KEPT_NODES]
+    return np.asarray(kept - column[:, :, None] * (column / blocks[:, MIDDLE_NODE, MIDDLE_NODE, None])[:, None, :])

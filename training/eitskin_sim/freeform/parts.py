@@ -29,7 +29,7 @@ from eitskin_sim.freeform.mesh import SharedMesh, with_contacts, without_middle
 from eitskin_sim.freeform.sheet import InvertedSheet, touched_blocks
 from eitskin_sim.scene.touch_table import Array, TouchTable, gather
 
-BATCH: Final = 32
+PARTS_PER_BATCH: Final = 32
 """Parts whose geometry is held together: 1 MB."""
 
 
@@ -69,8 +69,8 @@ def geometry(parts: TouchTable, grid: SharedMesh) -> list[PartGeometry]:
     """
     check_pieces(parts.pieces, grid.mesh)
     found = []
-    for start in range(0, len(parts), BATCH):
-        which = np.arange(start, min(start + BATCH, len(parts)))
+    for start in range(0, len(parts), PARTS_PER_BATCH):
+        which = np.arange(start, min(start + PARTS_PER_BATCH, len(parts)))
         cuts = find_cuts(parts, which, grid.mesh)
         layout = make_layout(cuts.of_set, cuts.element, len(which), grid)
         found.append(PartGeometry(cuts, layout, signs_of(parts.chosen(which))))
@@ -168,7 +168,7 @@ def _change(touched: Array, untouched: Array, inside: int) -> Array:
     return change
 
 
-LIFT: Final = 1e-14
+DIAGONAL_LIFT: Final = 1e-14
 """What is added to the diagonal of dS, as a share of its largest: thin cuts leave eigenvalues of zero."""
 
 
@@ -199,14 +199,14 @@ def _alone(own: Array, bare: Array) -> Array:
     return np.asarray(blas.dtrsm(1.0, root, bare, side=1, lower=1, trans_a=1, overwrite_b=1))  # right: thrice as fast
 
 
-NONE: Final = 1e-14
+ZERO_EIGENVALUE: Final = 1e-14
 """Relative size under which an eigenvalue of a dS of both signs is none."""
 
 
 def _mixed(change: Array, seen: Array) -> tuple[Array, int]:
     """Return L of a dS of both signs, from its lower half and the inverse at the outline, and its columns of 1."""
     value, vector = np.linalg.eigh(change)
-    least = NONE * np.abs(value).max()
+    least = ZERO_EIGENVALUE * np.abs(value).max()
     roots = []
     for which, size in ((value > least, value), (value < -least, -value)):
         bare = np.zeros((len(change) + 1, np.count_nonzero(which)), order="F")
@@ -228,7 +228,7 @@ def _root(change: Array) -> Array:
     """
     rank = len(change)
     lifted = change.copy(order="F")
-    lifted.T.reshape(-1)[:: rank + 1] += LIFT * change.diagonal().max()
+    lifted.T.reshape(-1)[:: rank + 1] += DIAGONAL_LIFT * change.diagonal().max()
     triangle, failed = lapack.dpotrf(lifted, lower=1, overwrite_a=1, clean=0)
     row: Index | slice = slice(rank)
     if failed:

@@ -34,7 +34,7 @@ import numpy.typing as npt
 from eitskin_proto.skin import touch_kind as ways
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.scene.gap import half_extents_mm
-from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
+from eitskin_sim.scene.soft_touch import MIN_BORDER_MM
 from eitskin_sim.scene.touch_table import DISC, ELLIPSE, RECTANGLE, Array, TouchTable, gather
 
 TouchKind = Literal["hard", "firm", "press", "raise", "both", "skin"]
@@ -43,7 +43,7 @@ it; both ways; as the skin says."""
 
 TOUCH_KINDS: Final[tuple[TouchKind, ...]] = get_args(TouchKind)
 
-WAYS: Final[dict[str, ways.TouchKind]] = {
+TOUCH_KIND_OF_DRAW: Final[dict[str, ways.TouchKind]] = {
     "hard": "raise",
     "firm": "raise",
     "raise": "raise",
@@ -71,7 +71,7 @@ class Ranges:
     """Contrasts of those that raise it."""
     sizes_mm: Range = (8.0, 25.0)
     """Of discs' diameters, ellipses' axes, rectangles' sides."""
-    borders_mm: Range = (LEAST_BORDER_MM, 8.0)
+    borders_mm: Range = (MIN_BORDER_MM, 8.0)
     """Widths of graded borders; none are graded where the upper one is too little for that."""
     sharp: float = USUAL_SHARP
     """Share of the borders that are sharp."""
@@ -79,7 +79,7 @@ class Ranges:
     """Whether half of those that raise conductance have the sharp shapes of hard touches, of any size."""
 
 
-FIRM: Final = Ranges("raise", raising=(5.0, 200.0), borders_mm=(LEAST_BORDER_MM, 4.0))
+FIRM_RANGES: Final = Ranges("raise", raising=(5.0, 200.0), borders_mm=(MIN_BORDER_MM, 4.0))
 """Of ``firm``."""
 
 
@@ -92,16 +92,16 @@ def ranges_of(kind: str, skin: Skin) -> Ranges:
     if kind not in TOUCH_KINDS:
         raise ValueError(f"touches {kind!r} are unknown; expected one of {', '.join(TOUCH_KINDS)}")
     if kind == "firm":
-        return FIRM
+        return FIRM_RANGES
     if kind != "skin":
-        return Ranges(WAYS[kind])
+        return Ranges(TOUCH_KIND_OF_DRAW[kind])
     said = skin.touches
     low, high = said.size_mm
     most = LARGEST_SHARE * min(skin.outline.size_mm)
     if low > most:
         raise ValueError(f"[touches] size_mm begins at {low:g}, expected at most {most:g} on this sheet")
-    soft = max(said.border_mm[0], LEAST_BORDER_MM), max(said.border_mm[1], LEAST_BORDER_MM)
-    sharp = 1.0 if said.border_mm[1] < LEAST_BORDER_MM else 0.0 if said.border_mm[0] >= LEAST_BORDER_MM else USUAL_SHARP
+    soft = max(said.border_mm[0], MIN_BORDER_MM), max(said.border_mm[1], MIN_BORDER_MM)
+    sharp = 1.0 if said.border_mm[1] < MIN_BORDER_MM else 0.0 if said.border_mm[0] >= MIN_BORDER_MM else USUAL_SHARP
     sizes, shapes = (low, min(high, most)), low <= SMALLEST_MM and high >= LARGEST_MM
     return Ranges(skin.touch_kind, said.lowering_contrast, said.raising_contrast, sizes, soft, sharp, shapes)
 
@@ -119,7 +119,7 @@ WIDEST_MM: Final = 14.0
 CONTRAST: Final = (20.0, 200.0)
 """S/m of a touch; the untouched sheet has 1."""
 
-KINDS: Final = (0.42, 0.3, 0.14, 0.14)
+SHAPE_CHANCES: Final = (0.42, 0.3, 0.14, 0.14)
 """Chances of a rectangle, a disc, a bar, an L."""
 
 CLASSES: Final = 32
@@ -133,7 +133,7 @@ def touch_pool(
     low, high = np.log(CONTRAST)
     stratum = (np.arange(CLASSES) + generator.random(CLASSES)) / CLASSES
     sigma = np.exp(low + (high - low) * stratum)[np.arange(count) % CLASSES]
-    kind = generator.choice(len(KINDS), count, p=KINDS)
+    kind = generator.choice(len(SHAPE_CHANCES), count, p=SHAPE_CHANCES)
     pieces = np.empty((count, 2, 7))
     missing = np.arange(count)
     while len(missing):
@@ -189,7 +189,7 @@ def _ells(one: Array, width: Array, generator: np.random.Generator) -> Array:
     return arms
 
 
-FORMS: Final = (0.45, 0.35, 0.2)
+PRESS_SHAPE_CHANCES: Final = (0.45, 0.35, 0.2)
 """Chances of a disc, an ellipse, a rectangle."""
 
 DEPTHS_MM: Final = (5.0, 22.0)
@@ -198,16 +198,16 @@ DEPTHS_MM: Final = (5.0, 22.0)
 STRENGTH_MM2: Final = 99.0
 """Conductance that a press of 10 mm depth takes away, over the sheet's conductivity, times area."""
 
-POWER: Final = 1.45
+DEPTH_EXPONENT: Final = 1.45
 """Strength goes with depth to this."""
 
-SPREAD: Final = 0.2
+LOG_STRENGTH_SD: Final = 0.2
 """Standard deviation of the logarithm of the strength at one depth: quartiles are 1.3 apart."""
 
-LONGEST: Final = 2.0
+MAX_AXIS_RATIO: Final = 2.0
 """The most that one axis is longer than the other."""
 
-PATIENCE: Final = 300
+MAX_STRENGTH_DRAWS: Final = 300
 """Draws of a strength until a size that fits is drawn by itself; of the usual presses one in ten fits."""
 
 
@@ -260,11 +260,11 @@ def _draw_presses(
     while len(missing):
         tries += 1
         area = _areas(contrast[missing], generator, ranges.sizes_mm)
-        form = generator.choice((DISC, ELLIPSE, RECTANGLE), len(missing), p=FORMS)
-        longest = LONGEST if tries < PATIENCE else min(LONGEST, high / low)
+        form = generator.choice((DISC, ELLIPSE, RECTANGLE), len(missing), p=PRESS_SHAPE_CHANCES)
+        longest = MAX_AXIS_RATIO if tries < MAX_STRENGTH_DRAWS else min(MAX_AXIS_RATIO, high / low)
         ratio = np.where(form == DISC, 1.0, np.exp(generator.uniform(0.0, np.log(longest), len(missing))))
         full = np.where(form == RECTANGLE, 1.0, np.pi / 4)
-        width = np.sqrt(area / full / ratio) if tries < PATIENCE else generator.uniform(low, high / ratio)
+        width = np.sqrt(area / full / ratio) if tries < MAX_STRENGTH_DRAWS else generator.uniform(low, high / ratio)
         fits = (width >= low) & (width * ratio <= high * (1.0 + 1e-12))
         chosen = missing[fits]
         pieces[chosen, 0], pieces[chosen, 3], pieces[chosen, 4] = form[fits], (width * ratio)[fits], width[fits]
@@ -281,7 +281,9 @@ def _areas(contrast: Array, generator: np.random.Generator, sizes_mm: tuple[floa
     """Return (n,) areas, mm^2: of those that lower conductance by their strength."""
     count = len(contrast)
     depth = generator.uniform(*DEPTHS_MM, count)
-    strength = STRENGTH_MM2 * (depth / 10.0) ** POWER * np.exp(SPREAD * generator.standard_normal(count))
+    strength = (
+        STRENGTH_MM2 * (depth / 10.0) ** DEPTH_EXPONENT * np.exp(LOG_STRENGTH_SD * generator.standard_normal(count))
+    )
     even = np.pi / 4 * generator.uniform(*sizes_mm, count) ** 2
     return np.where(contrast < 1.0, strength / np.abs(1.0 - contrast), even)
 

@@ -21,10 +21,10 @@ from eitskin_proto.sensor.row_gaussian import (
 )
 from eitskin_proto.sensor.table import N_ROWS
 
-SAMPLES: Final = 40_000
+MAX_SAMPLES: Final = 40_000
 """Samples that a fit takes."""
 
-FLOOR: Final = 1e-5
+VARIANCE_FLOOR: Final = 1e-5
 """Added to every row's variance: (0.3 %)^2, the noise of 50 dB, without which few samples have no inverse."""
 
 
@@ -42,7 +42,7 @@ def fit(change: npt.NDArray[np.floating]) -> RowGaussian:
     logs = log_of_change(change)
     mean = logs.mean(axis=0)
     apart = logs - mean
-    return RowGaussian(mean, apart.T @ apart / (len(logs) - 1) + FLOOR * np.eye(N_ROWS))
+    return RowGaussian(mean, apart.T @ apart / (len(logs) - 1) + VARIANCE_FLOOR * np.eye(N_ROWS))
 
 
 class RowImputation:

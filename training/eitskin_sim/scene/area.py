@@ -24,7 +24,7 @@ from eitskin_sim.scene.touch_table import ELLIPSE, cover
 
 Array = npt.NDArray[np.float64]
 
-SAMPLES: Final = 24
+SAMPLES_PER_SIDE: Final = 24
 """Samples a side of a pixel where shapes overlap: a straight border is then off by at most 1/24 of a pixel."""
 
 
@@ -130,7 +130,7 @@ def _sampled(shapes: Sequence[Shape], grid: Grid, holes: Sequence[bool] | None =
     """Return the share of each pixel inside shapes, of which each hole takes out what it covers of those before it."""
     rows, columns = grid.shape
     dx, dy = grid.pixel_mm
-    offsets = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    offsets = (np.arange(SAMPLES_PER_SIDE) + 0.5) / SAMPLES_PER_SIDE
     x = (np.arange(columns) * dx)[:, None] + offsets * dx
     y = (np.arange(rows) * dy)[:, None] + offsets * dy
     points = np.stack(np.meshgrid(x.ravel(), y.ravel()), axis=-1)
@@ -138,4 +138,6 @@ def _sampled(shapes: Sequence[Shape], grid: Grid, holes: Sequence[bool] | None =
     for shape, hole in zip(shapes, holes or [False] * len(shapes), strict=True):
         own = shape.distance_mm(points)[0] <= 0.0
         inside = inside & ~own if hole else inside | own
-    return np.asarray(inside.reshape(rows, SAMPLES, columns, SAMPLES).mean(axis=(1, 3)), dtype=np.float64)
+    return np.asarray(
+        inside.reshape(rows, SAMPLES_PER_SIDE, columns, SAMPLES_PER_SIDE).mean(axis=(1, 3)), dtype=np.float64
+    )

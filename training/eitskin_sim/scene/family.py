@@ -31,7 +31,7 @@ Family = Literal["A", "B"]
 SCALED: Final = 0.3
 """Share of draws that are multiplied by an amplitude from 0 to 1."""
 
-FLAT: Final = 0.025
+FLAT_SHARE: Final = 0.025
 """Share of draws that are exactly flat."""
 
 BUMP_MM: Final = 6.0
@@ -108,9 +108,9 @@ def _draw(family: Family, skin: Skin, generator: np.random.Generator) -> Bend:
     bend = Bend(angle, axis, skew, twist, along, across, uneven)
     if family == "B":
         bend = replace(bend, bumps_mm=(_bump(skin, generator), _bump(skin, generator)))
-    if kind < FLAT:
+    if kind < FLAT_SHARE:
         return Bend()
-    return scaled(bend, float(amplitude)) if kind < FLAT + SCALED else bend
+    return scaled(bend, float(amplitude)) if kind < FLAT_SHARE + SCALED else bend
 
 
 def _bump(skin: Skin, generator: np.random.Generator) -> tuple[float, float, float, float]:

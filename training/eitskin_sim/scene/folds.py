@@ -25,7 +25,7 @@ from eitskin_sim.scene.soft_touch import dents_of
 
 Array = npt.NDArray[np.float64]
 
-AHEAD: Final = 0.3
+MIN_CLEARANCE: Final = 0.3
 """Least m: 1 / (2 pi) is 0.16, and as much again for what lies between the directions and points that are looked at."""
 
 DIRECTIONS: Final = 64
@@ -104,10 +104,10 @@ def _runs_ahead(frame: RollFrame) -> bool:
     cos, sin = np.cos(angle), np.sin(angle)
     ahead = cos[:, None] * frame.d_s.mean(axis=0) + sin[:, None] * frame.d_w.mean(axis=0)
     length = np.linalg.norm(ahead, axis=1, keepdims=True)
-    if length.min() < AHEAD:
+    if length.min() < MIN_CLEARANCE:
         return False
     ahead /= length
-    return bool((frame.d_s @ ahead.T * cos + frame.d_w @ ahead.T * sin).min() >= AHEAD)
+    return bool((frame.d_s @ ahead.T * cos + frame.d_w @ ahead.T * sin).min() >= MIN_CLEARANCE)
 
 
 def _check_apart(bend: Bend, sheet: Sheet, dents: Sequence[Touch] = ()) -> None:

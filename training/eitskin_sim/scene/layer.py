@@ -28,7 +28,7 @@ FIELD_SEED: Final = 16_001
 TILT_SEED: Final = 16_002
 """Both keep draws apart from all others of the same seed."""
 
-AT_ONCE: Final = 1 << 14
+POINTS_PER_BLOCK: Final = 1 << 14
 """Points of a block: its cosines stay in the cache."""
 
 
@@ -58,8 +58,8 @@ def smooth_field(field: SmoothField, xy_mm: Array) -> Array:
     phases = rng.uniform(0.0, 2.0 * np.pi, WAVES)
     xy = np.asarray(xy_mm, dtype=np.float64)
     points, found = xy.reshape(-1, 2), np.empty(xy[..., 0].size)
-    for start in range(0, len(points), AT_ONCE):
-        block = slice(start, start + AT_ONCE)
+    for start in range(0, len(points), POINTS_PER_BLOCK):
+        block = slice(start, start + POINTS_PER_BLOCK)
         # By columns and not by a matrix product: a point's value must not depend on which points come with it.
         at = points[block, :1] * waves[:, 0] + points[block, 1:] * waves[:, 1] + phases
         found[block] = np.cos(at).sum(axis=1)

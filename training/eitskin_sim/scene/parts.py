@@ -20,7 +20,7 @@ from eitskin_sim.scene.shapes import Shape
 
 Array = npt.NDArray[np.float64]
 
-LEAST_LOG_CONTRAST: Final = 1e-6
+MIN_LOG_CONTRAST: Final = 1e-6
 """A touch whose contrast is nearer to 1 than this changes nothing of the sheet that anybody could measure."""
 
 
@@ -139,7 +139,7 @@ class Touch:
 
     def is_alike(self, sheet_S_per_m: float) -> bool:
         """Return whether the conductivity inside is the sheet's."""
-        return abs(math.log(self.factor(sheet_S_per_m))) < LEAST_LOG_CONTRAST
+        return abs(math.log(self.factor(sheet_S_per_m))) < MIN_LOG_CONTRAST
 
     def is_hole(self, sheet_S_per_m: float) -> bool:
         """Return whether the sheet is as untouched here: of sharp touches under it, this one takes a piece out."""

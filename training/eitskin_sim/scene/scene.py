@@ -48,7 +48,7 @@ __all__ = [
     "scene_json",
 ]
 
-NOT_IDEAL: Final = ("gauge_factor", "field", "late")
+REAL_SHEET_KEYS: Final = ("gauge_factor", "field", "late")
 """Keys of a sheet that an ideal one lacks."""
 
 SHAPES: Final = ("rect_mm", "disc_mm", "ellipse_mm", "polygon_mm", "units")
@@ -118,7 +118,7 @@ def parse_phantoms(value: object, skin: Skin = PAPER) -> tuple[Phantom, ...]:
     Raises:
         SceneError: An entry is no phantom.
     """
-    listed = fields_of({"phantoms": value}).entries("phantoms", most=limits.MOST_PHANTOMS, of="phantoms")
+    listed = fields_of({"phantoms": value}).entries("phantoms", most=limits.MAX_PHANTOMS, of="phantoms")
     found = []
     for index in listed:
         fields = listed.table(index)
@@ -148,7 +148,7 @@ def parse_scene(value: object, skin: Skin = PAPER) -> Scene:
     """
     fields = fields_of(value, "scene")
     sheet = _sheet(fields.table("sheet"), skin)
-    touches = fields.entries("touches", most=limits.MOST_SHAPES, of="touches")
+    touches = fields.entries("touches", most=limits.MAX_SHAPES, of="touches")
     scene = Scene(
         sheet=sheet,
         electrodes=_electrodes(fields.table("electrodes"), sheet, skin),
@@ -165,9 +165,9 @@ def parse_scene(value: object, skin: Skin = PAPER) -> Scene:
 def check_scene(scene: Scene) -> None:
     """Raise SceneError if a scene cannot be solved: an overlap, a touch off the sheet or too small, a fold."""
     count = sum(len(touch.shapes) for touch in scene.touches)
-    if count > limits.MOST_SHAPES:
+    if count > limits.MAX_SHAPES:
         raise SceneError(
-            f"scene.touches has {count} shapes, units counted singly; expected at most {limits.MOST_SHAPES}"
+            f"scene.touches has {count} shapes, units counted singly; expected at most {limits.MAX_SHAPES}"
         )
     length, width = scene.sheet.size_mm
     low, high = min(length, width) / 1000, min(length, width) / 8
@@ -200,17 +200,17 @@ def _sheet(fields: Fields, skin: Skin) -> Sheet:
     """Return the sheet of ``scene.sheet``; what it does not say is as the skin states it."""
     stated = nominal_sheet(skin)
     length, width = fields.numbers("size_mm", 2, stated.size_mm, low=1.0, high=10_000.0)
-    if max(length, width) > limits.MOST_ASPECT * min(length, width):
+    if max(length, width) > limits.MAX_ASPECT * min(length, width):
         raise SceneError(
-            f"{fields.where}.size_mm is {length:g} x {width:g}; one side must be at most {limits.MOST_ASPECT:g} others"
+            f"{fields.where}.size_mm is {length:g} x {width:g}; one side must be at most {limits.MAX_ASPECT:g} others"
         )
     sheet = Sheet(
         size_mm=(length, width),
         thickness_mm=fields.number(
-            "thickness_mm", stated.thickness_mm, low=limits.LEAST_THICKNESS_MM, high=limits.MOST_THICKNESS_MM
+            "thickness_mm", stated.thickness_mm, low=limits.MIN_THICKNESS_MM, high=limits.MAX_THICKNESS_MM
         ),
         conductivity_S_per_m=fields.number("conductivity_S_per_m", stated.conductivity_S_per_m, low=1e-6, high=1e8),
-        gauge_factor=fields.number("gauge_factor", stated.gauge_factor, low=-limits.MOST_GAUGE, high=limits.MOST_GAUGE),
+        gauge_factor=fields.number("gauge_factor", stated.gauge_factor, low=-limits.MAX_GAUGE, high=limits.MAX_GAUGE),
         field=_field(fields),
         late=_late(fields),
     )
@@ -223,8 +223,8 @@ def _field(sheet: Fields) -> SmoothField | None:
         return None
     fields = sheet.table("field")
     field = SmoothField(
-        rms=fields.number("rms", low=0.0, high=limits.MOST_UNEVEN),
-        correlation_mm=fields.number("correlation_mm", low=limits.LEAST_CORRELATION_MM, high=limits.FARTHEST),
+        rms=fields.number("rms", low=0.0, high=limits.MAX_UNEVEN),
+        correlation_mm=fields.number("correlation_mm", low=limits.MIN_CORRELATION_MM, high=limits.MAX_COORDINATE_MM),
         seed=_seed(fields),
     )
     fields.close()
@@ -236,8 +236,8 @@ def _late(sheet: Fields) -> LaterChanges | None:
         return None
     fields = sheet.table("late")
     late = LaterChanges(
-        factor=fields.number("factor", 1.0, low=1.0 / limits.MOST_DRIFT, high=limits.MOST_DRIFT),
-        gradient_rms=fields.number("gradient_rms", 0.0, low=0.0, high=limits.MOST_UNEVEN),
+        factor=fields.number("factor", 1.0, low=1.0 / limits.MAX_DRIFT, high=limits.MAX_DRIFT),
+        gradient_rms=fields.number("gradient_rms", 0.0, low=0.0, high=limits.MAX_UNEVEN),
         field=_field(fields),
         seed=_seed(fields),
     )
@@ -246,7 +246,7 @@ def _late(sheet: Fields) -> LaterChanges | None:
 
 
 def _seed(fields: Fields) -> int:
-    found = fields.number("seed", 0, low=0, high=limits.MOST_SEED)
+    found = fields.number("seed", 0, low=0, high=limits.MAX_SEED)
     if found != int(found):
         raise fields.wrong("seed", "a whole number")
     return int(found)
@@ -268,7 +268,7 @@ def _electrodes(fields: Fields, sheet: Sheet, skin: Skin) -> Electrodes:
     arc = stated.arc_length_mm if own else even_arc_length_mm(sheet.size_mm)
     electrodes = Electrodes(
         contact=cast(Literal["patch", "edge"], fields.choice("contact", ("patch", "edge"), stated.contact)),
-        size_mm=_each(fields, "size_mm", stated.size_mm, low=0.01, high=limits.FARTHEST),
+        size_mm=_each(fields, "size_mm", stated.size_mm, low=0.01, high=limits.MAX_COORDINATE_MM),
         contact_impedance_ohm_m2=_each(
             fields, "contact_impedance_ohm_m2", stated.contact_impedance_ohm_m2, low=1e-9, high=1e6
         ),
@@ -289,18 +289,18 @@ def _each(
 
 def sheet_json(sheet: Sheet) -> dict[str, Any]:
     """Return the JSON of a sheet; what an ideal one lacks is there only where it is not ideal."""
-    return {key: value for key, value in asdict(sheet).items() if key not in NOT_IDEAL or value}
+    return {key: value for key, value in asdict(sheet).items() if key not in REAL_SHEET_KEYS or value}
 
 
 def _bend(fields: Fields, sheet: Sheet) -> Bend:
     bumps = []
-    listed = fields.entries("bumps_mm", most=limits.MOST_BUMPS, of="bumps")
+    listed = fields.entries("bumps_mm", most=limits.MAX_BUMPS, of="bumps")
     for index in listed:
         bump = listed.entries(index, least=4, most=4, of="numbers")
-        x, y, height = (bump.number(k, low=-limits.FARTHEST, high=limits.FARTHEST) for k in range(3))
-        bumps.append((x, y, height, bump.number(3, low=min(sheet.size_mm) / 1000, high=limits.FARTHEST)))
-    turn = {"low": -limits.MOST_TURN_DEG, "high": limits.MOST_TURN_DEG}
-    stretch = {"low": 1.0 / limits.MOST_STRETCH, "high": limits.MOST_STRETCH}
+        x, y, height = (bump.number(k, low=-limits.MAX_COORDINATE_MM, high=limits.MAX_COORDINATE_MM) for k in range(3))
+        bumps.append((x, y, height, bump.number(3, low=min(sheet.size_mm) / 1000, high=limits.MAX_COORDINATE_MM)))
+    turn = {"low": -limits.MAX_TURN_DEG, "high": limits.MAX_TURN_DEG}
+    stretch = {"low": 1.0 / limits.MAX_STRETCH, "high": limits.MAX_STRETCH}
     bend = Bend(
         angle_deg=fields.number("angle_deg", 0.0, **turn),
         axis_deg=fields.number("axis_deg", 0.0, **turn),
@@ -308,15 +308,15 @@ def _bend(fields: Fields, sheet: Sheet) -> Bend:
         twist_deg=fields.number("twist_deg", 0.0, **turn),
         stretch_along=fields.number("stretch_along", 1.0, **stretch),
         stretch_across=fields.number("stretch_across", 1.0, **stretch),
-        nonuniformity=fields.number("nonuniformity", 0.0, low=-limits.MOST_STRETCH, high=limits.MOST_STRETCH),
+        nonuniformity=fields.number("nonuniformity", 0.0, low=-limits.MAX_STRETCH, high=limits.MAX_STRETCH),
         bumps_mm=tuple(bumps),
     )
     fields.close()
     ratio = bend.stretch_along / bend.stretch_across
-    if not 1.0 / limits.MOST_STRETCH <= ratio <= limits.MOST_STRETCH:
+    if not 1.0 / limits.MAX_STRETCH <= ratio <= limits.MAX_STRETCH:
         raise SceneError(
             f"{fields.where}.stretch_along is {bend.stretch_along:g} and stretch_across {bend.stretch_across:g}; their "
-            f"ratio is {ratio:g}, it must be from {1.0 / limits.MOST_STRETCH:g} to {limits.MOST_STRETCH:g}"
+            f"ratio is {ratio:g}, it must be from {1.0 / limits.MAX_STRETCH:g} to {limits.MAX_STRETCH:g}"
         )
     return bend
 
@@ -336,7 +336,7 @@ def _shape(fields: Fields, key: str) -> Shape:
     """Return the rectangle, disc, ellipse or polygon of a touch."""
     where = fields.path(key)
     if key == "polygon_mm":
-        return _polygon(fields.entries(key, least=3, most=limits.MOST_CORNERS, of="corners"), where)
+        return _polygon(fields.entries(key, least=3, most=limits.MAX_CORNERS, of="corners"), where)
     if key == "rect_mm":
         x0, y0, x1, y1 = fields.numbers(key, 4)
         if x1 <= x0 or y1 <= y0:

@@ -125,7 +125,7 @@ class Ellipse:
         return distance, np.stack([normal @ [cos, -sin], normal @ [sin, cos]], axis=-1)
 
 
-NEAREST_STEPS: Final = 4
+NEAREST_POINT_STEPS: Final = 4
 """Steps to the nearest point of an ellipse, each by its circle of curvature: within 0.01 mm at axes of 1 to 3."""
 
 
@@ -140,7 +140,7 @@ def ellipse_distance(local_mm: Array, half_mm: Array) -> tuple[Array, Array]:
     x, y = np.abs(local_mm[..., 0]), np.abs(local_mm[..., 1])
     t_x, t_y = np.full(x.shape, np.sqrt(0.5)), np.full(x.shape, np.sqrt(0.5))
     middle_x, middle_y = (a * a - b * b) / a, (b * b - a * a) / b
-    for _ in range(NEAREST_STEPS):
+    for _ in range(NEAREST_POINT_STEPS):
         # The circle that fits the ellipse best at (a t_x, b t_y) has its middle at e; the point's nearest on the circle
         # is nearly that on the ellipse. Products and roots: numpy's powers and hypot take three to ten times as long.
         e_x, e_y = middle_x * (t_x * t_x * t_x), middle_y * (t_y * t_y * t_y)

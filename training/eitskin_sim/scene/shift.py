@@ -14,7 +14,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.parts import Phantom, Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
 
-MEET_MM: Final = 1e-6
+MAX_CONTACT_GAP_MM: Final = 1e-6
 """Boxes this near to each other meet."""
 
 TRIES: Final = 1000
@@ -69,7 +69,10 @@ def _groups(touches: list[Touch]) -> list[list[int]]:
 def _meet(first: Touch, second: Touch) -> bool:
     for a in (shape.bounds_mm for shape in first.shapes):
         for b in (shape.bounds_mm for shape in second.shapes):
-            if max(a[0], b[0]) <= min(a[2], b[2]) + MEET_MM and max(a[1], b[1]) <= min(a[3], b[3]) + MEET_MM:
+            if (
+                max(a[0], b[0]) <= min(a[2], b[2]) + MAX_CONTACT_GAP_MM
+                and max(a[1], b[1]) <= min(a[3], b[3]) + MAX_CONTACT_GAP_MM
+            ):
                 return True
     return False
 

@@ -18,12 +18,12 @@ import numpy.typing as npt
 from scipy.special import ndtr
 
 from eitskin_proto.fields import Fields
-from eitskin_sim.scene.parts import LEAST_LOG_CONTRAST, Scene, SceneError, Sheet, Touch
+from eitskin_sim.scene.parts import MIN_LOG_CONTRAST, Scene, SceneError, Sheet, Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
 
 Array = npt.NDArray[np.float64]
 
-LEAST_BORDER_MM: Final = 0.5
+MIN_BORDER_MM: Final = 0.5
 """The narrowest graded border that a mesh represents; below it a border is sharp."""
 
 DENT_WALL_MM: Final = 4.0
@@ -75,11 +75,11 @@ def check_touch(touch: Touch, sheet: Sheet, where: str, earlier: Sequence[Touch]
     if alike and not touch.dent_mm and not _takes_out(touch, sheet, earlier):
         raise SceneError(
             f"{where} changes nothing: its contrast is {factor:.6g}; it must be below or above 1 by at least "
-            f"{LEAST_LOG_CONTRAST:g}, have a dent_mm, or be a hole: both sharp, over a touch that stands before it"
+            f"{MIN_LOG_CONTRAST:g}, have a dent_mm, or be a hole: both sharp, over a touch that stands before it"
         )
-    if 0.0 < touch.border_mm < LEAST_BORDER_MM:
+    if 0.0 < touch.border_mm < MIN_BORDER_MM:
         raise SceneError(
-            f"{where}.border_mm is {touch.border_mm:g}; it must be 0, a sharp border, or at least {LEAST_BORDER_MM:g}"
+            f"{where}.border_mm is {touch.border_mm:g}; it must be 0, a sharp border, or at least {MIN_BORDER_MM:g}"
         )
     width = min(shape.width_mm for shape in touch.shapes)
     if touch.border_mm > width:

@@ -21,17 +21,17 @@ from eitskin_sim.fem.mesh import Index, TensorMesh
 from eitskin_sim.freeform.mesh import with_contacts, without_middle
 from eitskin_sim.freeform.sheet import AssembledSheet, touched_blocks
 from eitskin_sim.scene.gap import half_extents_mm
-from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
+from eitskin_sim.scene.soft_touch import MIN_BORDER_MM
 from eitskin_sim.scene.touch_table import RECTANGLE, Array, TouchTable
 from eitskin_sim.shapes.parameters import ANGLE, BORDER, HALF_LENGTH, X, parameters_of, pieces_of
 
 BLOCK: Final = 9
 """Unknowns of an element: its eight outer nodes and the electrode over it."""
 
-STEP: Final = 1e-5
+DIFFERENCE_STEP: Final = 1e-5
 """mm, rad, or of log contrast."""
 
-BAND_MM: Final = 100.0 * STEP
+BAND_MM: Final = 100.0 * DIFFERENCE_STEP
 """About a side, within which elements count as crossed."""
 
 SIDES: Final = slice(X, HALF_LENGTH + 2)
@@ -157,8 +157,8 @@ def moves_of(pieces: Array, free: npt.NDArray[np.bool_], mesh: TensorMesh) -> Mo
     sides, at = values[side_of], np.arange(len(side_of))
     axis, outward = at // 2 % 2, at % 2 * 2 - 1
     where = sides[at, X + axis] + outward * sides[at, HALF_LENGTH + axis]
-    sides[at, X + axis] += 0.5 * outward * STEP
-    sides[at, HALF_LENGTH + axis] += 0.5 * STEP
+    sides[at, X + axis] += 0.5 * outward * DIFFERENCE_STEP
+    sides[at, HALF_LENGTH + axis] += 0.5 * DIFFERENCE_STEP
     crossed = boxes[side_of]
     crossed[at, :, axis] = where[:, None] + (-BAND_MM, BAND_MM)
 
@@ -174,7 +174,7 @@ def moves_of(pieces: Array, free: npt.NDArray[np.bool_], mesh: TensorMesh) -> Mo
     return Moves(
         touch=touch,
         moved=pieces_of(pieces[touch, 0], np.concatenate([sides, moved])),
-        step=np.concatenate([np.full(len(at), STEP), steps]),
+        step=np.concatenate([np.full(len(at), DIFFERENCE_STEP), steps]),
         reach=np.concatenate([reached(crossed, mesh), own[one_of]]),
         mix=mix,
         near=_sharing(own),
@@ -203,5 +203,5 @@ def _boxes(pieces: Array) -> Array:
 
 def _steps(pieces: Array, which: Index) -> Array:
     """Return (c,) steps of one parameter each: a border does not go beyond its bounds, nor a width below the border."""
-    down = (which == BORDER) & (pieces[:, 7] > LEAST_BORDER_MM + STEP)
-    return np.where(down, -STEP, STEP)
+    down = (which == BORDER) & (pieces[:, 7] > MIN_BORDER_MM + DIFFERENCE_STEP)
+    return np.where(down, -DIFFERENCE_STEP, DIFFERENCE_STEP)

@@ -21,7 +21,7 @@ from eitskin_sim.scene.touch_table import DISC, RECTANGLE, Array
 X, Y, HALF_LENGTH, HALF_WIDTH, ANGLE, LOG_CONTRAST, BORDER = range(7)
 """Places of the parameters of one touch."""
 
-COUNT: Final = 7
+N_PARAMETERS: Final = 7
 """Parameters of one touch."""
 
 NAMES: Final = ("x_mm", "y_mm", "half_length_mm", "half_width_mm", "angle_rad", "log_contrast", "border_mm")
@@ -47,7 +47,7 @@ def pieces_of(kinds: Array, parameters: Array) -> Array:
 
 def free(pieces: Array) -> npt.NDArray[np.bool_]:
     """Return (n, 7) which parameters of touches change anything: discs have one size and no angle."""
-    found = np.ones((len(pieces), COUNT), dtype=np.bool_)
+    found = np.ones((len(pieces), N_PARAMETERS), dtype=np.bool_)
     found[pieces[:, 0] == DISC, HALF_WIDTH] = False
     found[pieces[:, 0] == DISC, ANGLE] = False
     found[pieces[:, 7] == 0.0, BORDER] = False

@@ -30,7 +30,7 @@ from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.elements import Blocks, Rates, rates, touched
 from eitskin_sim.unit_grid.units import to_voltages
 
-LARGE: Final = 380
+WHOLE_SOLVE_NODES: Final = 380
 """Nodes of D from which the whole sheet is solved sooner than D alone: 9 ms."""
 
 
@@ -145,7 +145,7 @@ class TouchedSheet:
             raise ValueError("touches lie beyond the sheet")
         adding = _sum_of(self.grid, base.element.tobytes())
         dofs = adding.dofs
-        if len(dofs) > LARGE:
+        if len(dofs) > WHOLE_SOLVE_NODES:
             return self._solved_whole(pieces, base, dofs)
         change = adding.of(base.blocks - sheet.before[base.element])
         seen = self.to_terminals[dofs]

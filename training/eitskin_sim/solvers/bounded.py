@@ -20,7 +20,7 @@ from scipy.linalg import lapack
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-ROUNDS: Final = 25
+BLOCK_ROUNDS: Final = 25
 """Rounds in which all cells change at once, before one at a time."""
 
 TOLERANCE: Final = 1e-10
@@ -47,7 +47,7 @@ def bounded_minimum(hessian: Array, linear: Array, upper: float = np.inf) -> Arr
     h, b, top = hessian * scale[:, None] * scale, scale * linear, upper / scale
     slack = TOLERANCE * max(float(np.abs(b).max(initial=0.0)), 1e-300)
     low, high = b <= 0.0, np.zeros(len(b), dtype=np.bool_)
-    for _ in range(ROUNDS):
+    for _ in range(BLOCK_ROUNDS):
         image, slope = _given(h, b, low, high, top)
         free = ~(low | high)
         below, above = free & (image < -slack), free & (image > top + slack)

@@ -5,7 +5,7 @@
 with x the relative change of conductivity of a cell. Linearisation overpredicts a touch of contrast 50 by a factor of
 23, because contrast saturates: a disc of c times the background's conductivity acts like a faint one of relative
 change 2 (c - 1) / (c + 1), which is 1.92 for c = 50 and below 2 for any c. So x is that *effective* contrast, and the
-solvers that take bounds look for it in [0, 2] = [0, ``SATURATED``]. This bound is worth more than any choice of
+solvers that take bounds look for it in [0, ``SATURATED_CONTRAST``]. This bound is worth more than any choice of
 regularisation.
 
 Tikhonov, which takes no bounds, uses the logarithm: it is what makes the large negative changes (down to -0.995) and
@@ -33,7 +33,7 @@ Array = npt.NDArray[np.float64]
 Cells = Literal["pixels", "units"]
 """What the unknowns are: the map's pixels, or its touch units."""
 
-SATURATED: Final = 2.0
+SATURATED_CONTRAST: Final = 2.0
 """Effective contrast of a perfectly conducting touch: the polarisability of a disc, 2 (c - 1) / (c + 1), as c grows."""
 
 LOWEST_RATIO: Final = 1e-3

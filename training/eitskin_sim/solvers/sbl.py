@@ -45,7 +45,7 @@ CORRELATION: Final = 0.5
 NOISE: Final = 0.05
 """s relative to the root mean square of the data: mostly the linearisation's error; 0.03 to 0.1 differ by 0.01."""
 
-LEAST_NOISE: Final = 5e-7
+MIN_NOISE: Final = 5e-7
 """s is at least this: no instrument reads dV nearer, and C has an inverse however little a sheet is touched."""
 
 
@@ -104,7 +104,7 @@ def learn(
     cells = windows_of(shape)
     block, steps = _block(correlation), (shape[0] - WINDOW[0] + 1, shape[1] - WINDOW[1] + 1)
     block_inverse = np.linalg.inv(block)
-    noise_variance = max(noise**2 * float(np.mean(data**2)), LEAST_NOISE**2)
+    noise_variance = max(noise**2 * float(np.mean(data**2)), MIN_NOISE**2)
     variances = np.ones(len(cells))
     likelihoods = []
     for _ in range(iterations):

@@ -30,7 +30,7 @@ BEND_MM: Final = (1e3, 1e3, 0.2, 0.1, 0.08, 0.06)
 """Usual size of a side's Legendre coefficients; charts of twisted, dented sheets have larger ones, so it is a Cauchy's
 law that they are drawn from."""
 
-STRAY: Final = 0.003
+STRAY_DENSITY: Final = 0.003
 """eps, the density of stray points beyond the side over that on the sheet."""
 
 STRIP_MM: Final = 8.0
@@ -39,7 +39,7 @@ STRIP_MM: Final = 8.0
 DENSITY_MM: Final = (1.0, 10.0)
 """Between these depths inside the side the density is taken."""
 
-FILLED: Final = 0.4
+MIN_DENSITY_RATIO: Final = 0.4
 """A strip with less than this part of the median density is a notch: the side runs through it unseen."""
 
 REACH_MM: Final = (3.0, 6.0)
@@ -49,13 +49,13 @@ BLURS_MM: Final = (1.0, 0.4, 0.2, 0.1, 0.05)
 """Values of sigma, of which the most likely that is no less than the points' noise is taken; each starts from the last
 one's side."""
 
-SHARP: Final = 0.05
+MIN_SIGMA_RATIO: Final = 0.05
 """No sigma is less than this part of the points' mean distance."""
 
 LARGEST_STEP_MM: Final = 0.3
 """A Newton step is cut to this, or to two sigma."""
 
-STEPS: Final = 11
+NEWTON_STEPS: Final = 11
 """Newton steps for each sigma."""
 
 
@@ -96,7 +96,7 @@ def fit_edge(along: Array, out: Array, span: tuple[float, float], start: Array, 
     width = (high - low) / n
     density = np.bincount(strip[depth > DENSITY_MM[0]], minlength=n) / (width * (DENSITY_MM[1] - DENSITY_MM[0]))
     usual = float(np.median(density))
-    filled = density > FILLED * usual
+    filled = density > MIN_DENSITY_RATIO * usual
     if filled.sum() < n // 2 or usual == 0.0:
         raise ValueError(f"a side of the sheet has points in only {filled.sum()} of {n} strips along it")
     near = (depth < REACH_MM[0]) & filled[strip]
@@ -107,7 +107,7 @@ def fit_edge(along: Array, out: Array, span: tuple[float, float], start: Array, 
     guess[:4] = np.linalg.lstsq(
         _legendre(middle)[:, :4], np.polynomial.polynomial.polyval(_along(middle, span), start), rcond=None
     )[0]
-    least = max(noise_mm, SHARP / float(np.sqrt(usual)))
+    least = max(noise_mm, MIN_SIGMA_RATIO / float(np.sqrt(usual)))
     found = []
     for blur in (*(blur for blur in BLURS_MM if blur > 1.3 * least), least):
         guess, value, information = _most_likely(design[near], out[near], mass, guess, blur)
@@ -147,7 +147,7 @@ def _most_likely(design: Array, out: Array, mass: Array, guess: Array, blur: flo
     """Coefficients, the logarithm of their likelihood, and its second derivatives."""
     best, best_value, best_information = guess, -np.inf, np.zeros((len(guess),) * 2)
     step: Array = np.zeros(len(guess))
-    for _ in range(STEPS):
+    for _ in range(NEWTON_STEPS):
         value, slope, information = _likelihood(design, out, mass, best + step, blur)
         value -= float(np.log1p(np.square((best + step) / BEND_MM)).sum())
         if value < best_value:
@@ -167,8 +167,8 @@ def _most_likely(design: Array, out: Array, mass: Array, guess: Array, blur: flo
 
 def _likelihood(design: Array, out: Array, mass: Array, guess: Array, blur: float) -> tuple[float, Array, Array]:
     z = (design @ guess - out) / blur
-    here = STRAY + (1.0 - STRAY) * ndtr(z)
-    hazard = (1.0 - STRAY) * np.exp(-0.5 * z * z) / (np.sqrt(2.0 * np.pi) * here)
+    here = STRAY_DENSITY + (1.0 - STRAY_DENSITY) * ndtr(z)
+    hazard = (1.0 - STRAY_DENSITY) * np.exp(-0.5 * z * z) / (np.sqrt(2.0 * np.pi) * here)
     curve = np.maximum(hazard * (z + hazard), 0.0)
     value = float(np.log(here).sum() - mass @ guess)
     slope = design.T @ hazard / blur - mass

@@ -37,13 +37,13 @@ LARGEST_HOLE_MM: Final = 15.0
 HOLE_SLACK_MM: Final = 1.0
 """How much larger a hole of exactly that size may measure: the gaps between the points around it."""
 
-LEAST_PER_MM2: Final = 0.1
+MIN_POINTS_PER_MM2: Final = 0.1
 """Fewer points do not carry the shape: 1500 on the paper's sheet."""
 
-MOST_PER_MM2: Final = 8 / 3
+MAX_POINTS_PER_MM2: Final = 8 / 3
 """Points used of more, taken by chance: 40 a cell of 4 mm, so that 0.1 mm of noise leaves 0.016 mm."""
 
-NEARLY_SQUARE: Final = 1.35
+MAX_RATIO_OF_SQUARE: Final = 1.35
 """A sheet whose sides differ by less may be stretched until the shorter is the longer."""
 
 STRETCH_BOUNDS: Final = (0.7, 1.5)
@@ -188,7 +188,7 @@ def save_cloud(
 
 def _check_points(points_mm: npt.ArrayLike, grid: Grid) -> Array:
     area_mm2 = grid.size_mm[0] * grid.size_mm[1]
-    least, most = round(LEAST_PER_MM2 * area_mm2), round(MOST_PER_MM2 * area_mm2)
+    least, most = round(MIN_POINTS_PER_MM2 * area_mm2), round(MAX_POINTS_PER_MM2 * area_mm2)
     points = np.asarray(points_mm, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise PointCloudError(f"points are a list of x, y, z in mm: found shape {points.shape}, expected (n, 3)")
@@ -225,8 +225,8 @@ def _check_size(size_mm: tuple[float, float], flat_mm: tuple[float, float]) -> N
 def _ways(surface: Array, size_mm: tuple[float, float]) -> list[Array]:
     """The ways to put x and y on a surface whose rows run along its longer side: four, or eight if near square."""
     length, width = size_mm
-    laid = [surface] if length * NEARLY_SQUARE >= width else []
-    if width * NEARLY_SQUARE >= length:
+    laid = [surface] if length * MAX_RATIO_OF_SQUARE >= width else []
+    if width * MAX_RATIO_OF_SQUARE >= length:
         laid.append(surface.transpose(0, 2, 1))
     return [one[:, ::down, ::back] for one in laid for down in (1, -1) for back in (1, -1)]
 

@@ -39,7 +39,7 @@ ROUGH_DEGREE: Final = 3
 ROUNDS: Final = 2
 """How often the sides are found anew between the corners of the last."""
 
-FARTHEST_MM: Final = 1e4
+MAX_CORNER_DISTANCE_MM: Final = 1e4
 """No corner lies farther from the chart's origin."""
 
 SAME_SIZE_MM: Final = 0.4
@@ -169,7 +169,7 @@ def _corners(sides: list[Array]) -> list[tuple[float, float]]:
             u = v = 0.0
             for _ in range(12):  # the sides are nearly at right angles: each round leaves a tenth of the distance
                 u, v = float(_at(upright, np.array(v))), float(_at(across, np.array(u)))
-                if max(abs(u), abs(v)) > FARTHEST_MM:
+                if max(abs(u), abs(v)) > MAX_CORNER_DISTANCE_MM:
                     raise ValueError("two sides do not meet in a corner; expected four sides, nearly at right angles")
             found.append((u, v))
     return found

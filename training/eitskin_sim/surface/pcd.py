@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 LARGEST_HEADER: Final = 65_536
 """A header is over within so many bytes."""
 
-MOST_NUMBERS: Final = 1024
+MAX_NUMBERS_PER_POINT: Final = 1024
 """Numbers of a point, at most: there are descriptors of 308."""
 
 KINDS: Final = {"F": "f", "I": "i", "U": "u"}
@@ -37,7 +37,7 @@ def read_pcd(data: bytes) -> Array:
     repeated = [int(word) for word in header.get("COUNT", ["1"] * len(names))]
     if not {"x", "y", "z"} <= set(names):
         raise ValueError("the header's FIELDS have no x, y and z")
-    if len(repeated) != len(names) or min(repeated) < 1 or sum(repeated) > MOST_NUMBERS:
+    if len(repeated) != len(names) or min(repeated) < 1 or sum(repeated) > MAX_NUMBERS_PER_POINT:
         raise ValueError(f"COUNT does not fit the {len(names)} FIELDS")
     if form == "ascii":
         columns = [sum(repeated[: names.index(axis)]) for axis in "xyz"]

@@ -20,7 +20,7 @@ DISTANCES: Final = np.geomspace(0.6, 1.7, 100)
 BINS: Final = 12
 """Bins of depth in a mean distance."""
 
-COHERENT: Final = 0.6
+MIN_COHERENCE: Final = 0.6
 """A Fourier sum of this part of the points means rows: in a grid that is jittered by a fifth of its distance it is
 0.45."""
 
@@ -42,7 +42,7 @@ def find_rows(depth_mm: Array, density: float) -> tuple[float, float] | None:
     middle = ((np.arange(len(weight)) + 0.5) / BINS - 1.0) * spacing
     sums = weight @ np.exp(2j * np.pi * middle[:, None] / distances)
     best = int(np.argmax(np.abs(sums)))
-    if np.abs(sums[best]) < COHERENT:
+    if np.abs(sums[best]) < MIN_COHERENCE:
         return None
     distance = float(distances[best])
     first = float(np.angle(sums[best])) / (2.0 * np.pi) * distance

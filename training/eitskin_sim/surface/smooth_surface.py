@@ -30,7 +30,7 @@ SMOOTHING_MM: Final = 2.5
 NODE_MM: Final = 5.0
 """About the distance of the nodes at which the fitted spline is evaluated; cubic splines go on from there."""
 
-FINER: Final = 8
+CHORDS_PER_STEP: Final = 8
 """Arc length is summed over chords this many times shorter than a step between nodes."""
 
 
@@ -160,9 +160,9 @@ def _fine(curves: Array) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=8)
 def _refinement(n: int) -> Array:
-    """(m, n) from values at n nodes to the cubic spline's values, ``FINER`` to a step."""
+    """(m, n) from values at n nodes to the cubic spline's values, ``CHORDS_PER_STEP`` to a step."""
     spline = make_interp_spline(np.arange(n), np.eye(n))
-    return np.asarray(spline(np.linspace(0.0, n - 1.0, (n - 1) * FINER + 1)))
+    return np.asarray(spline(np.linspace(0.0, n - 1.0, (n - 1) * CHORDS_PER_STEP + 1)))
 
 
 def _even(surface: Array, axis: int) -> Array:

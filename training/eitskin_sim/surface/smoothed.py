@@ -24,10 +24,10 @@ from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.surface.predict import Array, FittedSurface, noise_roots, noise_tangents
 
-A_KNOT: Final = 3
+PLACES_PER_KNOT: Final = 3
 """Places for each of the spline's knots, along a side, between which differences are taken."""
 
-LEAST: Final = 1e-8
+MIN_EIGENVALUE: Final = 1e-8
 """Ways that change the differences by less, of the most, change none: they turn the surface as it is."""
 
 STRENGTHS: Final = np.exp(np.linspace(-20.0, 20.0, 81))
@@ -87,7 +87,7 @@ class _Fit:
     def of(cls, rates: Array, differences: Array, noise_mm: float) -> "_Fit":
         """Return it of (d, 3 m) derivatives of (d,) differences by the ways of noise of 1 mm."""
         size, way = np.linalg.eigh(rates.T @ rates)
-        told = size > LEAST * size[-1]
+        told = size > MIN_EIGENVALUE * size[-1]
         w = (way[:, told].T @ (rates.T @ differences)) / size[told]
         noise = noise_mm**2
         shown = STRENGTHS[:, None] * noise * (size[-1] / size[told])
@@ -119,7 +119,7 @@ def _differences(fields: Array, order: int) -> Array:
 @lru_cache(maxsize=4)
 def _places(grid: Grid) -> tuple[Array, tuple[int, int], Array, Array]:
     """Return (n, 2) places, how many there are along x and y, and what noise does to the tangents there."""
-    along_x, along_y = (A_KNOT * (len(root) - 3) + 1 for root in noise_roots(grid))
+    along_x, along_y = (PLACES_PER_KNOT * (len(root) - 3) + 1 for root in noise_roots(grid))
     x, y = np.linspace(0.0, grid.size_mm[0], along_x), np.linspace(0.0, grid.size_mm[1], along_y)
     places = np.stack([one.ravel() for one in np.meshgrid(x, y, indexing="ij")], axis=-1)
     return places, (along_x, along_y), *noise_tangents(places, grid)

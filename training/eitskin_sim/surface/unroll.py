@@ -32,29 +32,29 @@ CELL_MM: Final = 4.0
 REACH_CELLS: Final = 2.2
 """Cubes this near, in cells, are neighbours; layers of a curled sheet must lie farther apart (9 mm)."""
 
-EXTENT: Final = 1.45
+MAX_EXTENT_DIAGONALS: Final = 1.45
 """No point of the sheet is farther than this many diagonals of the flat one from its median point: stretched by 1.4 at
 most, and seen from a corner."""
 
 SPARSE_CUBE: Final = 0.15
 """A cube with less than this part of the median count is no part of the graph."""
 
-LEAST_MEAN: Final = 4.0
+MIN_POINTS_PER_CUBE: Final = 4.0
 """With fewer points in a cube on average the cubes are made larger; points 2 mm apart have 3.4."""
 
-ENOUGH_MEAN: Final = 5.0
+WANTED_POINTS_PER_CUBE: Final = 5.0
 """So many points an average larger cube shall hold."""
 
 LINK_CELLS: Final = 1.6
 """The chart's least squares need only the nearer neighbours, in cells: a sparser matrix."""
 
-LEAST_CELLS: Final = 50
+MIN_CELLS: Final = 50
 """A surface of fewer cubes than this is no sheet."""
 
 AVERAGINGS: Final = 6
 """Rounds in which each tangent is averaged with its neighbours'."""
 
-LEAST_BAND_MM: Final = 0.05
+MIN_OUTLIER_DISTANCE_MM: Final = 0.05
 """A point this near its cube's surface is never an outlier, however little noise there is."""
 
 OUTLIER_SIGMAS: Final = 5.0
@@ -87,17 +87,17 @@ def unroll(points_mm: Array, size_mm: tuple[float, float]) -> Chart:
     """
     axes = np.ascontiguousarray(points_mm.T)  # (3, n): gathers along a long last axis are several times faster
     middle = np.median(axes[:, :: len(points_mm) // 5000 + 1], axis=1, keepdims=True)
-    near = np.all(np.abs(axes - middle) < EXTENT * math.hypot(*size_mm), axis=0)
+    near = np.all(np.abs(axes - middle) < MAX_EXTENT_DIAGONALS * math.hypot(*size_mm), axis=0)
     axes = axes if near.all() else np.ascontiguousarray(axes[:, near])
     cell_mm = CELL_MM
     cube, count = _bin(axes, cell_mm)
-    if count.mean() < LEAST_MEAN:
-        cell_mm *= float(np.sqrt(ENOUGH_MEAN / count.mean()))
+    if count.mean() < MIN_POINTS_PER_CUBE:
+        cell_mm *= float(np.sqrt(WANTED_POINTS_PER_CUBE / count.mean()))
         cube, count = _bin(axes, cell_mm)
     centroid = np.stack([np.bincount(cube, weights=axis) for axis in axes], axis=-1) / count[:, None]
     solid = count >= max(2.0, SPARSE_CUBE * float(np.median(count[cube])))
     keep = _largest_piece(centroid, solid, REACH_CELLS * cell_mm)
-    if len(keep) < LEAST_CELLS:
+    if len(keep) < MIN_CELLS:
         raise ValueError(
             f"only {len(keep)} cells of {cell_mm:g} mm hold a connected surface; a sheet has about "
             f"{size_mm[0] * size_mm[1] / CELL_MM**2:.0f} of {CELL_MM:g} mm: "
@@ -274,6 +274,6 @@ def _place(
     sample = off[:: len(off) // 20000 + 1]
     centre = float(np.median(sample))
     noise = 1.4826 * float(np.median(np.abs(sample - centre)))
-    on = np.abs(off - centre) <= max(OUTLIER_SIGMAS * noise, LEAST_BAND_MM)
+    on = np.abs(off - centre) <= max(OUTLIER_SIGMAS * noise, MIN_OUTLIER_DISTANCE_MM)
     place = np.stack([uv[:, 0].take(node) + first, uv[:, 1].take(node) + second])
     return Chart(axes[:, on], place[:, on], noise, total - int(on.sum()))

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-MOST_POINTS: Final = 4_000_000
+MAX_POINTS: Final = 4_000_000
 """A scanner of 0.1 mm sees 1,500,000 on the sheet."""
 
 
@@ -17,7 +17,7 @@ def table(rows: Iterable[list[bytes]]) -> Array:
     """Return (n, 3) numbers of rows of words, a piece at a time: words take ten times the memory of numbers.
 
     Raises:
-        ValueError: A word is no number, or there are more than ``MOST_POINTS`` rows.
+        ValueError: A word is no number, or there are more than ``MAX_POINTS`` rows.
     """
     found: list[Array] = []
     count = 0
@@ -29,9 +29,9 @@ def table(rows: Iterable[list[bytes]]) -> Array:
 
 
 def check_count(count: int) -> None:
-    """Raise ValueError if there are more than ``MOST_POINTS``."""
-    if count > MOST_POINTS:
-        raise ValueError(f"more than {MOST_POINTS} points; measure less densely: 7,000 do for a sheet")
+    """Raise ValueError if there are more than ``MAX_POINTS``."""
+    if count > MAX_POINTS:
+        raise ValueError(f"more than {MAX_POINTS} points; measure less densely: 7,000 do for a sheet")
 
 
 def _pieces(rows: Iterable[list[bytes]]) -> Iterator[list[list[bytes]]]:

@@ -21,27 +21,27 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_sim.solvers.operators import SATURATED
+from eitskin_sim.solvers.operators import SATURATED_CONTRAST
 from eitskin_sim.tank.images import signed_l1
 
 Array = npt.NDArray[np.float64]
 
-SIGMAS: Final = 4.0
+SIGNIFICANT_SD: Final = 4.0
 """A common factor is told from objects above so many of its standard errors."""
 
-LEAST: Final = 0.02
+MIN_COMMON_FACTOR: Final = 0.02
 """Smallest that is taken out, as in a stream."""
 
-MOST: Final = 0.5
+MAX_COMMON_FACTOR: Final = 0.5
 """Largest: beyond it is another current, or no tank."""
 
-SPANNED: Final = 1e-2
+MIN_DIRECTION_SHARE: Final = 1e-2
 """Directions weaker than this share of the strongest are not what touched cells make."""
 
 NOISY: Final = 1.0 + 5.0 * np.sqrt(2.0 / N_ROWS)
 """Mean square of what is uneven over its noise, up to which nothing stands in the tank: as in a stream."""
 
-AT_BOUND: Final = 1e-6
+BOUND_TOLERANCE: Final = 1e-6
 """A cell so near to 0 or to a bound is not free."""
 
 
@@ -57,12 +57,12 @@ class Common:
     @property
     def told(self) -> bool:
         """Whether it is told from what objects can make."""
-        return abs(self.relative) > SIGMAS * self.sd
+        return abs(self.relative) > SIGNIFICANT_SD * self.sd
 
     @property
     def taken_out(self) -> bool:
         """Whether :meth:`without` takes it out."""
-        return self.told and LEAST <= abs(self.relative) <= MOST
+        return self.told and MIN_COMMON_FACTOR <= abs(self.relative) <= MAX_COMMON_FACTOR
 
     def without(self, change: Array) -> Array:
         """Return (104,) changes without it, or as they are where it is not to be taken out."""
@@ -83,11 +83,11 @@ def common_factor(operator: Array, change: Array, noise: float) -> Common:
     rest = change - operator @ image
     common = float(rest.mean())
     size = np.abs(image)
-    span = _span(operator[:, (size > AT_BOUND) & (size < SATURATED - AT_BOUND)])
+    span = _span(operator[:, (size > BOUND_TOLERANCE) & (size < SATURATED_CONTRAST - BOUND_TOLERANCE)])
     ones = np.ones(len(change))
     outside = ones - span @ (span.T @ ones)
     freedom, alone = len(change) - span.shape[1] - 1, float(outside @ outside)
-    if freedom < 1 or alone < AT_BOUND:
+    if freedom < 1 or alone < BOUND_TOLERANCE:
         return Common(common, float("inf"))
     return Common(common, float(np.sqrt(np.sum((rest - common) ** 2) / freedom / alone)))
 
@@ -97,4 +97,4 @@ def _span(columns: Array) -> Array:
     if not columns.shape[1]:
         return np.zeros((len(columns), 0))
     left, strength, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(left[:, strength > SPANNED * strength[0]])
+    return np.asarray(left[:, strength > MIN_DIRECTION_SHARE * strength[0]])

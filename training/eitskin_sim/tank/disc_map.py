@@ -23,7 +23,7 @@ from scipy.special import ellipj, ellipk, ellipkinc, ellipkm1
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
-MOST_ASPECT: Final = 4.0
+MAX_ASPECT: Final = 4.0
 """Of the rectangle, either way: beyond it the corners crowd on the rim."""
 
 
@@ -36,7 +36,7 @@ class DiscMap:
         radius_mm: Of the disc.
 
     Raises:
-        ValueError: A length is not positive, or the rectangle longer than ``MOST_ASPECT`` times its width.
+        ValueError: A length is not positive, or the rectangle longer than ``MAX_ASPECT`` times its width.
     """
 
     size_mm: tuple[float, float]
@@ -48,9 +48,9 @@ class DiscMap:
         length, width = self.size_mm
         if not (length > 0.0 and width > 0.0 and self.radius_mm > 0.0):
             raise ValueError(f"sides {length:g} x {width:g} mm and radius {self.radius_mm:g} mm must be above 0")
-        if not 1.0 / MOST_ASPECT <= length / width <= MOST_ASPECT:
+        if not 1.0 / MAX_ASPECT <= length / width <= MAX_ASPECT:
             raise ValueError(
-                f"a rectangle of {length:g} x {width:g} mm: one side must be at most {MOST_ASPECT:g} others"
+                f"a rectangle of {length:g} x {width:g} mm: one side must be at most {MAX_ASPECT:g} others"
             )
 
         def excess(logit: float) -> float:

@@ -20,7 +20,7 @@ from eitskin_proto.sensor.table import FULL_TABLE, N_ELECTRODES, N_FULL_ROWS, RE
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
-ROUNDS: Final = 8
+WEIGHT_ROUNDS: Final = 8
 """Of weights; they settle to 1e-4 in five."""
 
 
@@ -66,7 +66,7 @@ def fit_front_end(water_V: Complex, model_V: Array) -> OffsetAndGains:
     design[:, 0] = 1.0
     design[rows, 1 + measure] = model_V
     weight = 1.0 / np.abs(model_V)
-    for _ in range(ROUNDS):
+    for _ in range(WEIGHT_ROUNDS):
         found, _, rank, _ = np.linalg.lstsq(design * weight[:, None], water_V * weight, rcond=None)
         explained = design[:, 1:] @ found[1:]
         if rank < design.shape[1] or not np.abs(explained).min() > 0.0:

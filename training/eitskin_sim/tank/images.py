@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_sim.solvers.l1 import l1_image
-from eitskin_sim.solvers.operators import SATURATED
+from eitskin_sim.solvers.operators import SATURATED_CONTRAST
 from eitskin_sim.solvers.sbl import sbl_image
 from eitskin_sim.tank.model import CELLS, TankModel
 
@@ -34,12 +34,14 @@ def l1(model: TankModel, change: Array) -> Array:
 
 def sbl(model: TankModel, change: Array) -> Array:
     """Return the (n,) most probable image within the bounds, its clusters learned."""
-    return sbl_image(model.relative, change, CELLS, lower=-SATURATED, upper=SATURATED, noise=SBL_NOISE)
+    return sbl_image(
+        model.relative, change, CELLS, lower=-SATURATED_CONTRAST, upper=SATURATED_CONTRAST, noise=SBL_NOISE
+    )
 
 
 def signed_l1(operator: Array, change: Array) -> Array:
     """Return argmin 1/2 ||A x - d||^2 + lambda |x|_1 within the bounds: what rises and what falls are cells apart."""
-    rising, falling = np.split(l1_image(np.hstack([operator, -operator]), change, upper=SATURATED), 2)
+    rising, falling = np.split(l1_image(np.hstack([operator, -operator]), change, upper=SATURATED_CONTRAST), 2)
     return np.asarray(rising - falling)
 
 

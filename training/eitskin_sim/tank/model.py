@@ -34,7 +34,7 @@ FACTOR: Final = 1e-2
 SENSITIVITY_POWER: Final = 1.0
 """Cells of a disc's rim are far more sensitive than a sheet's."""
 
-FINGER: Final = 0.1
+NEIGHBOURHOOD_SIGMA: Final = 0.1
 """Sigma of the neighbourhood, of the radius."""
 
 WIDTHS_DEG: Final = (2.0, 8.0, 14.0, 18.0, 20.0, 22.0)
@@ -120,7 +120,7 @@ def model_of(disc: Disc) -> TankModel:
         relative=relative,
         matrix=tikhonov_matrix(relative, FACTOR, SENSITIVITY_POWER),
         places=places,
-        neighbourhoods=np.exp(-apart / (2.0 * FINGER**2)) * area,
+        neighbourhoods=np.exp(-apart / (2.0 * NEIGHBOURHOOD_SIGMA**2)) * area,
     )
 
 

@@ -19,13 +19,13 @@ from eitskin_sim.tank.recording import Material, Object, Unknown
 
 Array = npt.NDArray[np.float64]
 
-FLANK: Final = 1.0 / 3.0
+MIN_SEPARATION_RADII: Final = 1.0 / 3.0
 """So near to an object, in radii, is no other one."""
 
-WEAKEST: Final = 0.5
+MIN_PEAK_SHARE: Final = 0.5
 """Of the strongest."""
 
-MOST_OBJECTS: Final = N_ELECTRODES
+MAX_OBJECTS: Final = N_ELECTRODES
 
 SECTOR_DEG: Final = 360.0 / N_ELECTRODES
 
@@ -64,15 +64,15 @@ def find_objects(model: TankModel, image: Array) -> list[Found]:
     image = model.neighbourhoods @ image
     left, found = np.abs(image), list[Found]()
     largest = float(left.max())
-    while len(found) < MOST_OBJECTS:
+    while len(found) < MAX_OBJECTS:
         at = int(np.argmax(left))
-        if not left[at] > 0.0 or left[at] < WEAKEST * largest:
+        if not left[at] > 0.0 or left[at] < MIN_PEAK_SHARE * largest:
             break
         x, y = model.places[at]
         angle = float(np.remainder(np.rad2deg(np.arctan2(y, x)) - EVEN_DEG[0], 360.0))
         material: Material = "metal" if image[at] > 0.0 else "plastic"
         found.append(Found(angle, float(np.hypot(x, y)), material, float(left[at]) / largest))
-        left[np.hypot(*(model.places - model.places[at]).T) < FLANK] = 0.0
+        left[np.hypot(*(model.places - model.places[at]).T) < MIN_SEPARATION_RADII] = 0.0
     return found
 
 

@@ -28,9 +28,9 @@ Complex = npt.NDArray[np.complex128]
 
 Material = Literal["metal", "plastic"]
 
-NAMED: Final = re.compile(r"electrode([0-9]+)(?:_(?!electrode)([^\W\d_]+))?")
+ELECTRODE_NAME: Final = re.compile(r"electrode([0-9]+)(?:_(?!electrode)([^\W\d_]+))?")
 
-SIGNED: Final = get_args(Material)
+SIGNED_MATERIALS: Final = get_args(Material)
 """Materials whose sign is known."""
 
 LARGEST_FILE: Final = 64 << 20
@@ -38,8 +38,8 @@ LARGEST_FILE: Final = 64 << 20
 
 COLUMNS: Final = 4
 
-LEAST_V: Final = 1e-9
-MOST_V: Final = 1e6
+MIN_V: Final = 1e-9
+MAX_V: Final = 1e6
 """The strongest row of water, and any row: no front end reads less, or more; and weights and squares of numbers that
 are far smaller or larger are no numbers."""
 
@@ -107,15 +107,15 @@ def _frame(path: str, name: str, array: npt.NDArray[Any]) -> TankFrame:
     values = array.astype(np.float64)
     if not np.isfinite(values).all():
         raise TankError(f"{where} holds {int((~np.isfinite(values)).sum())} values that are not finite; leave it out")
-    if np.abs(values).max() > MOST_V:
-        raise TankError(f"{where} goes up to {np.abs(values).max():.3g} V, expected at most {MOST_V:g} V")
+    if np.abs(values).max() > MAX_V:
+        raise TankError(f"{where} goes up to {np.abs(values).max():.3g} V, expected at most {MAX_V:g} V")
     water, objects = values[:, 0] + 1j * values[:, 1], values[:, 2] + 1j * values[:, 3]
-    if not np.abs(water).max() > LEAST_V:
+    if not np.abs(water).max() > MIN_V:
         raise TankError(
             f"{where}: water reads zeros, {np.abs(water).max():.3g} V at most, which nothing can be held against; "
             "leave the frame out"
         )
-    named = [(int(number[:5]), material) for number, material in NAMED.findall(name)]
+    named = [(int(number[:5]), material) for number, material in ELECTRODE_NAME.findall(name)]
     electrodes = [electrode for electrode, _ in named]
     for electrode in electrodes:
         if not 1 <= electrode <= N_ELECTRODES:
@@ -126,6 +126,8 @@ def _frame(path: str, name: str, array: npt.NDArray[Any]) -> TankFrame:
         plain(name),
         water,
         objects,
-        tuple(Object(electrode, cast(Material, material)) for electrode, material in named if material in SIGNED),
-        tuple(Unknown(electrode, plain(material)) for electrode, material in named if material not in SIGNED),
+        tuple(
+            Object(electrode, cast(Material, material)) for electrode, material in named if material in SIGNED_MATERIALS
+        ),
+        tuple(Unknown(electrode, plain(material)) for electrode, material in named if material not in SIGNED_MATERIALS),
     )

@@ -27,16 +27,16 @@ from scipy.linalg import blas, lapack
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.fem.forward import System
 from eitskin_sim.fem.mesh import Array, Index
-from eitskin_sim.scene.parts import LEAST_LOG_CONTRAST
+from eitskin_sim.scene.parts import MIN_LOG_CONTRAST
 from eitskin_sim.unit_grid.skeleton import Condensed, UnitMesh, condense_at, square_root
 
-TOGETHER: Final = 16
+UNITS_PER_BLOCK: Final = 16
 """Units whose potentials are held together while pairs are made: 11 MB."""
 
-BEYOND: Final = 1e12
+GROUNDED_OHM: Final = 1e12
 """Ohm in place of the electrodes' potentials: what is left of them is not wanted, but must have a root."""
 
-MOST: Final = 10
+MAX_CONDENSED_UNITS: Final = 10
 """Sets of more units are solved as they stand, or condensed onto their outline: no richer set has more."""
 
 
@@ -75,7 +75,7 @@ class ContrastUnits:
                 continue
             sets = np.nonzero(units[rows])[1].reshape(len(rows), size)
             own = np.take_along_axis(contrast[rows], sets, axis=1)
-            if size <= MOST:
+            if size <= MAX_CONDENSED_UNITS:
                 if self._pairs is None:
                     self._pairs = ContrastPairs(self._inverse, self._units, self._under, self._change)
                 response[rows] = self._pairs.responses(sets, own)
@@ -113,7 +113,7 @@ class ContrastUnits:
 def check_contrasts(contrast: Array) -> None:
     """Raise ValueError if a touched unit would change nothing, or be no conductor."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        even = ~(np.abs(np.log(contrast)) >= LEAST_LOG_CONTRAST) | ~np.isfinite(np.log(contrast))
+        even = ~(np.abs(np.log(contrast)) >= MIN_LOG_CONTRAST) | ~np.isfinite(np.log(contrast))
     if even.any():
         raise ValueError(
             f"a touched unit has a contrast of {contrast[even][0]:g}; it must be above 0 and differ from 1, or the "
@@ -156,9 +156,9 @@ class ContrastPairs:
         self._lambda = np.array([np.pad(value, (0, rank - len(value))) for value in self._values])
         self._loads = np.zeros((n_units, rank, N_ELECTRODES))
         self._rows = [np.zeros((rank, (n_units - number) * rank)) for number in range(n_units)]
-        wide = np.zeros((len(inverse), TOGETHER * rank))
-        for start in range(0, n_units, TOGETHER):
-            stop = min(start + TOGETHER, n_units)
+        wide = np.zeros((len(inverse), UNITS_PER_BLOCK * rank))
+        for start in range(0, n_units, UNITS_PER_BLOCK):
+            stop = min(start + UNITS_PER_BLOCK, n_units)
             for number in range(start, stop):
                 factor, at = self._factors[number], (number - start) * rank
                 np.matmul(inverse[:, units[number].dofs], factor, out=wide[:, at : at + factor.shape[1]])
@@ -207,7 +207,7 @@ class ContrastPairs:
                 into[:, begin - rank : begin] = 0.0
         upper[-N_ELECTRODES:, -N_ELECTRODES:] = 0.0
         signs = [1.0 if one > 1.0 or contrast[0] < 1.0 else -1.0 for one in contrast[1:]]
-        upper.reshape(-1)[:: len(upper) + 1] = np.repeat([*signs, BEYOND], [*[rank] * len(signs), N_ELECTRODES])
+        upper.reshape(-1)[:: len(upper) + 1] = np.repeat([*signs, GROUNDED_OHM], [*[rank] * len(signs), N_ELECTRODES])
         for i, unit in enumerate(units):
             if self._under[unit]:
                 turn, begin = self._turn(unit, contrast[i]), i * rank

@@ -26,7 +26,7 @@ N_PAPER_SETS: Final = 10_259
 """Touch sets in the paper's data: 102,590 samples at 10 bends (section V.A). What 126 units and 384 squares leave of
 them are 9,749 random sets of two to four units (FACTS: sample count)."""
 
-MOST_UNITS: Final = 10
+MAX_UNITS: Final = 10
 """No richer set touches more units than this."""
 
 Bits = npt.NDArray[np.bool_]
@@ -105,7 +105,7 @@ def rich_touch_sets(count: int, seed: int, shape: Shape = PAPER.grid.units) -> B
     generator = np.random.default_rng(seed)
     seen: set[bytes] = set()
     drawn = [np.zeros(shape[0] * shape[1], dtype=np.bool_)]
-    drawn += [_new(lambda: _pieces(generator, shape), seen, shape, MOST_UNITS) for _ in range(count - 1)]
+    drawn += [_new(lambda: _pieces(generator, shape), seen, shape, MAX_UNITS) for _ in range(count - 1)]
     return np.array(drawn[:count])
 
 
@@ -140,11 +140,11 @@ def touch_classes(
     """
     found = np.full(units.shape, 255, dtype=np.uint8)
     alike = generator.random(len(units)) < 0.5
-    drawn = generator.integers(classes, size=(len(units), MOST_UNITS))
+    drawn = generator.integers(classes, size=(len(units), MAX_UNITS))
     for row, bits in enumerate(units):
         touch, _ = ndimage.label(bits.reshape(shape))
         number = touch.ravel()[bits] - 1
-        found[row, bits] = drawn[row, np.where(alike[row], 0, number % MOST_UNITS)]
+        found[row, bits] = drawn[row, np.where(alike[row], 0, number % MAX_UNITS)]
     return found
 
 

@@ -41,7 +41,7 @@ UNIT_STEPS: Final = (0.06, 0.2, 0.48, 0.2, 0.06)
 
 Against a converged mesh a touch's dV is off by 0.1 % (interior) to 0.6 % (under a contact); even steps: 0.35 %."""
 
-SNAP: Final = 0.25
+SNAP_SHARE: Final = 0.25
 """A line this near to a contact's edge, as a share of the unit's side, moves onto it."""
 
 
@@ -81,7 +81,7 @@ def unit_lines(extent_mm: float, count: int, edges_mm: Sequence[float], refine: 
             if not lines[0] + 1e-6 < edge < lines[len(UNIT_STEPS)] - 1e-6:
                 continue
             nearest = min(free, key=lambda i: abs(lines[i] - edge), default=None)
-            if nearest is not None and abs(lines[nearest] - edge) < SNAP * side:
+            if nearest is not None and abs(lines[nearest] - edge) < SNAP_SHARE * side:
                 lines[nearest] = edge
                 free.remove(nearest)
             else:
@@ -210,7 +210,7 @@ def near_contacts(unit: UnitNodes) -> tuple[UnitNodes, Index]:
     return UnitNodes(none, none, int(kept.sum()), unit.border, unit.dofs, pieces), order
 
 
-NULL: Final = 1e-13
+ZERO_EIGENVALUE: Final = 1e-13
 """Relative size under which an eigenvalue of a unit is its one zero: a constant potential passes no current."""
 
 
@@ -299,7 +299,7 @@ def assemble_skeleton(units: Sequence[Condensed], n_dofs: int) -> Array:
 def square_root(conductance: Array) -> Array:
     """Return (b, r) L with L L^T = S, of a unit's (b, b) S or of what touching adds to it; r is the rank of S."""
     value, vector = np.linalg.eigh(conductance)
-    kept = value > NULL * value[-1]
+    kept = value > ZERO_EIGENVALUE * value[-1]
     return np.asarray(vector[:, kept] * np.sqrt(value[kept]))
 
 

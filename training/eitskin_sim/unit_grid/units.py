@@ -1,8 +1,8 @@
 """Exact voltages of sets of touched units at one bend, thousands a second.
 
 Touching unit u adds D_u = S_u(touched) - S_u(background) to the skeleton's stiffness
-(:mod:`eitskin_sim.unit_grid.skeleton`). Sets of up to ``MOST`` units are put together from blocks between units that
-are made once a bend (:mod:`eitskin_sim.unit_grid.contrasts`), whatever contrast each has. Larger ones of one contrast,
+(:mod:`eitskin_sim.unit_grid.skeleton`). Sets of up to ``MAX_CONDENSED_UNITS`` units come from blocks between units,
+made once a bend (:mod:`eitskin_sim.unit_grid.contrasts`), whatever contrast each has. Larger ones of one contrast,
 the paper's squares, are first condensed onto their outline; with G the skeleton's inverse and E the electrodes
 
     U = G_EE - G_ED D (1 + G_DD D)^-1 G_DE
@@ -22,10 +22,10 @@ from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.devices.device import Device
 from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.scene.parts import Bend
-from eitskin_sim.unit_grid.contrasts import MOST, ContrastUnits, check_contrasts, updated
+from eitskin_sim.unit_grid.contrasts import MAX_CONDENSED_UNITS, ContrastUnits, check_contrasts, updated
 from eitskin_sim.unit_grid.skeleton import Condensed, assemble_skeleton, condense_units, unit_system
 
-TOUCHED: Final = 50.0
+TOUCHED_S_PER_M: Final = 50.0
 """S/m of a touched unit (paper section V.A)."""
 
 
@@ -47,7 +47,7 @@ class UnitGenerator:
         self,
         bend: Bend,
         *,
-        touched: float = TOUCHED,
+        touched: float = TOUCHED_S_PER_M,
         refine: int = 1,
         device: Device | None = None,
         skin: Skin = PAPER,
@@ -87,7 +87,7 @@ class UnitGenerator:
         """
         if contrast is not None:
             return self._of_contrasts.responses(units, np.asarray(contrast, dtype=np.float64))
-        many = units.sum(axis=1) > MOST
+        many = units.sum(axis=1) > MAX_CONDENSED_UNITS
         found = np.empty((len(units), N_ELECTRODES, N_ELECTRODES))
         found[~many] = self._of_contrasts.responses(
             units[~many], np.full((int((~many).sum()), units.shape[1]), self._contrast)

@@ -16,7 +16,7 @@ from eitskin_sim.scene.gap import gap_mm
 from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE, Array
 from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification import constants as c
-from eitskin_sim.verification.fit import IMPOSSIBLE, Budget, Fit, Frame, refine
+from eitskin_sim.verification.fit import IMPOSSIBLE_TOUCH_ERRORS, Budget, Fit, Frame, refine
 from eitskin_sim.verification.network_map import (
     ELLIPSE_SIDES_OF_RECTANGLE,
     joints_of,
@@ -37,7 +37,7 @@ def fitted(frame: Frame, pieces: Array, turning: bool, budget: Budget) -> Fit | 
     budget.fits += 1
     try:
         return refine(frame, frame.at(pieces, turning), c.MAX_STEPS, budget.search_over)
-    except IMPOSSIBLE:
+    except IMPOSSIBLE_TOUCH_ERRORS:
         return None
 
 

@@ -51,7 +51,7 @@ def at_rest(change: Array, beside: Array, expected: Array, columns: Array, floor
     own, whole = variance * own, variance * own + np.diag(np.square(noise))
     gain = np.linalg.solve(whole, own).T
     found = expected + gain @ rest
-    by_touch = c.CHANGED_BY_TOUCH**2 * variance * unseen + np.diag(np.square(c.ROW_ERROR_BY_TOUCH * found))
+    by_touch = c.MODEL_ERROR_SHARE_OF_TOUCH**2 * variance * unseen + np.diag(np.square(c.ROW_ERROR_BY_TOUCH * found))
     left = own - gain @ own + by_touch
     size, way = np.linalg.eigh((left + left.T) / 2.0)
     kept = size > 1e-12

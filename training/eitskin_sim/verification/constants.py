@@ -15,7 +15,7 @@ SEARCH_SHARE_OF_BUDGET: Final = 0.85
 # Prior of touches: with the skin's own contrasts and sizes it decides where data tell only size times contrast.
 # The cost of touches that the start has not shown keeps the sheet's errors from being explained by more touches.
 
-PLACES: Final = 60
+DISTINCT_PLACES: Final = 60
 """Areas of a sheet that can be told apart, roughly."""
 
 EXPECTED_TOUCHES: Final = 3.0
@@ -162,7 +162,7 @@ ellipses across the sheet take 115 ms for 69."""
 GENTLER_RAISING: Final = ((1.5, 0.1), (2.0, 0.1), (3.0, 0.1), (5.0, 0.1))
 """Contrasts, and the share of belief of each, of small touches that raise conductance."""
 
-GENTLER_LARGE: Final = ((2.0, 0.05), (3.0, 0.05))
+LARGE_GENTLER_CONTRASTS: Final = ((2.0, 0.05), (3.0, 0.05))
 """The same of larger ones that are alone."""
 
 GENTLER_LOWERING: Final = ((0.7, 0.4),)
@@ -305,7 +305,7 @@ MAX_MODELS_AT_REST: Final = 8
 MAX_EXCESS_AT_REST: Final = 5.0
 """Times that more may be off at rest than was thought: beyond it is another sheet."""
 
-CHANGED_BY_TOUCH: Final = 0.25
+MODEL_ERROR_SHARE_OF_TOUCH: Final = 0.25
 """Part of what a model may be off by that a touch may change."""
 
 ROW_ERROR_BY_TOUCH: Final = 0.1

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
+from eitskin_sim.scene.soft_touch import MIN_BORDER_MM
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.parameters import (
     BORDER,
@@ -32,7 +32,7 @@ from eitskin_sim.verification.sheet_model import SheetModel
 from eitskin_sim.verification.touch_prior import Joints, TouchPrior, fitted_parameters
 from eitskin_sim.verification.verdict import LEVEL, p_value
 
-IMPOSSIBLE: Final = (ValueError, np.linalg.LinAlgError)
+IMPOSSIBLE_TOUCH_ERRORS: Final = (ValueError, np.linalg.LinAlgError)
 """What touches raise that the sheet cannot have."""
 
 
@@ -256,7 +256,7 @@ def refine(
 def _try(frame: Frame, fit: Fit, fitted: npt.NDArray[np.bool_], step: Array) -> Fit | None:
     try:
         return frame.at(bounded(frame, fit.pieces, fitted, step), fit.turning)
-    except IMPOSSIBLE:
+    except IMPOSSIBLE_TOUCH_ERRORS:
         return None
 
 
@@ -294,7 +294,7 @@ def bounded(frame: Frame, pieces: Array, fitted: npt.NDArray[np.bool_], step: Ar
     values[:, LOG_CONTRAST] = np.where(np.abs(log) < c.MIN_ABS_LOG_CONTRAST, away, log)
     graded = pieces[:, 7] > 0.0
     widest = np.minimum(2.0 * values[:, halves].min(axis=1) - 0.01, c.MAX_BORDER_MM)
-    values[graded, BORDER] = np.clip(values[graded, BORDER], LEAST_BORDER_MM, widest[graded])
+    values[graded, BORDER] = np.clip(values[graded, BORDER], MIN_BORDER_MM, widest[graded])
     return pieces_of(pieces[:, 0], values)
 
 

@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from eitskin_sim.scene.touch_table import Array
-from eitskin_sim.shapes.parameters import COUNT, HALF_LENGTH, HALF_WIDTH, areas_mm2
+from eitskin_sim.shapes.parameters import HALF_LENGTH, HALF_WIDTH, N_PARAMETERS, areas_mm2
 from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.alternatives import scaled_to_contrast
-from eitskin_sim.verification.fit import IMPOSSIBLE, Budget, Fit, Frame, refine
+from eitskin_sim.verification.fit import IMPOSSIBLE_TOUCH_ERRORS, Budget, Fit, Frame, refine
 from eitskin_sim.verification.shape_verdict import Likely
 
 
@@ -55,7 +55,7 @@ def _contrasts(frame: Frame, pieces: Array) -> tuple[tuple[float, float], ...]:
     root_mm = float(np.sqrt(areas_mm2(pieces).min()))
     if root_mm <= c.MAX_ROOT_AREA_OF_GENTLER_MM:
         return c.GENTLER_RAISING
-    return c.GENTLER_LARGE if root_mm <= c.MAX_ROOT_AREA_OF_GENTLER_LARGE_MM and len(pieces) == 1 else ()
+    return c.LARGE_GENTLER_CONTRASTS if root_mm <= c.MAX_ROOT_AREA_OF_GENTLER_LARGE_MM and len(pieces) == 1 else ()
 
 
 def _held(frame: Frame, own: Fit, before: Fit, contrast: float, budget: Budget) -> Fit | None:
@@ -77,7 +77,7 @@ def _held(frame: Frame, own: Fit, before: Fit, contrast: float, budget: Budget) 
     log = np.log(before.pieces[:, 6])
     try:
         start = at.at(scaled_to_contrast(before.pieces, log - log.mean() + np.log(contrast)), own.turning)
-        scale = np.ones((len(own.pieces), COUNT))
+        scale = np.ones((len(own.pieces), N_PARAMETERS))
         scale[:, [HALF_LENGTH, HALF_WIDTH]] = own.pieces[:, 3:5] / start.pieces[:, 3:5]
         by = start.with_prior(by * scale[fitted])
         residual = start.of_prior()[0]
@@ -86,5 +86,5 @@ def _held(frame: Frame, own: Fit, before: Fit, contrast: float, budget: Budget) 
         if start.cost - promised > own.cost + c.MAX_COST_OF_GENTLER:
             return None
         return refine(at, start, c.STEPS_PER_CONTRAST, budget.search_over, by)
-    except IMPOSSIBLE:
+    except IMPOSSIBLE_TOUCH_ERRORS:
         return None

@@ -15,10 +15,10 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.touch_table import RECTANGLE, Array
 from eitskin_sim.shapes.parameters import (
     ANGLE,
-    COUNT,
     HALF_LENGTH,
     HALF_WIDTH,
     LOG_CONTRAST,
+    N_PARAMETERS,
     X,
     Y,
     areas_mm2,
@@ -72,7 +72,7 @@ class ShapeVerdict(Verdict[ShapeTouch]):
     """(n, 8) the touches as a table."""
     likely: Likely = ()
     """Shares of belief, and touches as they are drawn: ``pieces``, and those of other contrasts that the data allow."""
-    scatter: Array = field(default_factory=lambda: np.zeros((0, 0, COUNT)))
+    scatter: Array = field(default_factory=lambda: np.zeros((0, 0, N_PARAMETERS)))
     """(k, n, 7) independent ways in which the parameters of ``pieces`` may be off, of one standard deviation each."""
     joints: Joints = ()
     """Which of ``pieces`` hang together, as the network shows them and the frame allows."""
@@ -143,7 +143,7 @@ def _range(value: float, log_sd: float, others: Sequence[float]) -> tuple[float,
 def scatter_of(fit: Fit) -> Array:
     """Return (k, n, 7) independent ways in which a fit's parameters may be off, each of one standard deviation."""
     if not len(fit.pieces):
-        return np.zeros((0, 0, COUNT))
+        return np.zeros((0, 0, N_PARAMETERS))
     _, by, fitted = fit.linear_nearby
     size, way = np.linalg.eigh(by.T @ by)
     found = np.zeros((len(size), *fitted.shape))

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from eitskin_proto.skin.grid import Grid
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.scene.touch_table import RECTANGLE, Array
-from eitskin_sim.shapes.parameters import COUNT, LOG_CONTRAST
+from eitskin_sim.shapes.parameters import LOG_CONTRAST, N_PARAMETERS
 from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.fit import Budget
 from eitskin_sim.verification.residual import Noise, Rows, change_of
@@ -164,7 +164,7 @@ class UnitFrame:
         if len(pieces) and len(units):
             apart = np.hypot(*(table[:, None, 1:3] - pieces[None, :, 1:3]).transpose(2, 0, 1))
             logs = np.log(pieces[apart.argmin(axis=1), 6])
-        own = np.zeros((len(units), COUNT), dtype=np.bool_)
+        own = np.zeros((len(units), N_PARAMETERS), dtype=np.bool_)
         own[:, LOG_CONTRAST] = True
         alike = (np.eye(len(units)) - 1.0 / max(len(units), 1)) / self._prior.own_contrast_sd
         best: _Set | None = None

@@ -47,7 +47,7 @@ class TouchPrior:
     size_mm: float
     """Median of sqrt(area)."""
     size_log_sd: float
-    per_touch: float = 2.0 * float(np.log(c.PLACES / c.EXPECTED_TOUCHES))
+    per_touch: float = 2.0 * float(np.log(c.DISTINCT_PLACES / c.EXPECTED_TOUCHES))
     """Cost of one more touch."""
 
     def residuals(self, pieces: Array, fitted: Free, joints: Joints = ()) -> Array:

@@ -24,7 +24,7 @@ from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.fem.borders.enrichment import PRODUCTS
 from eitskin_sim.fem.mesh import MM, Metric
-from eitskin_sim.freeform.mesh import KEPT, MIDDLE, with_contacts
+from eitskin_sim.freeform.mesh import KEPT_NODES, MIDDLE_NODE, with_contacts
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import TouchedSheet
 from eitskin_sim.surface.smoothed import Scan
@@ -85,8 +85,10 @@ def _powers(touched: TouchedSheet) -> Array:
     whole = with_contacts(sheet.system.background * sheet.system.stiffness, elements, density, contacts)
     driven = touched.to_terminals - np.roll(touched.to_terminals, -1, axis=1)
     outer = np.concatenate([driven, np.zeros((1, 16))])[grid.dofs]  # (e, 9, 16), the electrode last
-    middle = -(whole[:, MIDDLE, KEPT][:, None, :] @ outer) / whole[:, MIDDLE, MIDDLE][:, None, None]
-    fields = np.insert(outer[:, :8], MIDDLE, middle[:, 0], axis=1)
+    middle = (
+        -(whole[:, MIDDLE_NODE, KEPT_NODES][:, None, :] @ outer) / whole[:, MIDDLE_NODE, MIDDLE_NODE][:, None, None]
+    )
+    fields = np.insert(outer[:, :8], MIDDLE_NODE, middle[:, 0], axis=1)
     tables = PRODUCTS.sum(axis=0).reshape(3, 9, 9)
     flipped, (drive, measure) = np.swapaxes(fields, 1, 2), TABLE.T.astype(np.intp)
     return np.array([-(flipped @ (table @ fields))[:, drive, measure] for table in tables])

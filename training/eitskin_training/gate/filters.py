@@ -26,19 +26,19 @@ FILTERS: Final = 128
 PATTERNS: Final = 3200
 """Touches that they are made of, half of them small ones, half a data set's."""
 
-ROUNDS: Final = 6
+K_MEANS_ROUNDS: Final = 6
 """Of k-means."""
 
-STILL: Final = 0.25
+RESPONSE_OFFSET: Final = 0.25
 """a: as much of mean |w|, which is about 0.8 of a usual moment."""
 
-FAINTEST: Final = 1e-3
+MIN_TOUCH_MEAN_LOG: Final = 1e-3
 """A touch of smaller mean |log(V touched / V untouched)| has no pattern to speak of."""
 
 
 def seen(touches: Array) -> Array:
     """Return those of (t, r) touches that have a pattern to speak of."""
-    return np.asarray(touches[np.abs(touches).mean(axis=1) > FAINTEST])
+    return np.asarray(touches[np.abs(touches).mean(axis=1) > MIN_TOUCH_MEAN_LOG])
 
 
 def patterns(touches: Array, small: int, rng: np.random.Generator) -> Array:
@@ -52,7 +52,7 @@ def bank(whitened: Array, rng: np.random.Generator) -> Array:
     """Return up to ``FILTERS`` unit vectors, the middles of (t, k) whitened patterns that point alike."""
     shown = _unit(whitened)
     found = shown[rng.permutation(len(shown))[:FILTERS]]
-    for _ in range(ROUNDS):
+    for _ in range(K_MEANS_ROUNDS):
         nearest = (shown @ found.T).argmax(axis=1)
         sums = np.zeros_like(found)
         np.add.at(sums, nearest, shown)
@@ -66,7 +66,7 @@ def _unit(vectors: Array) -> Array:
 
 def ratios(whitened: Array, filters: Array) -> Array:
     """Return (n,) the largest of (f, k) filters' outputs over mean |w| + a, of (n, k) whitened logarithms."""
-    return np.asarray((whitened @ filters.T).max(axis=1) / (np.abs(whitened).mean(axis=1) + STILL))
+    return np.asarray((whitened @ filters.T).max(axis=1) / (np.abs(whitened).mean(axis=1) + RESPONSE_OFFSET))
 
 
 def layers(whitening: Array, filters: Array, limit: float) -> tuple[Array, Array, Array]:
@@ -80,4 +80,4 @@ def layers(whitening: Array, filters: Array, limit: float) -> tuple[Array, Array
     count = whitening.shape[1]
     first = np.concatenate([whitening, -whitening, whitening @ filters.T], axis=1)
     second = np.concatenate([np.full((2 * count, len(filters)), -limit / count), np.eye(len(filters))])
-    return first, second, np.full(len(filters), -limit * STILL)
+    return first, second, np.full(len(filters), -limit * RESPONSE_OFFSET)

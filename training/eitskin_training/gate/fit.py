@@ -44,7 +44,7 @@ HIDDEN: Final = (96, 32)
 IDLE_HIDDEN: Final = (64, 32)
 """Those of the gate for scans of a few drives."""
 
-FLOOR: Final = 0.05
+MIN_RATIO: Final = 0.05
 """V / V0 is not taken for less before the logarithm: a row that noise drowns says nothing by its logarithm."""
 
 FALSE_ALARM_RATE: Final = 0.003
@@ -60,7 +60,7 @@ COVARIANCES: Final = 4
 BANKS: Final = 6
 """Draws of untouched frames, and of filters with the covariance of each, of which the best are taken."""
 
-STEPS: Final = 5500
+TRAINING_STEPS: Final = 5500
 """Steps of AdamW; the idle gate takes half as many."""
 
 RATE: Final = 3e-3
@@ -96,7 +96,7 @@ class Gate:
         return self.measures
 
 
-def gate_features(dv: npt.NDArray[np.floating], floor: float = FLOOR) -> Array:
+def gate_features(dv: npt.NDArray[np.floating], floor: float = MIN_RATIO) -> Array:
     """Return (n, 2 r) features of (n, r) dV, as the runtime forms them."""
     return np.concatenate([dv, np.log(np.maximum(1.0 + dv, floor))], axis=1, dtype=np.float64)
 
@@ -118,7 +118,7 @@ def logits(arrays: Arrays, dv: npt.NDArray[np.floating], prefix: str = "") -> Ar
 _FIELDS: Final = ("floor", "mean", "scale", "w1", "b1", "w2", "b2", "w3", "b3")
 
 
-def fit(data: TrainingData, bends: Bends, *, seed: int = 0, steps: int = STEPS, batch: int = 512) -> Gate:
+def fit(data: TrainingData, bends: Bends, *, seed: int = 0, steps: int = TRAINING_STEPS, batch: int = 512) -> Gate:
     """Train both gates and measure them.
 
     Args:
@@ -228,14 +228,14 @@ def _matched(
 
 
 def _logarithms(dv: Array, rows: npt.NDArray[np.intp]) -> Array:
-    return np.log(np.maximum(1.0 + dv[:, rows], FLOOR))
+    return np.log(np.maximum(1.0 + dv[:, rows], MIN_RATIO))
 
 
 def _in_form(mean: Array, w1: Array, b1: Array, w2: Array, b2: Array, w3: Array, b3: float) -> Arrays:
     """Return the arrays of a network on logarithms, (r, h) first, with their mean."""
     unused = np.zeros(len(mean))  # dV itself, which the runtime's features begin with: its logarithm says it all
     arrays = {
-        "floor": np.asarray(FLOOR),
+        "floor": np.asarray(MIN_RATIO),
         "mean": np.concatenate([unused, mean]),
         "scale": np.ones(2 * len(mean)),
         "w1": np.concatenate([np.zeros_like(w1), w1]),

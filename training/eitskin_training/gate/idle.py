@@ -27,7 +27,7 @@ FRAMES: Final = 8192
 TOUCHES: Final = 100
 """Untouched frames for the covariance, and touches for the mean."""
 
-FLOOR: Final = 0.05
+MIN_RATIO: Final = 0.05
 """V / V0 is not taken for less, as in the gate."""
 
 Array = npt.NDArray[np.float64]
@@ -70,7 +70,7 @@ def idle_table(covariance: Array, touches: Array, most: int = DRIVES) -> list[tu
 
 def covariance_of(dv: Array) -> Array:
     """Return the (104, 104) covariance of log(V / V0) of noisy untouched frames (n, 104)."""
-    return np.asarray(np.cov(np.log(np.maximum(1.0 + dv, FLOOR)).T) + 1e-8 * np.eye(N_ROWS))
+    return np.asarray(np.cov(np.log(np.maximum(1.0 + dv, MIN_RATIO)).T) + 1e-8 * np.eye(N_ROWS))
 
 
 def idle_choice(material: Material, rng: np.random.Generator) -> int:

@@ -20,16 +20,16 @@ from eitskin_training.gate.untouched import Bends
 from eitskin_training.network.mirror import mirrors
 from eitskin_training.samples.batches import TrainingData
 
-WEAK: Final = 0.03
+WEAK_MEAN_LOG: Final = 0.03
 """Mean |log(V touched / V untouched)| up to which a touch is drawn with full weight; a 10 mm touch has about this."""
 
-FAINTEST: Final = 1e-3
+MIN_MEAN_LOG: Final = 1e-3
 """Below it a touch is beneath any noise and is not learned from."""
 
-MOST_TOUCHES: Final = 20_000
+MAX_TOUCHES: Final = 20_000
 """How many of a data set's samples are learned from."""
 
-PURE: Final = 0.5
+SOLVED_BEND_SHARE: Final = 0.5
 """Share of bends that are solved ones, not mixtures."""
 
 NOISES: Final[tuple[Kind, ...]] = ("N1", "N2", "N3")
@@ -68,14 +68,16 @@ class Material:
     def of(cls, data: TrainingData, bends: Bends, rng: np.random.Generator) -> "Material":
         """Return material of a data set's training samples and of solved bends and touches."""
         rows = data.train[data.labels[data.touch_set[data.train]].any(axis=1)]
-        rows = rng.permutation(rows)[:MOST_TOUCHES]
+        rows = rng.permutation(rows)[:MAX_TOUCHES]
         ratio = data.voltages[rows] / data.untouched[data.deformation[rows]]
         if data.drift is not None:
             ratio = ratio / data.drift[rows, None]
         usable = ((ratio > 1e-4) & (ratio < 1e4)).all(axis=1)
         touches = np.concatenate([np.log(ratio[usable]), bends.touches])
         strength = np.abs(touches).mean(axis=1)
-        weights = np.sqrt(np.minimum(1.0, WEAK / np.maximum(strength, FAINTEST))) * (strength > FAINTEST)
+        weights = np.sqrt(np.minimum(1.0, WEAK_MEAN_LOG / np.maximum(strength, MIN_MEAN_LOG))) * (
+            strength > MIN_MEAN_LOG
+        )
         # What was solved for the gate counts as much as all samples of the data set together.
         own = np.arange(len(touches)) >= usable.sum()
         if own.any() and not own.all():
@@ -110,8 +112,8 @@ class Material:
     def _bends(self, count: int, rng: np.random.Generator) -> Array:
         one, other = self.bends[rng.integers(len(self.bends), size=(2, count))]
         kind, share = rng.random(count)[:, None], rng.random(count)[:, None]
-        mixed = share * one + np.where(kind < (1.0 + PURE) / 2, 0.0, 1.0 - share) * other
-        return self._image(np.where(kind < PURE, one, mixed), rng)
+        mixed = share * one + np.where(kind < (1.0 + SOLVED_BEND_SHARE) / 2, 0.0, 1.0 - share) * other
+        return self._image(np.where(kind < SOLVED_BEND_SHARE, one, mixed), rng)
 
     def _image(self, logs: Array, rng: np.random.Generator) -> Array:
         return np.take_along_axis(logs, self.images[rng.integers(len(self.images), size=len(logs))], axis=1)

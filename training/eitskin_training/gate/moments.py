@@ -22,7 +22,7 @@ import numpy.typing as npt
 from eitskin_proto.sensor.row_gaussian import log_of_ratio
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.dataset.device_files import ATTEMPTS, USABLE, true_bend
+from eitskin_sim.dataset.device_files import ATTEMPTS, REFERENCE_RATIO_RANGE, true_bend
 from eitskin_sim.devices import expansion as expanded
 from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.devices.draws import DrawnDevice, draw_device, draw_front_end, draw_moment
@@ -40,7 +40,7 @@ SEED: Final = 0xDE71
 GAUGE_STEP: Final = 0.3
 """A drawn gauge factor lies so many of the law's spreads about that of the solved sheet, which is drawn itself."""
 
-FURTHEST: Final = 2.0
+MAX_STRETCH_SD: Final = 2.0
 """Stretches of references are solved up to so many standard deviations."""
 
 
@@ -134,7 +134,7 @@ class References:
         device, rng = _with_gauge(ideal(skin), 0.0), np.random.default_rng(0)
         stretch = 1.0 + skin.may_be_off.reference_stretch.draw(rng, 1000)
         reach = [
-            max(FURTHEST * float(np.std(np.log(scale.draw(rng, 1000) * stretch))), 1e-3)
+            max(MAX_STRETCH_SD * float(np.std(np.log(scale.draw(rng, 1000) * stretch))), 1e-3)
             for scale in (skin.layer.length_scale, skin.layer.width_scale)
         ]
         steps = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)]) * reach
@@ -215,7 +215,7 @@ def _usable(
     for _ in range(ATTEMPTS):
         own = readings(drawn.device, before)
         share = own / nominal
-        if USABLE[0] < share.min() and share.max() < USABLE[1]:
+        if REFERENCE_RATIO_RANGE[0] < share.min() and share.max() < REFERENCE_RATIO_RANGE[1]:
             return drawn, own
         drawn = replace(drawn, device=replace(drawn.device, front_end=draw_front_end(skin, rng)))
     raise ValueError(f"skin {skin.name}: no front end of {ATTEMPTS} reads every row; make what is off in it smaller")

@@ -26,7 +26,7 @@ from eitskin_training.gate.presses import DIAMETER_MM, STRENGTH_MM2, press
 SNR_DB: Final = 52.0
 """N2 noise of measured skins."""
 
-FRAMES: Final = 5
+FRAMES_TO_FIND_A_PRESS: Final = 5
 """In which a press is to be found."""
 
 PLACES: Final = (9, 6)
@@ -121,7 +121,7 @@ def ideal_observer(untouched: Array, false_alarms: float, skin: Skin) -> dict[st
         "d_prime": {
             name: {
                 f"{frames}": Bound.of(detectability(signals, nuisance, noise / frames**0.5), false_alarms).facts()
-                for frames in (1, FRAMES)
+                for frames in (1, FRAMES_TO_FIND_A_PRESS)
             }
             for name, nuisance in unknown.items()
         },
@@ -130,8 +130,9 @@ def ideal_observer(untouched: Array, false_alarms: float, skin: Skin) -> dict[st
 
 def line(facts: dict[str, Any]) -> str:
     """Return what the fit prints of it."""
+    several = str(FRAMES_TO_FIND_A_PRESS)
     parts = [
-        f"{name} unknown: {by['1']['median']:.1f} in a frame, {by[str(FRAMES)]['median']:.1f} in {FRAMES}"
+        f"{name} unknown: {by['1']['median']:.1f} in a frame, {by[several]['median']:.1f} in {several}"
         for name, by in facts["d_prime"].items()
     ]
     return (

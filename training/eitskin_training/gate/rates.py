@@ -14,7 +14,7 @@ import numpy.typing as npt
 from eitskin_proto.sensor.row_gaussian import log_of_ratio
 from eitskin_proto.skin.skin import Skin
 from eitskin_training.gate.material import NOISES, drifted, images_of, noisy_change
-from eitskin_training.gate.observer import FRAMES, SNR_DB
+from eitskin_training.gate.observer import FRAMES_TO_FIND_A_PRESS, SNR_DB
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.samples.batches import TrainingData, pixels_per_unit
 
@@ -115,7 +115,7 @@ def measured(
 def found_presses(
     judge: Judge, threshold: float, bends: Bends, data: TrainingData, rng: np.random.Generator, draws: int = 10
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Return by touch and bends the share that the first, and any of ``FRAMES`` frames with noise of their own, finds.
+    """Return by touch and bends the share that the first, and any of ``FRAMES_TO_FIND_A_PRESS`` frames, finds.
 
     Noise is N2 of ``SNR_DB``, and all voltages have drifted by ``DRIFT`` since the reference, the same in all frames of
     one press. Bends are those of a family, of the nominal device, or "devices": the sheets that measure false alarms.
@@ -131,9 +131,15 @@ def found_presses(
         found[name] = {}
         for family, logs in members.items():
             still = np.repeat(logs, draws, axis=0)
-            still = np.repeat(still + DRIFT * rng.standard_normal((len(still), 1)), FRAMES, axis=0)
-            seen = judge(noisy_change(still, data.reference, rng, "N2", SNR_DB)).reshape(-1, FRAMES) > threshold
-            found[name][family] = {"1": float(seen[:, 0].mean()), f"{FRAMES}": float(seen.any(axis=1).mean())}
+            still = np.repeat(still + DRIFT * rng.standard_normal((len(still), 1)), FRAMES_TO_FIND_A_PRESS, axis=0)
+            seen = (
+                judge(noisy_change(still, data.reference, rng, "N2", SNR_DB)).reshape(-1, FRAMES_TO_FIND_A_PRESS)
+                > threshold
+            )
+            found[name][family] = {
+                "1": float(seen[:, 0].mean()),
+                f"{FRAMES_TO_FIND_A_PRESS}": float(seen.any(axis=1).mean()),
+            }
     return found
 
 

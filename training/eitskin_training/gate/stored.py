@@ -33,7 +33,7 @@ VERSION: Final = 3
 """Raised whenever a gate that is fitted anew would be another one."""
 
 _GATE, _SHEETS = "gate_", "untouched_"
-_KEPT: Final = ("train", "choose", "measure")
+_STORED_SHEETS: Final = ("train", "choose", "measure")
 """Of the untouched sheets; touches and probes have done their work."""
 
 GiveBends = Callable[[TrainingData], Bends]
@@ -81,7 +81,7 @@ def gate_of_run(
         seed: Its seed.
         tell: Told what is being done, where there is something to do.
         bends: Gives the untouched sheets; None solves hundreds (:func:`eitskin_training.gate.untouched.solved_bends`).
-        steps: Steps that it is fitted for; None takes ``fit.STEPS``.
+        steps: Steps that it is fitted for; None takes ``fit.TRAINING_STEPS``.
 
     Raises:
         SkinError: No bends are held out.
@@ -93,7 +93,7 @@ def gate_of_run(
     tell("gate: solving untouched sheets")
     sheets = (bends or untouched.solved_bends)(data)
     tell("gate: fitting")
-    gate = fit.fit(data, sheets, seed=seed, steps=fit.STEPS if steps is None else steps)
+    gate = fit.fit(data, sheets, seed=seed, steps=fit.TRAINING_STEPS if steps is None else steps)
     if "ideal_observer" in gate.measures:
         tell(f"gate: {observer.line(gate.measures['ideal_observer'])}")
     found = RunGate(gate, Bends(sheets.train, sheets.choose, sheets.measure))
@@ -113,7 +113,7 @@ def hand_on(source: Path, folder: Path) -> None:
 
 def _write(path: Path, found: RunGate, origin: dict[str, Any]) -> None:
     arrays: dict[str, npt.NDArray[np.generic]] = {_GATE + name: value for name, value in found.gate.arrays.items()}
-    arrays |= {_SHEETS + name: getattr(found.bends, name) for name in _KEPT}
+    arrays |= {_SHEETS + name: getattr(found.bends, name) for name in _STORED_SHEETS}
     texts = {"made_of": json.dumps(origin), "measures": json.dumps(found.gate.measures)}
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(path, pack_arrays({**arrays, **texts}))
@@ -126,7 +126,7 @@ def _read(path: Path, expected: dict[str, Any]) -> RunGate | None:
         if {"skin_digest": PAPER.digest, **parse_json(str(file["made_of"]))} != expected:
             return None
         arrays: Arrays = {name.removeprefix(_GATE): file[name] for name in file if name.startswith(_GATE)}
-        train, choose, measure = (file[_SHEETS + name] for name in _KEPT)
+        train, choose, measure = (file[_SHEETS + name] for name in _STORED_SHEETS)
         return RunGate(Gate(arrays, parse_json(str(file["measures"]))), Bends(train, choose, measure))
     except (OSError, ValueError, KeyError, TypeError):
         return None

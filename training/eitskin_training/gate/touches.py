@@ -17,13 +17,13 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
-from eitskin_sim.scene.family import FLAT, SCALED, bounds, draw, scaled
+from eitskin_sim.scene.family import FLAT_SHARE, SCALED, bounds, draw, scaled
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import DISC, RECTANGLE, TouchTable, gather
 from eitskin_training.gate.presses import drawn_presses, probe_presses
 
-DENTED: Final = 0.7
-MOST_DENTS: Final = 4
+DENTED_SHARE: Final = 0.7
+MAX_DENTS: Final = 4
 DENT_MM: Final = 7.5
 DENT_SIGMA_MM: Final = (10.0, 30.0)
 """Share of the wider family that has dents, how many at most, their greatest height and their width."""
@@ -35,10 +35,12 @@ def wide_bends(count: int, seed: int, skin: Skin) -> list[Bend]:
     found = []
     for _ in range(count):
         bend = Bend(**{name: float(rng.uniform(*one)) for name, one in bounds(skin.deformations).items()})  # type: ignore[arg-type]
-        if rng.random() < DENTED:
-            bend = replace(bend, bumps_mm=tuple(_dent(rng, skin) for _ in range(int(rng.integers(1, MOST_DENTS + 1)))))
+        if rng.random() < DENTED_SHARE:
+            bend = replace(bend, bumps_mm=tuple(_dent(rng, skin) for _ in range(int(rng.integers(1, MAX_DENTS + 1)))))
         kind, amplitude = rng.random(2)
-        found.append(Bend() if kind < FLAT else scaled(bend, float(amplitude)) if kind < FLAT + SCALED else bend)
+        found.append(
+            Bend() if kind < FLAT_SHARE else scaled(bend, float(amplitude)) if kind < FLAT_SHARE + SCALED else bend
+        )
     return found
 
 
@@ -52,7 +54,7 @@ PROBE_SEED: Final = 703
 TOUCH_SEED: Final = 704
 """Sequences that no data set uses."""
 
-KEPT: Final = 4
+CACHED_RESULTS: Final = 4
 """Results that are kept while the process runs, of each kind: of a few skins."""
 
 Array = npt.NDArray[np.float64]
@@ -75,7 +77,7 @@ class Probe:
     before: Array
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_RESULTS)
 def small_touches(bends: int, skin: Skin, each: int = 400, kind: TouchKind = "raise") -> Array:
     """Return (n, 104) log(V touched / V untouched) of touches of 5 to 12 mm, at the flat sheet and other bends.
 
@@ -167,7 +169,7 @@ def probes(bends: int, seed: int, skin: Skin, kind: TouchKind = "raise") -> tupl
     return hard + (_probes(bends, seed, skin, True) if kind != "raise" else ())
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_RESULTS)
 def _probes(bends: int, seed: int, skin: Skin, presses: bool) -> tuple[Probe, ...]:
     sets = probe_presses(seed, skin) if presses else probe_sets(seed, skin)
     table = gather([pieces for group in sets.values() for pieces in group])

@@ -39,10 +39,10 @@ CHOICE_SEED: Final = 705
 
 LEARNED_DEVICES: Final = 2000
 CHOOSING_DEVICES: Final = 300
-EACH: Final = 8
+MOMENTS_PER_DEVICE: Final = 8
 """Random devices that are learned from and that choose a threshold, and the moments of each."""
 
-KEPT: Final = 4
+CACHED_RESULTS: Final = 4
 """Results that are kept while the process runs, of each kind: of a few skins."""
 
 Array = npt.NDArray[np.float64]
@@ -100,7 +100,7 @@ def solved_bends(
     )
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_RESULTS)
 def solved(train: int, held_out: int, skin: Skin) -> Bends:
     """Return solved bends alone: ``train`` of the wider family, ``held_out`` each of A and B."""
     apart = [untouched_logs(draw(family, held_out, HELD_OUT_SEED, skin), skin) for family in ("A", "B")]
@@ -111,7 +111,7 @@ def solved(train: int, held_out: int, skin: Skin) -> Bends:
     )
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=CACHED_RESULTS)
 def devices(train: int, held_out: int, skin: Skin) -> Bends:
     """Return untouched moments of random devices alone.
 
@@ -125,8 +125,8 @@ def devices(train: int, held_out: int, skin: Skin) -> Bends:
     ]
     choose = [bend for family in apart[0] for bend in family[: held_out // 3]]
     return Bends(
-        drawn_moments(wide_bends(train, TRAIN_SEED, skin), skin, TRAIN_SEED, LEARNED_DEVICES, EACH),
-        drawn_moments(choose, skin, CHOICE_SEED, CHOOSING_DEVICES, EACH),
+        drawn_moments(wide_bends(train, TRAIN_SEED, skin), skin, TRAIN_SEED, LEARNED_DEVICES, MOMENTS_PER_DEVICE),
+        drawn_moments(choose, skin, CHOICE_SEED, CHOOSING_DEVICES, MOMENTS_PER_DEVICE),
         np.concatenate([moments(family, skin, HELD_OUT_SEED + n) for n, family in enumerate(apart[1], start=10)]),
         devices=skin,
     )

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-CELL: Final = 3
+CELL_PIXELS: Final = 3
 """Pixels along a cell's side."""
 
 LOGITS: Final = 4.0
@@ -35,18 +35,19 @@ def cells(shape: tuple[int, int]) -> tuple[int, int]:
         ValueError: A side is no multiple of three.
     """
     rows, columns = shape
-    if rows % CELL or columns % CELL:
+    if rows % CELL_PIXELS or columns % CELL_PIXELS:
+        whole = [-(-side // CELL_PIXELS) * CELL_PIXELS for side in shape]
         raise ValueError(
-            f"a map of {rows} x {columns} pixels cannot be sharpened: expected multiples of {CELL}; give the skin's "
-            f"[map] shape = [{-(-rows // CELL) * CELL}, {-(-columns // CELL) * CELL}]"
+            f"a map of {rows} x {columns} pixels cannot be sharpened: expected multiples of {CELL_PIXELS}; "
+            f"give the skin's [map] shape = {whole}"
         )
-    return rows // CELL, columns // CELL
+    return rows // CELL_PIXELS, columns // CELL_PIXELS
 
 
 def pixel_of_cell(shape: tuple[int, int]) -> npt.NDArray[np.int64]:
     """Return the (n_pixels,) pixels in the order of cells, nine of each after another."""
     rows, columns = cells(shape)
-    pixels = np.arange(shape[0] * shape[1]).reshape(rows, CELL, columns, CELL)
+    pixels = np.arange(shape[0] * shape[1]).reshape(rows, CELL_PIXELS, columns, CELL_PIXELS)
     return pixels.transpose(0, 2, 1, 3).reshape(-1)
 
 
@@ -69,11 +70,11 @@ class Sharpen(nn.Module):
             cells(shape)
         self.blocks = nn.ModuleList()
         for width in channels:
-            last = nn.Conv2d(width, CELL**2, 1)
+            last = nn.Conv2d(width, CELL_PIXELS**2, 1)
             nn.init.zeros_(last.weight)
             assert last.bias is not None
             nn.init.zeros_(last.bias)
-            self.blocks.append(nn.Sequential(nn.Conv2d(CELL**2, width, 3, padding=1), activation(), last))
+            self.blocks.append(nn.Sequential(nn.Conv2d(CELL_PIXELS**2, width, 3, padding=1), activation(), last))
         for parameter in self.blocks.parameters():
             if parameter.ndim == 4:
                 parameter.data = parameter.data.to(memory_format=torch.channels_last)  # trains faster
@@ -88,5 +89,5 @@ class Sharpen(nn.Module):
         """Return (B, n_pixels)."""
         if not len(self.blocks):
             return logits
-        z = functional.pixel_unshuffle(logits.view(-1, 1, *self.shape), CELL)
-        return functional.pixel_shuffle(self.cells(z), CELL).flatten(1)
+        z = functional.pixel_unshuffle(logits.view(-1, 1, *self.shape), CELL_PIXELS)
+        return functional.pixel_shuffle(self.cells(z), CELL_PIXELS).flatten(1)

@@ -24,17 +24,17 @@ from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.measurement.consistency import SAMPLES, RowImputation, fit
+from eitskin_sim.measurement.consistency import MAX_SAMPLES, RowImputation, fit
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.scene.parts import Bend
 from eitskin_training.network.mirror import Mirror, mirrors
 from eitskin_training.network.model import features
 from eitskin_training.recipes import Recipe
 
-HOW_MANY: Final = (0.7, 0.2, 0.1)
+LOST_ELECTRODES_CHANCES: Final = (0.7, 0.2, 0.1)
 """Chances that one, two or three electrodes are gone, when any is."""
 
-SETS: Final = 6
+LOST_SETS_PER_BATCH: Final = 6
 """Different sets of electrodes in a batch: samples that lose the same ones are filled in together."""
 
 
@@ -48,8 +48,8 @@ def lose_electrodes(dv: npt.NDArray[np.float32], share: float, filler: RowImputa
         rng: Draws samples and electrodes.
     """
     samples = np.flatnonzero(rng.random(len(dv)) < share)
-    for group in np.array_split(samples, SETS):
-        count = int(rng.choice(len(HOW_MANY), p=HOW_MANY)) + 1
+    for group in np.array_split(samples, LOST_SETS_PER_BATCH):
+        count = int(rng.choice(len(LOST_ELECTRODES_CHANCES), p=LOST_ELECTRODES_CHANCES)) + 1
         chosen = tuple(sorted(rng.choice(N_ELECTRODES, count, replace=False).tolist()))
         if len(group):
             part = dv[group]
@@ -57,7 +57,7 @@ def lose_electrodes(dv: npt.NDArray[np.float32], share: float, filler: RowImputa
             dv[group] = part
 
 
-MOST_LOST_ROWS: Final = 4
+MAX_LOST_ROWS: Final = 4
 """A sample that loses rows loses one to this many."""
 
 
@@ -265,7 +265,7 @@ def assemble(
 def lose_rows(dv: npt.NDArray[np.float32], recipe: Recipe, rng: np.random.Generator) -> None:
     """Set to 0, in place, the few single rows that some samples of (B, 104) lose."""
     for sample in np.flatnonzero(rng.random(len(dv)) < recipe.lost_rows):
-        dv[sample, rng.choice(N_ROWS, size=int(rng.integers(1, MOST_LOST_ROWS + 1)), replace=False)] = 0.0
+        dv[sample, rng.choice(N_ROWS, size=int(rng.integers(1, MAX_LOST_ROWS + 1)), replace=False)] = 0.0
 
 
 def consistency_of(data: TrainingData, recipe: Recipe) -> RowGaussian:
@@ -286,5 +286,5 @@ def inputs(data: TrainingData, recipe: Recipe) -> Tensor:
 
 
 def _spread(data: TrainingData) -> npt.NDArray[np.intp]:
-    """Return the rows of ``SAMPLES`` training samples, spread evenly over them; of all if there are fewer."""
-    return data.train[np.unique(np.linspace(0, len(data.train) - 1, SAMPLES).astype(np.intp))]
+    """Return the rows of ``MAX_SAMPLES`` training samples, spread evenly over them; of all if there are fewer."""
+    return data.train[np.unique(np.linspace(0, len(data.train) - 1, MAX_SAMPLES).astype(np.intp))]

@@ -2,8 +2,9 @@
 
 A network sees dV alone, so what a real sheet read is told of the twin's own reference, V = V0_twin V_press / V0_real.
 Where the sheet was scanned instead of flat, V0_twin is what the forward model makes of the flat one's for that scan.
-A few presses among many simulated samples would hardly count: they are repeated until they make up ``SHARE`` of them,
-under noise of their own each time. Every ``KEPT``-th press is kept apart, and says what the others were worth.
+A few presses among many simulated samples would hardly count: they are repeated until they make up
+``PRESS_SHARE`` of them, under noise of their own each time. Every ``HELD_OUT_STRIDE``-th press is kept apart, and says
+what the others were worth.
 """
 
 from pathlib import Path
@@ -34,20 +35,20 @@ NAME: Final = "presses.npz"
 
 LARGEST_FILE: Final = 64 << 20
 
-SHARE: Final = 0.2
+PRESS_SHARE: Final = 0.2
 """Of the samples that are learned from, after these have joined."""
 
-KEPT: Final = 4
-FEWEST: Final = 4
+HELD_OUT_STRIDE: Final = 4
+MIN_PRESSES: Final = 4
 """Presses, so that there is one to be kept apart."""
 
-LIKE: Final = 0.98
-UNLIKE: Final = 0.3
+MIN_COSINE_OF_SAME_PLACE: Final = 0.98
+MAX_COSINE_OF_OTHER_PLACE: Final = 0.3
 """Cosine of what two presses change, without what is common to all rows: of two at places far apart, and of two at one
 place."""
 
-NEAR: Final = 0.5
-FAR: Final = 3.0
+MAX_DISTANCE_OF_SAME_PLACE: Final = 0.5
+MIN_DISTANCE_OF_OTHER_PLACE: Final = 3.0
 """Places that are so many sizes of the stamp apart are one place, or surely two."""
 
 Array = npt.NDArray[np.float64]
@@ -60,8 +61,10 @@ def check(recording: Recording) -> None:
         SkinError: In one line, with the presses.
     """
     presses = recording.presses
-    if len(presses) < FEWEST:
-        raise SkinError(f"{len(presses)} presses are recorded, expected at least {FEWEST}: every fourth is kept apart")
+    if len(presses) < MIN_PRESSES:
+        raise SkinError(
+            f"{len(presses)} presses are recorded, expected at least {MIN_PRESSES}: every fourth is kept apart"
+        )
     places = np.array([one.xy_mm for one in presses])
     changes = directions(ratios(recording))
     alike = changes @ changes.T
@@ -69,8 +72,10 @@ def check(recording: Recording) -> None:
     apart = np.linalg.norm(places[:, None] - places, axis=2) / sizes
     for one, other in zip(*np.triu_indices(len(presses), 1), strict=True):
         cosine, away = float(alike[one, other]), float(apart[one, other])
-        if (away <= NEAR and cosine < UNLIKE) or (away >= FAR and cosine > LIKE):
-            read = "unlike" if away <= NEAR else "the same"
+        if (away <= MAX_DISTANCE_OF_SAME_PLACE and cosine < MAX_COSINE_OF_OTHER_PLACE) or (
+            away >= MIN_DISTANCE_OF_OTHER_PLACE and cosine > MIN_COSINE_OF_SAME_PLACE
+        ):
+            read = "unlike" if away <= MAX_DISTANCE_OF_SAME_PLACE else "the same"
             both = f"{press_name(recording, int(one))} and {press_name(recording, int(other))}"
             raise SkinError(
                 f"{both} contradict each other: they read {read} (cosine {cosine:.2f}); leave out the one that was "
@@ -111,7 +116,7 @@ def write(folder: Path, recording: Recording, data: TrainingData) -> None:
         raise SkinError("recorded presses have places anywhere; a bundle of units cannot learn from them")
     count = len(recording.presses)
     learned = count - len(_kept(count))
-    repeats = max(round(SHARE / (1.0 - SHARE) * len(data.train) / learned), 1)
+    repeats = max(round(PRESS_SHARE / (1.0 - PRESS_SHARE) * len(data.train) / learned), 1)
     cloud = flat_cloud(data.skin.grid) if recording.cloud_mm is None else recording.cloud_mm
     lies = np.zeros((1, len(data.reference)), np.float32)
     if recording.cloud_mm is not None:
@@ -175,7 +180,7 @@ def kept(data: TrainingData) -> npt.NDArray[np.intp]:
 
 
 def _kept(count: int) -> npt.NDArray[np.intp]:
-    return np.arange(KEPT // 2, count, KEPT)
+    return np.arange(HELD_OUT_STRIDE // 2, count, HELD_OUT_STRIDE)
 
 
 def ratios(recording: Recording) -> Array:
@@ -207,10 +212,10 @@ def piece(press: Later, contrast: float) -> Array:
     return np.array([[DISC if len(size) == 1 else RECTANGLE, x, y, size[0], size[-1], 0.0, contrast, 0.0]])
 
 
-LOWERED: Final = 0.5
+MODEL_PRESS_CONTRAST: Final = 0.5
 """Contrast of the model's presses."""
 
-SURE: Final = 0.5
+MIN_SIGN_COSINE: Final = 0.5
 """Cosine of what was read and what the model reads: from here on the way is told."""
 
 
@@ -262,7 +267,7 @@ def ways(recording: Recording, skin: Skin) -> list[TouchKind | None]:
         SkinError: A row has turned its sign.
     """
     read, sheet = directions(ratios(recording)), inverted_sheet(Bend(), skin=skin)
-    table = gather([piece(one, LOWERED) for one in recording.presses])
+    table = gather([piece(one, MODEL_PRESS_CONTRAST) for one in recording.presses])
     lowered = directions(set_voltages([sheet], table, skin=skin)[0] / sheet.untouched_V)
     alike = np.sum(read * lowered, axis=1)
-    return ["lower" if one > SURE else "raise" if one < -SURE else None for one in alike]
+    return ["lower" if one > MIN_SIGN_COSINE else "raise" if one < -MIN_SIGN_COSINE else None for one in alike]

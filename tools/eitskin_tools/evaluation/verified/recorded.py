@@ -16,7 +16,7 @@ from eitskin.reference.captured import Reference
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.evaluation.harness import Case, Run, Sheet
 from eitskin_tools.evaluation.verified.solver import VerifiedNetwork, noise_shown
-from eitskin_tools.evaluation.verified.untouched_baseline import FRAMES, UntouchedBaseline
+from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES, UntouchedBaseline
 from eitskin_tools.recording.reinfer import NOTHING, Computed, FrameVerdict, Rerun, Verdicts
 from eitskin_tools.recording.script import Script, Step, reference_of
 
@@ -92,7 +92,7 @@ class VerifiedSolver:
 
     def _tell_rest(self) -> None:
         if self._at_rest_V is not None and self._verified is not None:
-            self._verified.rest(self._at_rest_V, FRAMES)
+            self._verified.rest(self._at_rest_V, BASELINE_FRAMES)
 
     def _checked(self, found: Computed, reference: Reference, sheet: Sheet) -> Computed | None:
         """Return the network's map as physics leaves it; None, and counted, where there is no verdict."""

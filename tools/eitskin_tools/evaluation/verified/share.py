@@ -28,7 +28,7 @@ ERROR_PER_DOUBT: Final = 0.5
 MIN_SQUARE: Final = 1e-12
 """A squared error below which there is none."""
 
-DRAWS: Final = 16
+MAP_DRAWS: Final = 16
 """Of touches as they may be."""
 
 
@@ -72,13 +72,13 @@ def map_error(pieces: Array, scatter: Array, grid: Grid) -> float:
         scatter: (k, n, 7) ways in which they may be off, of one standard deviation each.
         grid: Of the map.
     """
-    half = np.random.default_rng(0).standard_normal((DRAWS // 2, len(scatter)))
+    half = np.random.default_rng(0).standard_normal((MAP_DRAWS // 2, len(scatter)))
     off = np.tensordot(np.concatenate([half, -half]), scatter, axes=1)
-    maps, lines = np.zeros((DRAWS, *grid.shape)), pixel_lines(grid)
+    maps, lines = np.zeros((MAP_DRAWS, *grid.shape)), pixel_lines(grid)
     for number, piece in enumerate(pieces):
         values = parameters_of(piece[None]) + off[:, number]
         values[:, [HALF_LENGTH, HALF_WIDTH]] = np.maximum(values[:, [HALF_LENGTH, HALF_WIDTH]], MIN_HALF_SIDE_MM)
-        for drawn, moved in zip(maps, pieces_of(np.full(DRAWS, piece[0]), values), strict=True):
+        for drawn, moved in zip(maps, pieces_of(np.full(MAP_DRAWS, piece[0]), values), strict=True):
             rows, columns, covered = cover(moved, *lines)
             drawn[rows, columns] += covered
     maps = np.minimum(maps, 1.0)

@@ -15,7 +15,7 @@ from eitskin_proto.sensor.table import N_ROWS
 
 Array = npt.NDArray[np.float64]
 
-FRAMES: Final = 50
+BASELINE_FRAMES: Final = 50
 """That the mean is of."""
 
 MIN_NEW_RMS: Final = 1e-3
@@ -41,7 +41,7 @@ class UntouchedBaseline:
         self._stillness.reset()
 
     def add(self, change: npt.NDArray[np.float32]) -> Array | None:
-        """Count an untouched frame, and return the mean of ``FRAMES`` where it is news.
+        """Count an untouched frame, and return the mean of ``BASELINE_FRAMES`` where it is news.
 
         Args:
             change: (104,) dV.
@@ -52,7 +52,7 @@ class UntouchedBaseline:
             self._sum[:], self._count = 0.0, 0
         self._sum += change
         self._count += 1
-        if self._count < FRAMES:
+        if self._count < BASELINE_FRAMES:
             return None
         mean = self._sum / self._count
         self._stillness.reset()

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eitskin_sim.fem.borders.cut_rule import FLOOR
+from eitskin_sim.fem.borders.cut_rule import MIN_ENERGY_SHARE
 from eitskin_sim.fem.borders.enrichment import (
     PRODUCTS,
     UNIT_POINTS,
@@ -91,7 +91,7 @@ def cut_blocks(cuts: Integrals, element: Index, tensor: Array, stiffness: Array)
     added = (own[:, None, :] @ cuts.added.reshape(-1, 3, 81)).reshape(-1, 9, 9)
     coupling = (own[:, None, :] @ cuts.coupling.reshape(-1, 3, 18)).reshape(-1, 9, 2)
     corner = (own[:, None, :] @ cuts.corner.reshape(-1, 3, 4)).reshape(-1, 2, 2)
-    corner[:, [0, 1], [0, 1]] += FLOOR * (own[:, 0] + own[:, 2])[:, None]
+    corner[:, [0, 1], [0, 1]] += MIN_ENERGY_SHARE * (own[:, 0] + own[:, 2])[:, None]
     moved = added @ cuts.held
     touched = corner + np.swapaxes(cuts.held, 1, 2) @ moved
     change = added - eliminated(coupling - moved, touched) + eliminated(coupling, corner)

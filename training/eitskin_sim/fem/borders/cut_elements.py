@@ -30,7 +30,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.fem.borders.cut_rule import FLOOR, UNIT_NODES, WHOLE, half_plane_share, union
+from eitskin_sim.fem.borders.cut_rule import MIN_ENERGY_SHARE, SHARE_TOLERANCE, UNIT_NODES, half_plane_share, union
 from eitskin_sim.fem.borders.graded_elements import grade
 from eitskin_sim.fem.forward import Factor, System
 from eitskin_sim.fem.mesh import MERGE_MM, MM
@@ -105,10 +105,10 @@ def _cover(system: System, pieces: _Pieces) -> tuple[Array, Index, list[Index]]:
         distance, normal = shape.distance_mm(centres[near])
         share = half_plane_share(distance, normal, sizes[near])
         crossed = np.abs(distance) < reach[near]
-        whole = np.where(crossed, share > 1.0 - WHOLE, distance < 0.0)
+        whole = np.where(crossed, share > 1.0 - SHARE_TOLERANCE, distance < 0.0)
         sigma[near[whole]] = conductivity
         last[near[whole]] = number
-        cutting.append(near[crossed & ~whole & (share > WHOLE)])
+        cutting.append(near[crossed & ~whole & (share > SHARE_TOLERANCE)])
     return sigma, last, cutting
 
 
@@ -204,7 +204,7 @@ def _condensed(system: System, cut: Index, phases: _Phases) -> Array:
         weight = share * (area / share.shape[1])[:, None]
         total += np.einsum("kaqi,kq,kaqj->kij", gradient, sigma * weight, flux, optimize=True)
         even += np.einsum("kaqi,kq,kaqj->kij", gradient, weight, flux, optimize=True)
-    floor = FLOOR * np.trace(conductance, axis1=1, axis2=2) * area
+    floor = MIN_ENERGY_SHARE * np.trace(conductance, axis1=1, axis2=2) * area
     alike = phases.outside[:, None, None]
     change = _eliminated(total, floor * phases.outside) - alike * _eliminated(even, floor)
     return np.asarray(alike * system.stiffness[cut] + change)

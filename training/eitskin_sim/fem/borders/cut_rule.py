@@ -24,10 +24,10 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-WHOLE: Final = 1e-9
-"""A share of an element below this is none, and one above 1 - WHOLE is all: a border on a line of the mesh."""
+SHARE_TOLERANCE: Final = 1e-9
+"""A share of an element below this is none, and one this near to 1 is all: a border on a line of the mesh."""
 
-FLOOR: Final = 1e-8
+MIN_ENERGY_SHARE: Final = 1e-8
 """An enrichment function whose energy is below this share of the element's is held back: dividing by it would divide by
 rounding."""
 

@@ -12,14 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_sim.fem.borders.cut_blocks import Integrals, integrate
-from eitskin_sim.fem.borders.cut_rule import UNIT_NODES, WHOLE, half_plane_share, union
+from eitskin_sim.fem.borders.cut_rule import SHARE_TOLERANCE, UNIT_NODES, half_plane_share, union
 from eitskin_sim.fem.borders.enrichment import POINTS, UNIT_POINTS
-from eitskin_sim.fem.borders.graded_blocks import CELL, GradedIntegrals, integrate_graded
+from eitskin_sim.fem.borders.graded_blocks import MIN_BORDER, GradedIntegrals, integrate_graded
 from eitskin_sim.fem.mesh import Index, TensorMesh
 from eitskin_sim.scene.gap import half_extents_mm
-from eitskin_sim.scene.parts import LEAST_LOG_CONTRAST
+from eitskin_sim.scene.parts import MIN_LOG_CONTRAST
 from eitskin_sim.scene.shapes import ellipse_distance, length_of
-from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
+from eitskin_sim.scene.soft_touch import MIN_BORDER_MM
 from eitskin_sim.scene.touch_table import DISC, ELLIPSE, Array, TouchTable, borders_mm
 
 UNIT: Final = np.concatenate([UNIT_POINTS, UNIT_NODES, [[0.5, 0.5]]])
@@ -85,9 +85,9 @@ def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh, among: npt.NDA
     reach = mesh.reach_mm[element]
     whole, crossed = middle <= -reach, np.abs(middle) < reach
     pair = _integrate(pieces, piece[crossed], element[crossed], mesh)
-    inside = pair.mean > 1.0 - WHOLE
+    inside = pair.mean > 1.0 - SHARE_TOLERANCE
     full = np.concatenate([np.flatnonzero(whole), np.flatnonzero(crossed)[inside]])
-    cut = np.flatnonzero((pair.mean > WHOLE) & ~inside)
+    cut = np.flatnonzero((pair.mean > SHARE_TOLERANCE) & ~inside)
     united = _unite(pair, cut, owner, mesh)
     covered = (owner[piece[full]], element[full], pieces[piece[full], 6])
     if graded is not None:
@@ -113,14 +113,14 @@ def check_pieces(pieces: Array, mesh: TensorMesh) -> None:
     half, ends = half_extents_mm(pieces), (mesh.x_lines_mm[-1], mesh.y_lines_mm[-1])
     away = ((pieces[:, 1:3] + half <= 0.0) | (pieces[:, 1:3] - half >= ends)).any(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        even = ~(np.abs(np.log(pieces[:, 6])) >= LEAST_LOG_CONTRAST) | ~np.isfinite(np.log(pieces[:, 6]))
+        even = ~(np.abs(np.log(pieces[:, 6])) >= MIN_LOG_CONTRAST) | ~np.isfinite(np.log(pieces[:, 6]))
     narrow = pieces[:, 3] if len(pieces) == 0 else np.where(pieces[:, 0] == DISC, pieces[:, 3], pieces[:, 3:5].min(1))
-    thin = (borders > 0.0) & ((borders < LEAST_BORDER_MM) | (borders > narrow)) | ~(borders >= 0.0)
+    thin = (borders > 0.0) & ((borders < MIN_BORDER_MM) | (borders > narrow)) | ~(borders >= 0.0)
     for wrong, what in (
         (away, f"outside the sheet of {ends[0]:g} x {ends[1]:g} mm, where it changes nothing"),
         (even, "contrast must be above 0 and differ from 1, or the touch changes nothing"),
         (~(narrow > 0.0), "sides must be above 0 mm, or the touch changes nothing"),
-        (thin, f"a graded border must be from {LEAST_BORDER_MM:g} mm to the touch's width, a sharp one 0"),
+        (thin, f"a graded border must be from {MIN_BORDER_MM:g} mm to the touch's width, a sharp one 0"),
     ):
         if wrong.any():
             number = int(np.argmax(wrong))
@@ -177,7 +177,7 @@ def _split_graded(
     rows, taken = np.flatnonzero(own)[order], taken[order]
     unique, group = np.unique(key[taken], return_inverse=True)
     sides = mesh.sizes_mm[unique % mesh.n_elements]
-    least = CELL * sides.max(axis=1)[group]
+    least = MIN_BORDER * sides.max(axis=1)[group]
     log_contrast = np.log(pieces[piece[taken], 6])
     border = np.maximum(borders[piece[taken]], least)
     graded = integrate_graded(group, sides, distance[rows], normal[rows], log_contrast, border)

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from eitskin_sim.fem.borders.cut_rule import FLOOR
+from eitskin_sim.fem.borders.cut_rule import MIN_ENERGY_SHARE
 from eitskin_sim.fem.borders.enrichment import (
     POINTS,
     PRODUCTS,
@@ -27,7 +27,7 @@ from eitskin_sim.fem.borders.graded import kink, plateau
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.scene.touch_table import Array
 
-CELL: Final = 1.0 / POINTS
+MIN_BORDER: Final = 1.0 / POINTS
 """The least border beside a graded one, in element sides."""
 
 
@@ -92,7 +92,7 @@ def graded_blocks(graded: GradedIntegrals, element: Index, tensor: Array, stiffn
     there = tensor[element]
     own = there[:, :, 0] + (there[:, :, 1:] @ graded.centroid[:, :, None])[:, :, 0]
     found = stiffness[element] + (own[:, None, :] @ graded.added.reshape(-1, 3, 81)).reshape(-1, 9, 9)
-    floor = FLOOR * (own[:, 0] + own[:, 2])[:, None]
+    floor = MIN_ENERGY_SHARE * (own[:, 0] + own[:, 2])[:, None]
     for sign, coupling, corner in zip((1.0, -1.0), graded.coupling, graded.corner, strict=True):
         held = (own[:, None, :] @ corner.reshape(-1, 3, 4)).reshape(-1, 2, 2)
         held[:, [0, 1], [0, 1]] += floor
