@@ -1,4 +1,4 @@
-"""A line of one's own: a skin behind a serial-to-network adapter, read through a TCP socket.
+"""Your own transport: a skin behind a serial-to-network adapter, read through a TCP socket.
 
     python docs/examples/own_transport.py HOST PORT
 

@@ -8,7 +8,7 @@ A bundle is a ZIP whose members are stored, not compressed (weights do not shrin
     head_int8.onnx   the same, 8-bit          tikhonov.npy     (pixels, 104) projection on the flat sheet
     gate.npz         touched or not
 
-Its id is the first 16 hex digits of the manifest's sha256: whoever has the id has every byte. Members carry a fixed
+Its id is the first 16 hex digits of the manifest's sha256, so the id identifies every byte. Members carry a fixed
 date, so the same contents give the same file.
 """
 

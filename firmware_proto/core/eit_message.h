@@ -52,7 +52,7 @@ int32_t eit_frame_get_sample(const uint8_t *payload, uint8_t sample_bytes, uint8
 /* Whether 16 bytes are printable ASCII, padded with zeros. */
 bool eit_is_text16(const uint8_t *at);
 
-/* EIT_OK if the payload is exactly one message of this protocol, whoever sends it. */
+/* EIT_OK if the payload is exactly one message of this protocol, in either direction. */
 enum eit_status eit_message_check(const uint8_t *payload, size_t length);
 
 #endif

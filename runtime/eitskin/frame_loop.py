@@ -17,7 +17,7 @@ ones when time is short, are dropped for the newest. What the device says beside
 :class:`FirstFrame` keeps old frames out: a line that nobody reads fills up with the oldest frames, and the device
 leaves out those for which there is no room. So what waits is old until the line has been read empty.
 
-:class:`DeferredWork` waits for a moment of rest of the line: whoever takes frames is woken by the frame's message, and
+:class:`DeferredWork` waits for a moment of rest of the line: a subscriber is woken by the frame's message, and
 needs a core at that moment. Bytes that come end the moment: no frame waits for it.
 """
 
@@ -260,7 +260,7 @@ class FrameSource:
                         yield
                         self._reading = True
                         intake.heard_ns = now_ns = time.perf_counter_ns()  # however long it took is no silence
-                        if intake.withheld_total == withheld:  # whoever asked could use it
+                        if intake.withheld_total == withheld:  # the taker could use it
                             self._fit_ns, self._withheld = now_ns, withheld
                         if self._stopping:
                             return
@@ -443,7 +443,7 @@ class Taker(Protocol):
 
 
 class FrameLoop:
-    """Takes frames from a device through a pipeline to whoever takes them.
+    """Takes frames from a device through a pipeline to a taker.
 
     Args:
         device: It answered the handshake.

@@ -6,7 +6,7 @@ One record is made at the start and overwritten by every frame, so a frame costs
     pipeline    touched, gate_logit, solver, skipped, map, totals ...     stamps: normalise, gate, infer
     packer      what is only known while packing                          stamps: pack, publish
 
-Whoever needs more than one frame of it copies what it needs.
+A caller that needs more than one frame of it copies what it needs.
 """
 
 import math

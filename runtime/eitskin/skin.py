@@ -98,7 +98,7 @@ class CloudChange:
 def _given(
     cloud: npt.ArrayLike | None, predicted: npt.ArrayLike | None, predicted_flat: npt.ArrayLike | None
 ) -> GivenCloud:
-    """Return copies of what was given, for whoever wants to compute it once more."""
+    """Return copies of what was given, for computing it once more."""
     points = None if cloud is None else np.array(cloud, dtype=np.float32)
     volts = [None if one is None else np.array(one, dtype=np.float64) for one in (predicted, predicted_flat)]
     return GivenCloud(points, volts[0], volts[1], time.perf_counter_ns(), time.time_ns())

@@ -1,12 +1,12 @@
-"""What was measured, from the frame loop to a publisher's streams.
+"""Sends measurements from the frame loop to a publisher's streams.
 
-Called for each frame while somebody asks, when the frame's own message has gone out and whoever takes it has had a
-moment (:mod:`eitskin.frame_loop`): it waits for none of this.
-Only where somebody takes all that is sent is it told before, so that who keeps one message keeps the frame; so what is
-told of withheld frames waits for the next frame, or until ``MOST_WAITING`` of them wait. ::
+The frame loop calls it for each frame while a stream has a subscriber, after the frame's own message went out and its
+subscriber had a moment (:mod:`eitskin.frame_loop`). So no frame waits for it. If a subscriber takes every topic, its
+messages go out before the frame, so that a subscriber that keeps one message keeps the frame. Messages on withheld
+frames then wait for the next frame, or until ``MOST_WAITING`` of them wait. ::
 
-    conditions, cloud, state     when they change, when somebody comes (conditions at once), and once a second
-    wire                         every frame, last: all that decides its map has been told by then
+    conditions, cloud, state     when they change, when a subscriber comes (conditions at once), and once a second
+    wire                         every frame, last: after everything that decides its map
 """
 
 import hashlib

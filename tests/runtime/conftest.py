@@ -24,7 +24,7 @@ TINY = HERE.parent / "golden" / "tiny.eitskin"
 
 
 def pytest_collection_modifyitems(items):
-    """Mark whoever asks for a virtual skin, which is a process of its own."""
+    """Mark tests that ask for a virtual skin, which is a process of its own."""
     for item in items:
         if "virtual_skin" in getattr(item, "fixturenames", ()):
             item.add_marker("process")

@@ -94,7 +94,7 @@ def main(options):
         skin.stop()
 
     signal.signal(signal.SIGTERM, stop)
-    faulthandler.register(signal.SIGUSR1)  # whoever waits in vain for the end is told where it hangs
+    faulthandler.register(signal.SIGUSR1)  # shows where a process hangs that does not end
     try:
         print(port.path, flush=True)
         skin.run(perf_counter_ns() + int(300e9))

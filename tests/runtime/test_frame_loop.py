@@ -65,7 +65,7 @@ def test_what_nobody_wants_is_counted_and_neither_computed_nor_packed(streaming)
 
 
 class Both(Taker):
-    """Takes frames and streams, and notes in which order they come: a frame's number, or what is told of the wire."""
+    """Takes frames and streams, and notes their order: a frame's number, or an item of the wire's stream."""
 
     def __init__(self, topics):
         super().__init__()
@@ -86,7 +86,7 @@ def test_a_frame_goes_out_before_all_that_is_told_of_it_unless_somebody_takes_ev
     taker, sequences = Both(topics), []
     for record in streaming.publish(taker):
         sequences.append(record.sequence)
-        assert len(taker.got) == 2 * len(sequences) - (not first)  # told when whoever asked for the frame has it
+        assert len(taker.got) == 2 * len(sequences) - (not first)  # told when the taker has the frame
         if len(sequences) == 10:
             break
     frames, told = taker.got[first::2], taker.got[not first :: 2]  # the last one too, although nobody comes back
@@ -109,7 +109,7 @@ def test_what_is_left_to_do_is_done_while_the_line_rests_or_when_bytes_come_and_
     left = DeferredWork(lambda begin_ns, end_ns: spans.append(end_ns - begin_ns))
     line.answer = [b"next"]
     assert left.payloads(line) == []
-    assert not line.said  # nothing is left: whoever waits for the line waits by himself
+    assert not line.said  # nothing is left to do while waiting for the line
     left.put(lambda: done.append(0), done.append, 1)
     assert left.payloads(line) == [b"next"]
     assert (line.said, done) == ([GIVE_WAY_S], [1, 0])

@@ -1,4 +1,4 @@
-"""A run goes on wherever it was begun, and its loss can be learned with whoever asked for it first."""
+"""A run goes on wherever it was begun, and its loss can be learned with the first sampler."""
 
 from typing import Any
 

@@ -2,7 +2,7 @@
 
 ``COMMANDS`` is the whole table. A subcommand's module has ``add_arguments(parser)`` and ``run(arguments) -> int``.
 Exit status: 0 on success, 2 on bad usage, 1 on failure, with one line on stderr that says what is wrong and what to do.
-Whoever stops reading standard output, as ``| head -1`` does, has had enough: that is no failure.
+A reader that closes standard output early, as ``| head -1`` does, causes no failure.
 ``run`` has 70 besides (:mod:`eitskin_tools.service.watchdog`).
 """
 
@@ -149,7 +149,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:  # of standard output
         print(f"eitskin: {_one_line(error)}", file=sys.stderr)
         return 1
-    except EndRequested as request:  # whoever sent it, a shell or systemd, sees that it ended this process
+    except EndRequested as request:  # its sender, a shell or systemd, sees that it ended this process
         signal.raise_signal(request.number)
         return 128 + request.number
     except KeyboardInterrupt:

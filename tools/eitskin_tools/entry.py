@@ -20,7 +20,7 @@ def main() -> int:
 
 
 def _end_at_once() -> None:
-    """Let Ctrl-C end the process, unless whoever started it has it ignored, as a script's ``&`` does."""
+    """Let Ctrl-C end the process, unless the parent process has it ignored, as a script's ``&`` does."""
     import signal  # here, since Ctrl-C may come amid it
 
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:

@@ -211,7 +211,7 @@ def _save(run: Run, out: Path) -> None:
     if run.best is run.history[-1]:
         write_file(out / "best.pt", {**common, "weights": run.averaged})
     write_bytes(out / "history.json", (json.dumps(common["history"], indent=1) + "\n").encode())
-    write_file(out / "checkpoint.pt", state)  # the last one: whoever is stopped before it does the epoch again
+    write_file(out / "checkpoint.pt", state)  # the last one: a run stopped before it repeats the epoch
 
 
 def _restore(run: Run, path: Path) -> None:

@@ -49,7 +49,7 @@ def kind_of(mode: int) -> str:
 
 @contextmanager
 def opened(path: str | Path, largest: int) -> Iterator[BinaryIO]:
-    """Open a file to be read; whoever reads a stream holds its bytes against ``largest``.
+    """Open a file to be read; the reader of a stream compares its bytes with ``largest``.
 
     Args:
         path: A regular file, or a stream that was handed over.
@@ -214,7 +214,7 @@ def text_named(name: str, names: Sequence[str], folder: str, what: str) -> str:
 
 
 def is_name(path: str | Path, names: Sequence[str]) -> bool:
-    """Return whether a path is the name of a file that comes with the package: no file of one's own lies there.
+    """Return whether a path is the name of a file that comes with the package, and no file in this folder has it.
 
     Args:
         path: As it was given.

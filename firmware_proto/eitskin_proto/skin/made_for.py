@@ -2,7 +2,7 @@
 
 What they must agree about is the sheet: its size, its map and where its electrodes are, which is what ``grid_id``
 stands for. All else that a description says is how well that sheet is known, or what it will meet: it may differ. So a
-network that learned from random devices of a sheet serves whoever has that sheet, ideal or not.
+network that learned from random devices of a sheet serves every such sheet, ideal or not.
 
 A skin that was calibrated is the one it was calibrated from, known better: it keeps that one's ``grid_id``, though its
 electrodes were found elsewhere, and takes what was made for that.

@@ -249,7 +249,7 @@ class Device:
         return float(getattr(self.transport, "pause_s", 0.0))
 
     def reopen(self) -> None:
-        """Close the line and open it anew, where the transport can; whoever hangs behind it may come to.
+        """Close the line and open it anew, where the transport can; a hung device may then recover.
 
         Raises:
             PortReturned: The line is open again.
@@ -324,7 +324,7 @@ class Device:
         self._request(messages.Stop(self._next_tag()))
 
     def leave(self) -> None:
-        """Stop streaming, and let whoever comes next find the mode as it was.
+        """Stop streaming, and restore the mode for the next user.
 
         Raises:
             SkinError: The device refused or did not answer within ``LEAVE_S``, or the line is gone.

@@ -81,8 +81,8 @@ def settle() -> None:
 
     What is left gets large pages (:mod:`eitskin.diagnostics.large_pages`).
 
-    Loading took several MB for a moment, which glibc keeps unless it is asked for them. Whoever turned the collector
-    off while modules and bundle were loaded has it on again: what they leave behind is not worth the 30 ms of a round.
+    Loading took several MB for a moment, which glibc keeps unless it is asked for them. Code that turned the
+    collector off while modules and bundle were loaded has it on again: their garbage is not worth the 30 ms of a round.
     """
     gc.freeze()
     gc.enable()

@@ -57,7 +57,7 @@ Votes = npt.NDArray[np.bool_]
 
 @dataclass(slots=True, eq=False)
 class Evidence:
-    """What one frame said of each electrode, for whoever wants to see it."""
+    """What one frame said of each electrode, for display."""
 
     surprise: Array
     """(16,) against the threshold of :class:`eitskin.health.electrodes.ElectrodeWatch`."""

@@ -7,8 +7,8 @@ in, one at a time, and everything else is answered meanwhile. What a client send
 else: no code, no pickle; a request that makes no sense is answered with what was wrong. What the commands do is in
 :mod:`eitskin.messaging.control_commands`, who asks in :mod:`eitskin.messaging.control_client`.
 
-The socket is a ROUTER, so that each answer goes to whoever asked, whatever others send: a REP socket gives the next
-client's answer away when a message has no delimiter. ::
+The socket is a ROUTER, so that each answer goes to the client that asked, whatever others send: a REP socket gives the
+next client's answer away when a message has no delimiter. ::
 
     [client's identity, by libzmq] [further identities, of proxies] [b"", the delimiter] [the map]
 
@@ -253,7 +253,7 @@ class _SlowRequest:
         return route, granted, answer
 
     def close(self) -> None:
-        """Let go of the descriptor; whoever still performs a request does so for nobody."""
+        """Let go of the descriptor; a request still in progress gets no answer."""
         with self._lock:
             os.close(self.wake)
             self.wake = -1

@@ -1,7 +1,7 @@
 """Who may reach us: which addresses are allowed, and what each needs before it is bound.
 
 - ``ipc:///path``: its own user alone may connect.
-- ``tcp://address:port``: whoever has a CURVE key that the runtime lists, on this machine too: loopback is open to all
+- ``tcp://address:port``: clients with a CURVE key that the runtime lists, on this machine too: loopback is open to all
   of its users.
 - Anything else is refused.
 

@@ -63,7 +63,7 @@ KEYS: Final = range(24, 36)
 
 
 def patient_topics(first_byte: bytes) -> tuple[bytes, ...]:
-    """Return the longest prefixes of frames: libzmq serves shorter ones first, so whoever has these comes last.
+    """Return the longest prefixes of frames: libzmq serves shorter ones first, so these subscribers come last.
 
     Args:
         first_byte: Of frames with maps, or of touch messages.

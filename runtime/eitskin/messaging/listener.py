@@ -2,7 +2,7 @@
 
 The border is who may connect at all. An ipc socket is its own user's alone, with mode 0600 from its first instant; TCP
 always wants CURVE keys (:mod:`eitskin.messaging.endpoints`). Behind that border there is no attacker, but there are
-mistakes: a program of one's own that leaks connections can use up the files of the process, and libzmq 4.3.5 aborts the
+mistakes: a user's own program that leaks connections can use up the files of the process, and libzmq 4.3.5 aborts the
 process when its ipc listener finds no descriptor for a connection (``ipc_listener.cpp``; a tcp listener survives).
 
 So libzmq never accepts at an ipc path while somebody may come. A listener of ours lies there; once somebody waits, and

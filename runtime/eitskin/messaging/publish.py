@@ -1,4 +1,4 @@
-r"""Publishes frames: one part a message, to whoever subscribed, waiting for nobody.
+r"""Publishes frames: one part a message, to all subscribers, without waiting for any.
 
 The socket is an XPUB: it tells who subscribes, so that a frame nobody wants costs no inference. Every subscriber has a
 bounded queue; a slow one loses frames there, and neither the loop nor its neighbours notice.

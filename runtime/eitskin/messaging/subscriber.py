@@ -1,8 +1,8 @@
 """What all subscriptions have in common: a socket that is connected, connected anew and given back, and the next item.
 
 libzmq connects again by itself when the other side ended a connection, but never when it ended one itself: after a
-message beyond all bounds, or something that is no ZMTP, such as another program on the port. So whoever waits looks
-after its connection: nobody waits longer than ``LONGEST_WAIT_MS`` at a time.
+message beyond all bounds, or something that is no ZMTP, such as another program on the port. So a waiting subscriber
+looks after its connection: nobody waits longer than ``LONGEST_WAIT_MS`` at a time.
 """
 
 import math
@@ -32,7 +32,7 @@ FIRST_S: Final = 5.0
 """How long the first message may take where no time was named; a runtime that is there sends one within 0.1 s."""
 
 LARGEST_TAKEN: Final = 73728
-"""Bytes of a message that is still looked at; whoever sends a larger one is left: memory is bounded."""
+"""Bytes of a message that is still accepted; a larger one ends the connection, so memory is bounded."""
 
 PATIENCE_S: Final = 1.0
 """Silence after which it is looked whether the connection still lives; twice as long each time that did not help."""
@@ -182,7 +182,7 @@ class Subscriber(Generic[Item]):
     def _checked(self, message: bytes) -> Item | None:
         try:
             item = self._item(message)
-        except FrameError as error:  # whoever publishes there, it must not end a robot's loop
+        except FrameError as error:  # whatever publishes there, it must not end a robot's loop
             self.rejected += 1
             self._unusable = self._unusable[0] + 1, str(error)
             return None

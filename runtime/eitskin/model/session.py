@@ -3,7 +3,7 @@
 ONNX Runtime gets one thread that is the caller's: its own pool escapes CPU pinning and costs 8 ms at p99 under load.
 
 Left to itself the library keeps an id and a database for its maker's telemetry in the user's cache as soon as a session
-is made, and may call home. A variable stops both, if it is set before the library is loaded; so whoever needs
+is made, and may call home. A variable stops both, if it is set before the library is loaded; so code that needs
 ``onnxruntime`` takes it from here.
 """
 

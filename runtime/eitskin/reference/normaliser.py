@@ -26,7 +26,7 @@ sheet's (1.8 at least, the flat sheet's 5 rows of drive 9)."""
 
 
 class Normaliser:
-    """Turns counts into dV, and into volts for whoever needs them.
+    """Turns counts into dV, and into volts on request.
 
     Args:
         volts_per_count: V, of HELLO.

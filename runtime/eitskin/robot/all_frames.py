@@ -1,6 +1,6 @@
 """``for one in eitskin.subscribe_all(): one.skin, one.frame, one.touches``: the frames of all skins of a robot.
 
-Each skin is a subscription of its own; one poll waits for all of them. Whoever has frames waiting gets its turn in
+Each skin is a subscription of its own; one poll waits for all of them. A skin with frames waiting gets its turn in
 order, so a fast skin starves no slow one. In mode ``latest`` each turn takes the newest frame of its skin.
 
 A skin that falls silent is named by an error, and the others go on when the iterator is asked again.

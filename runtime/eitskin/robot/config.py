@@ -4,7 +4,7 @@
 
     format = "eitskin-robot"
     version = 1
-    folder = "/run/eitskin"          # of sockets; left out: the runtime folder of whoever runs it
+    folder = "/run/eitskin"          # of sockets; left out: the user's runtime folder
 
     [[skins]]
     name = "left-arm"                # ipc://FOLDER/left-arm/frames and .../control, unless publish and control say else

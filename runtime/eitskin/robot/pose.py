@@ -23,7 +23,7 @@ ROTATION_TOLERANCE: Final = 2e-3
 """How far from a rotation a matrix or a quaternion may be that was written with three digits."""
 
 FARTHEST_MM: Final = 1e6
-"""A kilometre: whoever says more means another unit."""
+"""A kilometre: a larger number means another unit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""Attacks at the border: whoever takes topics back, holds connections, crawls, dies or uses up files costs no frame."""
+"""Attacks at the border: clients that unsubscribe, hold connections, crawl, die or use up files cost no frame."""
 
 import random
 import socket

@@ -43,7 +43,7 @@ def crowd(stream: Stream, number: int) -> Iterator[dict[str, Any]]:
 
 
 def honest_crowds(effort: Effort) -> Outcome:
-    """Be many and honest: everybody up to the promised number gets every frame, whoever comes then costs nobody any."""
+    """Be many and honest: everybody up to the promised number gets every frame, and later ones cost nobody any."""
     outcome = Outcome("subscribers.honest")
     for number in (1, 8, 32, 64, 100, PROMISED) if effort.long else (PROMISED,):
         _honest(effort, outcome, f"{number}", number)
@@ -83,7 +83,7 @@ class LaterChanges:
             self._stream.sendall(GREETING + ready("SUB") + packed(b"\x01"))
 
     def served(self) -> int:
-        """Leave, and return how many bytes came: whoever is not let in is not even greeted."""
+        """Leave, and return how many bytes came: a refused client is not even greeted."""
         if self._stream is None:
             return 0
         with self._stream:

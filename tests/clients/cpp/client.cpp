@@ -3,7 +3,7 @@
 //     client PUBLISH CONTROL FRAMES
 //
 // subscribes, prints one line of plain words and numbers for each message it understood, and ends after FRAMES frames.
-// What a message must be is checked here; what must be in it is for whoever reads the lines. Exit status 1: a message
+// What a message must be is checked here; what must be in it is for the reader of the lines. Exit status 1: a message
 // was not what SPEC.md says, and the last line on stderr says which.
 #include <cmath>
 #include <cstdint>

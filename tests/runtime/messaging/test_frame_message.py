@@ -58,10 +58,10 @@ def test_a_message_goes_without_a_map_only_if_the_last_one_had_it(messages, reco
     frame = unpack_frame(second, 0, unpack_frame(first, 0))
     assert (frame.number, frame.skipped) == (2, ("map:unchanged",))
     assert len(second) < len(first) - 5000
-    assert len(packed(messages, record)) > 5000  # whoever has not said that it can do without
+    assert len(packed(messages, record)) > 5000  # no subscriber may leave it out unasked
 
 
-def test_whoever_takes_messages_in_this_process_keeps_a_copy(messages, record):
+def test_a_taker_of_messages_in_this_process_keeps_a_copy(messages, record):
     here = LastMessage()
     messages.begin(record, short=here.short)
     here.send(messages.finish(record))

@@ -14,7 +14,7 @@ ROUNDS = 40
 PATIENT = patient_topics(FIRST_BYTE)
 
 
-def test_robots_are_served_before_those_who_look_on_whoever_came_first(publisher, packer):
+def test_robots_are_served_before_patient_subscribers_in_any_order_of_arrival(publisher, packer):
     said = {"patient": (WHOLE, ALWAYS, *PATIENT), "robot": (EVERY_FRAME,), "region": (WHOLE, ALWAYS, FIRST_BYTE)}
     here, orders = {}, []
     try:

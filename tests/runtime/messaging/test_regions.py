@@ -26,7 +26,7 @@ def test_a_region_that_is_not_on_the_sheet_names_the_sheet(bounds):
         eitskin.subscribe("ipc:///tmp/none", region_mm=bounds)
 
 
-def test_whoever_asks_for_a_region_gets_whole_maps_and_slices_them(virtual_skin, running, tmp_path):
+def test_a_subscriber_to_a_region_gets_whole_maps_and_slices_them(virtual_skin, running, tmp_path):
     with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, running(port, tmp_path) as runtime:
         endpoint = runtime.publisher.endpoint
         topics = b"eitskin/region/0/10/5/20", b"eitskin/unchanged", b"\xde"  # of an earlier release

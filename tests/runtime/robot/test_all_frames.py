@@ -65,7 +65,7 @@ def wait_for(skins, topic=EVERY_FRAME):
 
 @contextmanager
 def sending(skin, **how):
-    """Send one frame after the other, as a stream does: whoever connects anew meanwhile misses some."""
+    """Send one frame after the other, as a stream does: a new subscriber misses some."""
     done = threading.Event()
 
     def send():

@@ -1,4 +1,4 @@
-"""A table of one's own: linear between its loads, silent beyond them, and refused by name where it is none."""
+"""A user's table: linear between its loads, silent beyond them, and refused by name where it is none."""
 
 import pytest
 

@@ -115,7 +115,7 @@ def test_a_search_that_swings_about_the_least_misfit_and_gains_nothing_any_more_
     assert found.misfit < found.limit
     assert abs(found.z - best.z)[0] < 0.5 * best.sd[0]
     worse, _ = swinging(0.5, wrong=100.0)
-    assert worse.misfit > worse.limit, "whoever asks sees that it is above noise"
+    assert worse.misfit > worse.limit, "the report shows that it is above noise"
 
 
 def test_a_search_that_still_changes_after_its_last_step_has_found_nothing():

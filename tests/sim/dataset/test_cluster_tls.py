@@ -180,7 +180,7 @@ def test_a_cluster_that_anybody_may_be_is_warned_of(
     for scheduler, warnings in (("tcp://localhost:9", 1), ("tcp://127.0.0.1:9", 0)):
         assert cli.main(words(tmp_path / "d", scheduler, Certificates())) == 1
         said = capsys.readouterr().err
-        assert said.count("warning: tcp://localhost:9 is not encrypted and nobody proves who they are") == warnings
+        assert said.count("warning: tcp://localhost:9 is not encrypted and authenticates nobody") == warnings
         assert said.count("\n") == 1 + warnings
 
 

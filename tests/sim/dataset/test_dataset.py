@@ -1,4 +1,4 @@
-"""Data sets: the same bits whoever makes them, resumable, and refused when they are not what they say."""
+"""Data sets: the same bits from any worker, resumable, and refused when they are not what they say."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Mismatches say how far, devices which way: the ideal one is the nominal sheet, and no solver is told of another."""
+"""Mismatches say how far, devices which way: the ideal one is the nominal sheet, and every solver assumes that one."""
 
 import json
 from dataclasses import fields, replace

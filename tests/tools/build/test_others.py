@@ -1,4 +1,4 @@
-"""A recipe with networks besides: all are made, they go into one bundle, and what does not fit is told at once."""
+"""A recipe with further networks: all are made for one bundle, and a mistake is reported at once."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A name is that of a shipped file, unless a file of one's own has it; a folder of that name is no file."""
+"""A name is that of a shipped file, unless a file here has it; a folder of that name is no file."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""``eitskin subscribe --verified``: forces by a table of one's own, and what is said once."""
+"""``eitskin subscribe --verified``: forces by a user's table, and what is said once."""
 
 import threading
 import time

@@ -92,7 +92,7 @@ def test_json_is_one_object_a_line_with_rate_and_reasons():
 
 
 def test_a_line_for_which_there_is_no_room_is_left_out_and_nobody_waits_for_it():
-    """Whoever started the runtime reads its log no more: the pipe is full."""
+    """The parent process no longer reads the log: the pipe is full."""
     ours, theirs = os.pipe()
     os.set_blocking(theirs, False)
     with os.fdopen(ours, "rb") as read, os.fdopen(theirs, "w") as stream:

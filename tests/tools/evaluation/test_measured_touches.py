@@ -1,4 +1,4 @@
-"""Which way touches of a measured file go: as it says, else as its skin; a network that knows no such is told of."""
+"""Which way touches of a measured file go: as it says, else as its skin; a network without them is reported."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Which untouched frames the verifier is told of."""
+"""Which untouched frames the verifier receives."""
 
 import numpy as np
 import pytest

@@ -59,7 +59,7 @@ def test_show_write_verify_diff_and_rollback_tell_one_story(device, capsys):
 
 
 @pytest.mark.parametrize("step", procedure.LEFT_BY)
-def test_whoever_interrupts_a_write_is_told_what_the_device_is_left_with(device, capsys, monkeypatch, step):
+def test_an_interrupted_write_says_what_the_device_is_left_with(device, capsys, monkeypatch, step):
     def interrupted(begun, done, total):
         if begun == step:
             raise KeyboardInterrupt
@@ -97,7 +97,7 @@ def test_show_says_what_becomes_of_either_slot(device, capsys):
     status, out, err = run(capsys, "write", "idle", "--port", "host")
     assert (status, out) == (1, "")
     assert "NOT_CONFIRMED: what runs is on trial or was rolled back; confirm it, or restart the device" in err
-    device.run(10_000_000, step_us=10_000)  # until the lock of whoever asked for it expires
+    device.run(10_000_000, step_us=10_000)  # until the lock expires
     assert report(capsys, "rollback") == (0, {"action": "rollback", "configuration": "full208", "generation": 1})
     assert states() == ("running, confirmed", nothing)
     paper = config_toml.named("paper")

@@ -33,7 +33,7 @@ sys.exit(cli.main(["doctor"]))
 """A command that gets a signal, once or twice, while it writes."""
 
 
-def test_a_closed_terminal_asks_for_an_end_unless_whoever_started_us_said_that_it_may_close():
+def test_a_closed_terminal_asks_for_an_end_unless_the_parent_ignores_sighup():
     with met_by(signal.SIG_DFL, signal.SIGHUP):
         assert endings() == (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     with met_by(signal.SIG_IGN, signal.SIGHUP):

@@ -1,4 +1,4 @@
-"""Messages to the page, and what it is told of the sheet and its colours."""
+"""Messages to the page, with the sheet and its colours."""
 
 import numpy as np
 

@@ -9,7 +9,7 @@
       small/         the same of the smaller network, where there is one; gentle/ of that for faint touches
       card/PART.json the card's parts, each with the id of the bundle that it is of
 
-Each file is written whole. So whoever is stopped at any point goes on there.
+Each file is written whole. So a step that was stopped continues where it was.
 """
 
 import json

@@ -138,7 +138,7 @@ def _check_scheduler(scheduler: str | None, certificates: "Certificates") -> Non
         raise UsageError(f"{options} given for {scheduler}, which uses no certificates; expected tls://HOST:PORT")
     if is_exposed(scheduler):
         print(
-            f"eitskin dataset: warning: {scheduler} is not encrypted and nobody proves who they are; whoever reaches "
+            f"eitskin dataset: warning: {scheduler} is not encrypted and authenticates nobody; anyone who reaches "
             "it, or sits on the way, can run code there and here: use tls:// with --tls-ca, --tls-cert and --tls-key",
             file=sys.stderr,
             flush=True,

@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _check_classical(arguments: argparse.Namespace, way: str) -> None:
     """Tell of a bundle that a classical solver does not read, and refuse a prediction; elsewhere its gate judges.
 
-    Whoever goes through all solvers may name a bundle for each.
+    A caller that goes through all solvers may name a bundle for each.
     """
     from eitskin_sim.evaluation.harness import SOLVERS
 

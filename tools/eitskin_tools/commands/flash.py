@@ -86,7 +86,7 @@ def _act(arguments: argparse.Namespace, exchange: Exchange, configuration: Confi
 def _written(
     exchange: Exchange, configuration: Configuration, arguments: argparse.Namespace, opened: Any
 ) -> procedure.Stored:
-    """Write; whoever interrupts it is told what the device is left with."""
+    """Write; an interrupted write says what the device is left with."""
     begun = "begin"
 
     def progress(step: str, done: int, total: int) -> None:

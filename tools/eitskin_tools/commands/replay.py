@@ -22,7 +22,7 @@ POLL_S = 0.01
 """Between two looks whether somebody subscribed, with --wait."""
 
 SETTLED_S = 0.5
-"""Nothing else was subscribed to for so long: whoever wants frames and streams has two connections."""
+"""Nothing else was subscribed to for this long: a program that wants frames and streams makes two connections."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

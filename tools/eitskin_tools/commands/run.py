@@ -213,7 +213,7 @@ def _serve(
     stack.callback(publisher.close)
     control = ControlServer(arguments.control or endpoints.default_control(), skin, keys)
     stack.callback(control.close)
-    stack.callback(skin.stop)  # whoever waits for a reference is told before control is closed
+    stack.callback(skin.stop)  # a client that waits for a reference is told before control is closed
     stack.callback(supervisor.stopping)
     watchdog.sockets += [
         Path(where.removeprefix("ipc://")) for where in (publisher.endpoint, control.endpoint) if where[:4] == "ipc:"

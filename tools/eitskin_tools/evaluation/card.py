@@ -1,6 +1,6 @@
 """A bundle's card: what its network scores under N2 of 50 dB, by contrast and by mismatch, ideal and on other devices.
 
-Every part is a few rows of ``eitskin evaluate --devices``: true devices are solved, the network is told of the nominal
+Every part is a few rows of ``eitskin evaluate --devices``: true devices are solved, the network assumes the nominal
 one. A calibrated skin is a device itself, and no others are drawn; its card has touches of several contrasts on it, and
 the held-out samples of its data, whose devices are as random as the data's.
 """

@@ -101,7 +101,7 @@ def rows_of(name: str) -> list[Row]:
 
 
 def meant(skin: Skin) -> Skin:
-    """Return what devices are drawn around, whose solver is told of a skin: that skin, if it is no device itself.
+    """Return what devices are drawn around, whose solver assumes a skin: that skin, if it is no device itself.
 
     Raises:
         ValueError: It was calibrated from another skin than those that have the paper's sheet.

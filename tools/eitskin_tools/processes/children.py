@@ -189,7 +189,7 @@ class Child(ChildProcess):
 
 @contextmanager
 def process_group() -> Iterator[list[Child]]:
-    """Give a list for children; whoever is in it when the block ends is ended, the last one first."""
+    """Give a list for children; those in it when the block ends are ended, the last one first."""
     children: list[Child] = []
     try:
         yield children

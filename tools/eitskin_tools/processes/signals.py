@@ -11,7 +11,7 @@ from typing import Any
 def endings() -> tuple[signal.Signals, ...]:
     """Return the signals that ask a command to end: Ctrl-C, SIGTERM, and SIGHUP when its terminal is closed.
 
-    The last one is left out where whoever started us has it ignored, as ``nohup`` does.
+    The last one is left out where the parent process has it ignored, as ``nohup`` does.
     """
     asked = (signal.SIGINT, signal.SIGTERM)
     return asked if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN else (*asked, signal.SIGHUP)

@@ -76,7 +76,7 @@ class Sink:
 
     Args:
         path: Of the file, which must not be there.
-        reserve: See above; whoever made it gives it up in the end.
+        reserve: See above; its maker removes it in the end.
 
     Raises:
         RecordingError: It is there.
@@ -180,7 +180,7 @@ class RecordingWriter:
     Args:
         path: Of the file, which must not be there.
         head: Of the metadata: ids, host, clock offset.
-        reserve: See :mod:`eitskin_tools.recording.writer`; whoever made it gives it up.
+        reserve: See :mod:`eitskin_tools.recording.writer`; its maker removes it.
         now_s: The clock of ``FLUSH_S``.
 
     Raises:

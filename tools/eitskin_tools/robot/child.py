@@ -112,7 +112,7 @@ class SkinProcess:
         Raises:
             OSError: There are too few processes, descriptors or memory.
         """
-        environment = {"PYTHONFAULTHANDLER": "1"}  # whoever is ended by SIGABRT shows what each thread was doing
+        environment = {"PYTHONFAULTHANDLER": "1"}  # a child that SIGABRT ends shows its stacks
         environment |= {name: value for name, value in os.environ.items() if name not in NOT_OURS}
         environment[HANG] = str(self._hang_s)
         process = self._child.start(

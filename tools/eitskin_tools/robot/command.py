@@ -60,7 +60,7 @@ def run_all(arguments: argparse.Namespace, add_arguments: Callable[[argparse.Arg
     more += [] if arguments.seconds is None else [f"--seconds={arguments.seconds}"]
     supervisor = Supervisor.of(os.environ)
     whole = robot.skins
-    if arguments.seconds is not None:  # whoever came to its end is not started again
+    if arguments.seconds is not None:  # a skin that reached its end is not started again
         whole = tuple(replace(one, restart="on-failure") if one.restart == "always" else one for one in whole)
     skins = [SkinProcess(one, Backoff(), more) for one in whole]
     try:

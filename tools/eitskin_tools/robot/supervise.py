@@ -130,7 +130,7 @@ class Family:
         for one in self.skins:
             if one.runs:
                 one.signal(signal.SIGTERM)
-                one.signal(signal.SIGCONT)  # whoever was stopped hears the other one only then
+                one.signal(signal.SIGCONT)  # a stopped process receives the other one only then
             elif one.due_s is not None:
                 one.due_s, one.state = None, "failed"
 
@@ -176,7 +176,7 @@ class Family:
         one.hear_summary()
         for event in one.events(time.monotonic()):
             if event["event"] == "ready":
-                self._write()  # before it is said: whoever hears it finds it so
+                self._write()  # before the line is printed, so that its reader finds the file
             self._log.event(one.settings.name, event)
             if event["event"] == "ready":
                 self._tell()

@@ -141,7 +141,7 @@ class Watchdog(PeriodicThread):
         """Say why, take the sockets' files away, and end; nothing is waited for that may stand still as well."""
         text = (
             f"{self._what} has stood still for {self._limit_s:g} s; what each thread is doing follows; this ends with "
-            f"status {STOOD_STILL}, so that whoever supervises it starts it again"
+            f"status {STOOD_STILL}, so that its supervisor starts it again"
         )
         words = threading.Thread(target=self._say, args=(text, stacks()), daemon=True)
         words.start()

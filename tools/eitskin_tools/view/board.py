@@ -1,4 +1,4 @@
-"""What pages are to show now: the newest message of each kind and skin, and whoever waits for a newer one.
+"""What pages are to show now: the newest message of each kind and skin, and the threads that wait for a newer one.
 
 A page takes what is newer than what it has, as fast as it can, and never more than one message of a kind of a skin: one
 that stalls makes nobody wait and keeps no memory.

@@ -191,7 +191,7 @@ class Streams:
         source: Which runtime.
         board: Where to post.
         of: Its number among all skins.
-        touches: Lists them, and is told of surfaces too.
+        touches: Lists them, and receives surfaces too.
     """
 
     def __init__(self, endpoint: str, source: Source, board: Board, of: int, touches: TouchLister) -> None:

@@ -2,7 +2,7 @@
 
 A request is of a listed path, and has no body. At most ``MOST`` connections are open at a time; one that neither sends
 nor reads for ``STALL_S`` is left. ``/stream`` is one answer without end, in chunks, of which each has the newest
-message of each kind; who does not read it is told of in a line. ``/part/N`` is a second of a recording.
+message of each kind; a line reports a page that does not read it. ``/part/N`` is a second of a recording.
 """
 
 import contextlib

@@ -215,7 +215,7 @@ class SkinServer:
         if not packet:
             return
         before_ns = self._clock()
-        self._note(sequence, before_ns)  # first: whoever has a frame finds its time, also if this process ends at once
+        self._note(sequence, before_ns)  # first: a receiver finds its time, even if this process ends at once
         if self.port.write(packet):
             self.sent += 1
         else:

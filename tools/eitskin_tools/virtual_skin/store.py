@@ -223,7 +223,7 @@ class ConfigurationStore:
         return Code.OK, 0
 
     def may_restart(self, token: int, now_ns: int) -> Answer:
-        """Return OK for whoever holds the lock, and for token 0 while nobody does."""
+        """Return OK for the holder of the lock, and for token 0 while nobody does."""
         left_ms = self._left_ms(now_ns)
         if left_ms and self._session is not None and token != self._session.token:
             return Code.BUSY, left_ms

@@ -201,7 +201,7 @@ def check_felt(session: Session, z: Array) -> None:
     presses, skin = session.flat.recording.presses, session.flat.skin
     if session.changed() <= float(chi2.isf(MISFIT_LEVEL / len(presses), N_ROWS)) / N_ROWS:
         raise CalibrationError(
-            f"presses change no more than noise and a drift of {DRIFT:.0%} do: nothing is told of what a press is "
+            f"presses change no more than noise and a drift of {DRIFT:.0%} do: they do not show what a press is "
             "like; press harder, or leave press_V, press_xy_mm and stamp_mm out"
         )
     if len(stamps.ways(skin.touches)) == 1 and (session.alike(z) < -MIN_SIGN_COSINE).all():

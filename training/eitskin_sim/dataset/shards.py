@@ -1,4 +1,4 @@
-"""Makes the shards of a data set: one deformation each or a few, the same bits whoever makes them.
+"""Makes the shards of a data set: one deformation each or a few, the same bits from any worker.
 
 Everything follows from the plan: touch sets, bends, devices, the noise of clouds. A worker process computes with one
 BLAS thread, because the order of a threaded sum changes the last bits.

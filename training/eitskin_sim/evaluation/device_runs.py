@@ -1,4 +1,4 @@
-"""Runs a solver on mismatched devices: the true device is solved, the solver is told of the nominal one.
+"""Runs a solver on mismatched devices: the true device is solved, the solver assumes the nominal one.
 
 Trials ::
 

@@ -1,6 +1,6 @@
 """Recorded presses of a known stamp as samples to learn from, next to those of a twin.
 
-A network sees dV alone, so what a real sheet read is told of the twin's own reference, V = V0_twin V_press / V0_real.
+A network sees dV alone, so a real sheet's readings are converted to the twin's, V = V0_twin V_press / V0_real.
 Where the sheet was scanned instead of flat, V0_twin is what the forward model makes of the flat one's for that scan.
 A few presses among many simulated samples would hardly count: they are repeated until they make up
 ``PRESS_SHARE`` of them, under noise of their own each time. Every ``HELD_OUT_STRIDE``-th press is kept apart, and says

@@ -7,7 +7,7 @@ A MessagePack map of six keys, the stream's name first, so that a subscriber sel
     b"\x86"                      all streams
     b"\x86\xa4wire"              the wire's frames; likewise cloud, conditions and state
 
-Whoever reads frames sees a map whose version is not 1, and leaves it alone. No message is larger than a frame may be,
+A reader of frames sees a map whose version is not 1, and leaves it alone. No message is larger than a frame may be,
 since a subscriber ends a connection over which more comes: a long body is cut into parts.
 """
 

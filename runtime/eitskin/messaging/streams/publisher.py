@@ -13,7 +13,7 @@ class StreamPublisher:
     """Sends the messages of streams.
 
     Args:
-        send: Takes one message, to whoever subscribed to it.
+        send: Takes one message for its subscribers.
     """
 
     __slots__ = ("_send", "asked", "cloud", "conditions", "first", "joined", "numbers", "run", "state", "wire")

@@ -1,7 +1,7 @@
 """``for item in eitskin.subscribe_streams(): ...``: what was measured, as it comes, none skipped on purpose.
 
 What is yielded is told apart by its class: :class:`~.measured.WireFrame`, :class:`~.measured.CloudInUse`,
-:class:`~.measured.Conditions`, :class:`~.state.SkinState`. Whoever is too slow loses messages at the runtime, and sees
+:class:`~.measured.Conditions`, :class:`~.state.SkinState`. A slow subscriber loses messages at the runtime, and sees
 it: ``lost`` counts them, stream by stream, by their numbers.
 """
 

@@ -14,7 +14,7 @@ function kept() {
 
 let theme = kept() in THEMES ? kept() : "system";
 
-/** Light or dark, whoever chose it. */
+/** Light or dark, chosen by the user or the system. */
 export function currentTheme() {
   return theme === "system" ? (system.matches ? "dark" : "light") : theme;
 }
