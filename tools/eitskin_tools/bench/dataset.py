@@ -1,9 +1,8 @@
-"""``eitskin bench dataset``: samples a second of the data generators, beside one solve a sample and pyEIT.
+"""``eitskin bench dataset``: samples a second of the data generators, beside one solve a sample.
 
 All rows come from one run on one core. The ratios use ``cpu_s``, which counts on a machine that does other work too. A
 row's ``note`` names the set-up that its seconds include. "naive" factorises the same mesh for every sample, and its
-voltages check ours. pyEIT has point electrodes and no contact model; it solves a mesh of about as many nodes and is
-compared by its time alone.
+voltages check ours.
 
 Fewer free sets, at deformations of no data set, measure the error of the generators' mesh: |dV - dV_scene| / |dV_scene|
 over the 104 rows, with dV the change of voltage from the untouched sheet and the scene solved on a mesh of 1.5 mm that
@@ -72,7 +71,6 @@ def run(arguments: argparse.Namespace) -> int:
     rows = [*_paper(arguments), *_free(arguments)]
     rows += [row for kind in ("press", "raise", "both") for row in (*_units(arguments, kind), *_free(arguments, kind))]
     rows += [_files(arguments, devices) for devices in ("ideal", "random")]
-    rows.append(_pyeit())
     errors = error_rows(arguments.scenes) if arguments.scenes else []
     naive = {row["what"]: row["samples_per_cpu_s"] for row in rows if row["method"] == "naive"}
     ours = {row["what"]: row for row in rows if row["method"] == "ours"}
@@ -204,36 +202,6 @@ def _files(arguments: argparse.Namespace, devices: str) -> Row:
     _, seconds = _timed(lambda: make_shard(shard_job(plan, list(range(DEFORMATIONS_PER_POOL)))))
     note = "whole files: untouched sheets, references and clouds included"
     return _row(f"free, press, {devices} device", "ours", DEFORMATIONS_PER_POOL * arguments.free, seconds, note)
-
-
-def _pyeit() -> Row:
-    try:
-        import numpy as np
-        from pyeit.eit.fem import Forward
-        from pyeit.mesh.wrapper import PyEITMesh
-    except ImportError as error:
-        return _row("pyeit", "pyeit", 0, (0.0, 0.0), f"not measured: {error}; pip install pyeit")
-    x, y = np.meshgrid(np.linspace(0.0, 0.15, 116), np.linspace(0.0, 0.1, 77))
-    nodes = np.stack([x.ravel(), y.ravel(), 0.0 * x.ravel()], axis=-1)
-    corner = (np.arange(76)[:, None] * 116 + np.arange(115)).ravel()
-    elements = np.concatenate(
-        [np.stack([corner, corner + 1, corner + 117], axis=1), np.stack([corner, corner + 117, corner + 116], axis=1)]
-    )
-    rim = np.concatenate(
-        [np.arange(116), np.arange(1, 77) * 116 + 115, 76 * 116 + np.arange(114, -1, -1), np.arange(75, 0, -1) * 116]
-    )
-    electrodes = rim[np.linspace(0, len(rim), 16, endpoint=False).astype(int)]
-    mesh = PyEITMesh(node=nodes, element=elements, perm=1.0, el_pos=electrodes, ref_node=int(rim[3]))
-    forward = Forward(mesh)
-    lines = np.stack([np.arange(16), (np.arange(16) + 1) % 16], axis=1)
-
-    def solve() -> None:
-        forward.assemble_pde(np.ones(len(elements)))
-        for line in lines:
-            forward.solve(line)
-
-    _, seconds = _timed(solve)
-    return _row("pyeit", "pyeit", 1, seconds, f"16 drives, {len(nodes)} nodes, point electrodes, flat sheet")
 
 
 def error_rows(count: int) -> list[Row]:

@@ -9,7 +9,7 @@ from eitskin_proto.errors import SkinError
 
 EXTRAS: Final[dict[str, str]] = {
     "scipy": "sim", "rich": "sim", "torch": "train", "onnx": "train", "onnxscript": "train", "matplotlib": "plot",
-    "distributed": "cluster", "skfem": "dev", "pyeit": "dev", "mcap": "record", "zstandard": "record", "lz4": "record",
+    "distributed": "cluster", "skfem": "dev", "mcap": "record", "zstandard": "record", "lz4": "record",
     "pyarrow": "parquet", "rosbags": "ros",
 }  # fmt: skip
 """Extra of ``pip install 'eitskin[EXTRA]'`` by the module that it brings, as in pyproject.toml."""
@@ -42,7 +42,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "bench frame": ("scipy",),
     "bench skip": ("scipy",),
     "bench tradeoff": ("scipy",),
-    "bench physics": ("scipy", "skfem"),
+    "bench physics": ("scipy",),
     "bench dataset": ("scipy",),
     "bench stability": ("scipy",),
     "bench electrodes": ("scipy",),
