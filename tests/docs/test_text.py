@@ -43,7 +43,7 @@ def test_no_line_of_any_text_file_is_longer_than_120_characters():
 def test_the_numbers_of_decisions_have_no_gap_and_the_index_names_each_of_them():
     names = sorted(path.name for path in (ROOT / "docs/decisions").glob("[0-9]*.md"))
     assert [int(name[:2]) for name in names] == list(range(1, len(names) + 1))
-    assert sorted(links(ROOT / "docs/decisions/index.md")) == names
+    assert [link for link in links(ROOT / "docs/decisions/index.md") if link[0].isdigit()] == names
 
 
 def test_every_relative_link_and_anchor_leads_somewhere():
