@@ -33,12 +33,9 @@ from onnxruntime.quantization import QuantType, quantize_dynamic  # isort: skip
 
 from eitskin_export.graphs import check, quiet
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_sim.measurement.noise import KINDS, Kind
+from eitskin_sim.measurement.noise import NOISES, Kind
 from eitskin_training.network.model import VD2T
 from eitskin_training.score import score
-
-NOISES: Final[tuple[Kind, ...]] = tuple(kind for kind in KINDS if kind != "none")  # type: ignore[misc]
-"""Every definition of 50 dB."""
 
 
 def card(model: VD2T, data: TrainingData, *, most: int = 2000) -> dict[str, Any]:
@@ -240,7 +237,7 @@ def held_out_inputs(data: TrainingData) -> tuple[parity.Array, parity.Array, par
     rng = np.random.default_rng(8)
     rows = rng.choice(rows, size=min(300, len(rows)), replace=False)
     bends = data.deformation[rows]
-    return noisy_change(data, rows, ("N1", "N2", "N3"), 50.0, rng), data.clouds[bends], data.log_predicted[bends]
+    return noisy_change(data, rows, NOISES, 50.0, rng), data.clouds[bends], data.log_predicted[bends]
 
 
 def _facts(found: Trained, data: TrainingData, touch_gate: Gate, metrics: dict[str, Any]) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from eitskin_training.recipes import Recipe
 from eitskin_training.run import decayed
 from eitskin_training.run_files import write_file
 from eitskin_training.samples.batches import TrainingData, assemble, consistency_of, lose_rows, noisy_change
-from eitskin_training.score import correlation, training_loss, truth_of
+from eitskin_training.score import correlations, training_loss, truth_of
 
 
 def held_out(
@@ -62,7 +62,7 @@ def held_out(
             filled, missing = filling(logs, [(slice(0, len(rows)), electrodes)], batch.log_predicted)
             shown = torch.where(missing, torch.expm1(filled), batch.dv)
         maps = model.maps(model.logits(shown, bias, batch.log_predicted)).numpy()
-        return float(correlation(maps[touched], truth[touched]).mean())
+        return float(correlations(maps[touched], truth[touched]).mean())
 
     with torch.inference_mode():
         bias = model.bias(batch.clouds)[batch.which]

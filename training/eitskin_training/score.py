@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from eitskin_proto.skin.grid import Grid
+from eitskin_sim.evaluation.metrics import correlation
 from eitskin_sim.measurement.noise import Kind
 from eitskin_training.network.model import VD2T
 from eitskin_training.samples.batches import TrainingData, assemble, noisy_change, pixels_per_unit
@@ -87,12 +88,9 @@ def truth_of(labels: npt.NDArray[np.floating], data: TrainingData) -> npt.NDArra
     return labels
 
 
-def correlation(maps: npt.NDArray[np.floating], truth: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
-    """Return (n,) Pearson's r of each (n, n_pixels) map with its truth; 0 where either is constant."""
-    a = maps - maps.mean(axis=1, keepdims=True, dtype=np.float64)
-    b = truth - truth.mean(axis=1, keepdims=True, dtype=np.float64)
-    size = np.sqrt(np.square(a).sum(axis=1) * np.square(b).sum(axis=1))
-    return np.asarray(np.where(size > 0, (a * b).sum(axis=1) / np.where(size > 0, size, 1.0), 0.0))
+def correlations(maps: npt.NDArray[np.floating], truth: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+    """Return (n,) correlation of each (n, n_pixels) map with its truth."""
+    return np.array([correlation(one, true) for one, true in zip(maps, truth, strict=True)])
 
 
 def score(
@@ -140,7 +138,7 @@ def score(
             labels = batch.labels.cpu().numpy()
             truth = truth_of(labels, data)
             touched = truth.max(axis=1) > 0
-            cc.append(correlation(maps[touched], truth[touched]))
+            cc.append(correlations(maps[touched], truth[touched]))
             bend.append(data.deformation[part][touched])
             if not touched.all():
                 untouched_peak = max(untouched_peak, float(maps[~touched].max()))

@@ -15,6 +15,9 @@ VERSION: Final = 1
 LABELS: Final = ("area", "units")
 """What a bundle's maps may mean."""
 
+SOLVERS: Final = ("vd2t", "vd2t-int8", "vd2t-small", "tikhonov")
+"""Names of a bundle's solvers, from the most accurate to the fastest."""
+
 SMALL: Final = "small"
 """What the manifest calls a second, smaller network, for a machine that is too slow."""
 

@@ -29,6 +29,7 @@ from typing import Any, Final, cast
 from eitskin.errors import EndpointError, RobotError
 from eitskin.messaging.endpoints import CONTROL, FRAMES, needs_keys, runtime_folder
 from eitskin.model.bundle import shipped
+from eitskin.model.manifest import SOLVERS
 from eitskin.robot.pose import Pose
 from eitskin_proto.fields import Fields
 from eitskin_proto.files.plain import quoted
@@ -56,9 +57,6 @@ LAST_CORE: Final = 4095
 
 USB: Final = "usb:"
 """How the names of USB devices begin; alone it takes any."""
-
-SOLVERS: Final = ("vd2t", "vd2t-int8", "vd2t-small", "tikhonov")
-"""Of a stream, from the most accurate to the fastest."""
 
 TAKEN: Final = (FRAMES, CONTROL, "robot")
 """Names that mean something else in the folder."""

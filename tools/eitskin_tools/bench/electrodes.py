@@ -34,7 +34,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation.harness import Case, Conditions, Run, Solver, evaluate_all
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.measurement.faults import Detached, Fault, Noisy, Shorted, Swapped, measure, response_of
-from eitskin_sim.measurement.noise import Kind, add_noise, spread_of
+from eitskin_sim.measurement.noise import NOISES, Kind, add_noise, spread_of
 from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.family import Family, draw
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
@@ -49,8 +49,6 @@ from eitskin_tools.evaluation.solvers import Request, named
 
 PARTS: Final = ("detection", "accuracy")
 """What ``--only`` takes."""
-
-NOISES: Final = ("N1", "N2", "N3")
 
 Array = npt.NDArray[np.float64]
 

@@ -42,7 +42,7 @@ from eitskin_sim.evaluation.harness import Case, Sheet
 from eitskin_sim.evaluation.metrics import correlation
 from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.fem.solve import solve_scene
-from eitskin_sim.measurement.noise import Kind, add_noise, spread_of
+from eitskin_sim.measurement.noise import NOISES, Kind, add_noise, spread_of
 from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import flat_voltages
@@ -57,7 +57,6 @@ TouchedSheet = tuple[Case, Array]
 FAMILIES: Final = ("noise", "repeat")
 """What ``--only`` takes."""
 
-KINDS: Final[tuple[Kind, ...]] = ("N1", "N2", "N3")
 SNR_DB: Final = (80.0, 70.0, 60.0, 50.0, 45.0, 40.0, 35.0, 30.0, 25.0, 20.0)
 
 REPEATED_INPUTS: Final = 16
@@ -262,7 +261,7 @@ def noise_rows(stream: Stream, sheets: Sequence[TouchedSheet], *, quick: bool) -
     """
     levels, draws = SNR_DB[:: 3 if quick else 1], 1 if quick else 3
     rows = []
-    for kind in KINDS:
+    for kind in NOISES:
         for engine in stream.engines:
             calm = float(np.mean([_cc(stream.show(case, engine), truth) for case, truth in sheets]))
             accuracy = [_noisy_cc(stream, sheets, engine, kind, snr_db, draws) for snr_db in levels]

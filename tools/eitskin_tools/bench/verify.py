@@ -25,7 +25,7 @@ from eitskin_sim.evaluation.mismatch import IDEAL
 from eitskin_sim.evaluation.near import MAX_MATCH_DISTANCE_MM
 from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.measurement.consistency import RowImputation
-from eitskin_sim.measurement.noise import Kind, add_noise
+from eitskin_sim.measurement.noise import NOISES, add_noise
 from eitskin_sim.scene.touch_table import RECTANGLE
 from eitskin_sim.verification.residual import Noise, Whitener
 from eitskin_sim.verification.sheet_model import model_of_cloud
@@ -216,8 +216,7 @@ def matched(sets: int) -> list[Row]:
     model = model_of_cloud(cloud_of(device_of(IDEAL, 1), bend, 1))
     flat = model.flat_V
     rows = []
-    laws: tuple[Kind, ...] = ("N1", "N2", "N3")
-    for law in laws:
+    for law in NOISES:
         rng = np.random.default_rng(7)
         p: list[float] = []
         for _ in range(sets):

@@ -19,7 +19,7 @@ from eitskin_sim.evaluation.device import Device, draw_device
 from eitskin_sim.evaluation.mismatch import IDEAL, LAB, Mismatch
 from eitskin_sim.evaluation.trials import TouchProfile
 from eitskin_sim.fem.solve import solve_scene
-from eitskin_sim.measurement.noise import Kind
+from eitskin_sim.measurement.noise import NOISES, Kind
 from eitskin_sim.scene.family import Family
 from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.parts import Bend, Phantom, Scene, Touch
@@ -94,7 +94,7 @@ def conditions() -> list[Condition]:
     """Return the rows: those of touched units, those of touches anywhere, and those seen untouched before."""
     hard_lab = replace(LAB, contrast=None, border_mm=0.0)
     return [
-        *(Condition(f"1 to 6 units, {noise}", _units(), noise=noise) for noise in ("N1", "N2", "N3")),
+        *(Condition(f"1 to 6 units, {noise}", _units(), noise=noise) for noise in NOISES),
         Condition("one electrode gone", _units(), missing=True),
         *(Condition(f"contrast {contrast:g}", _units(contrast)) for contrast in (3.0, 10.0, 200.0)),
         Condition("soft borders of 2 mm", _units(border_mm=2.0)),

@@ -333,14 +333,14 @@ def _score(found: Any, alone: Any) -> dict[str, float]:
 
     from eitskin_sim.evaluation.metrics import localisation_error_mm
     from eitskin_training.samples.presses import kept
-    from eitskin_training.score import correlation, maps_of
+    from eitskin_training.score import correlations, maps_of
 
     rows, grid = kept(alone), alone.skin.grid
     maps = maps_of(found.model, alone, rows, snr_db=SNR_DB)
     truth = alone.labels[rows] / 255.0
     pairs = zip(maps.reshape(-1, *grid.shape), truth.reshape(-1, *grid.shape), strict=True)
     off_mm = float(np.mean([localisation_error_mm(image, true, grid) for image, true in pairs]))
-    return {"cc": round(float(correlation(maps, truth).mean()), 4), "off_mm": round(off_mm, 2)}
+    return {"cc": round(float(correlations(maps, truth).mean()), 4), "off_mm": round(off_mm, 2)}
 
 
 def check(recipe: BuildRecipe) -> None:

@@ -60,7 +60,7 @@ def check_positive(arguments: argparse.Namespace, *names: str, most: float | Non
 
 def check_solver(arguments: argparse.Namespace) -> None:
     """Refuse a ``--solver`` that no stream has."""
-    from eitskin.robot.config import SOLVERS
+    from eitskin.model.manifest import SOLVERS
 
     if arguments.solver is not None and arguments.solver not in SOLVERS:
         raise UsageError(expected_one_of("--solver", arguments.solver, SOLVERS))

@@ -24,8 +24,9 @@ from eitskin.errors import MismatchError
 from eitskin.health.imputation import Consistency
 from eitskin.messaging.regions import whole
 from eitskin.messaging.streams.measured import WireFrame
+from eitskin.model import manifest
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import HEADS, SMALLEST_MAP, default_solver
+from eitskin.model.engine import SMALLEST_MAP, default_solver
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.map_source import PROJECTION
@@ -386,10 +387,6 @@ class Solving(Protocol):
         """Return what becomes of a frame; None if it cannot be told."""
 
 
-OWN = (*HEADS, "tikhonov")
-"""Solvers that a bundle has."""
-
-
 Makers = Mapping[str, Callable[[Script, Bundle], Solving]]
 """What makes solvers that neither a bundle nor the simulation has, by their names."""
 
@@ -414,7 +411,7 @@ def others(
     bundle = recorded if named is None else bundle_of(script, named)
     if solver is None:
         return None if bundle.id == recorded.id else Rerun(script, bundle)
-    if solver in OWN:
+    if solver in manifest.SOLVERS:
         return Rerun(script, bundle, solver)
     needs.require(f"--solver {solver}", ("scipy",))
     return (
@@ -441,7 +438,7 @@ class SimulatedSolver:
         from eitskin_sim.evaluation.harness import SOLVERS
 
         if name not in SOLVERS:
-            every = dict.fromkeys((*OWN, *SOLVERS, *besides))
+            every = dict.fromkeys((*manifest.SOLVERS, *SOLVERS, *besides))
             raise ValueError(f"solver {name!r} does not exist; expected one of {', '.join(every)}")
         self._script, self._bundle, self._name, self._solve = script, bundle, name, SOLVERS[name]
         self.bundle_id = bundle.id

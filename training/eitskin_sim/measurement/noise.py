@@ -24,6 +24,9 @@ Kind = Literal["N1", "N2", "N3", "none"]
 KINDS: Final[tuple[str, ...]] = get_args(Kind)
 """The names of the definitions, and "none"."""
 
+NOISES: Final[tuple[Kind, ...]] = ("N1", "N2", "N3")
+"""The definitions."""
+
 
 def add_noise(
     voltages: npt.NDArray[np.floating],

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.devices.draws import draw_drift
-from eitskin_sim.measurement.noise import Kind, add_noise
+from eitskin_sim.measurement.noise import NOISES, Kind, add_noise
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.network.mirror import mirrors
 from eitskin_training.samples.batches import TrainingData
@@ -31,8 +31,6 @@ MAX_TOUCHES: Final = 20_000
 
 SOLVED_BEND_SHARE: Final = 0.5
 """Share of bends that are solved ones, not mixtures."""
-
-NOISES: Final[tuple[Kind, ...]] = ("N1", "N2", "N3")
 
 SNR_DB: Final = 50.0
 

@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.row_gaussian import log_of_ratio
 from eitskin_proto.skin.skin import Skin
-from eitskin_training.gate.material import NOISES, drifted, images_of, noisy_change
+from eitskin_sim.measurement.noise import NOISES
+from eitskin_training.gate.material import drifted, images_of, noisy_change
 from eitskin_training.gate.observer import FRAMES_TO_FIND_A_PRESS, SNR_DB
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.samples.batches import TrainingData, pixels_per_unit
