@@ -2,8 +2,8 @@
 
 ``COMMANDS`` is the whole table. A subcommand's module has ``add_arguments(parser)`` and ``run(arguments) -> int``.
 Exit status: 0 on success, 2 on bad usage, 1 on failure, with one line on stderr that says what is wrong and what to do.
-A reader that closes standard output early, as ``| head -1`` does, causes no failure.
-``run`` has 70 besides (:mod:`eitskin_tools.service.watchdog`).
+A reader that closes standard output early, as ``| head -1`` does, is no failure. ``run`` also has status 70
+(:mod:`eitskin_tools.service.watchdog`).
 """
 
 import argparse
@@ -15,7 +15,7 @@ import signal
 import sys
 import textwrap
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import plain
@@ -30,77 +30,92 @@ from eitskin_tools.console.terminal import (
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import EndRequested, end_signals_as_interrupts
 
-LIVE: Final[dict[str, tuple[str, str]]] = {
-    "demo": ("demo", "a virtual skin, the runtime, a scanner and a subscriber, with the map drawn live"),
-    "run": ("run", "read a skin, publish tactile frames"),
-    "subscribe": ("subscribe", "print the frames that a runtime publishes"),
-    "view": ("view", "look at a running skin in the browser"),
-    "virtual-skin": ("virtual_skin", "a virtual skin behind a pseudo-terminal"),
-    "reference": ("reference", "capture or show the one pre-deformation reference"),
-    "flash": ("flash", "show, compare, write, verify or roll back the device's configuration"),
-    "surface": ("surface", "order measured points of the bent sheet into a cloud, a point a pixel"),
-    "status": ("status", "how the runtime is, or all skins of a robot"),
-    "service": ("service", "files for systemd, udev and containers: list, print or write them"),
-    "doctor": ("doctor", "list ports, devices, permissions and what to do about each problem"),
-}
-"""Subcommands around a running skin: {name: (module below ``eitskin_tools.commands``, what it does)}."""
 
-OFFLINE: Final[dict[str, tuple[str, str]]] = {
-    "skin": ("skin", "show or check the description of a sheet, skin.toml"),
-    "simulate": ("simulate", "solve a scene with the forward model"),
-    "dataset": ("dataset", "generate a data set"),
-    "train": ("train", "train VD2T"),
-    "curves": ("curves", "losses of training runs side by side"),
-    "calibrate": ("calibrate", "find out what this device is, from its own readings"),
-    "evaluate": ("evaluate", "score a solver on phantoms"),
-    "bench": ("bench", "benchmarks, each with --json"),
-}
-"""Subcommands of simulation, training and evaluation, as in ``LIVE``."""
+class Command(NamedTuple):
+    """A subcommand."""
 
-BUNDLES: Final[dict[str, tuple[str, str]]] = {
-    "build": ("build", "data, training, export and card of a bundle, from one file"),
-    "export": ("export", "export a trained network to a bundle"),
-    "pair": ("pair", "put a smaller network into a bundle"),
-    "card": ("card", "what a bundle's network is worth, by contrast and by mismatch"),
-    "adapt": ("adapt", "teach a trained network to go on without electrodes"),
-    "adapt-skin": ("adapt_skin", "let a bundle go on learning on a calibrated sheet"),
-}
-"""Subcommands that make bundles and try them, as in ``LIVE``."""
+    group: str
+    summary: str
+    """What it does, as an order; lower case, no full stop."""
+    example: str
+    """What to type behind ``eitskin``."""
 
-RECORDED: Final[dict[str, tuple[str, str]]] = {
-    "record": ("record", "write what a runtime measures into a file that survives power cuts"),
-    "replay": ("replay", "publish a recording as if its skin were there"),
-    "reinfer": ("reinfer", "compute a recording's maps once more, by the same or by another bundle or solver"),
-    "convert": ("convert", "a recording as NPZ, Parquet or rosbag2"),
-}
-"""Subcommands that write or read recordings, as in ``LIVE``."""
+    def module(self, name: str) -> Any:
+        """Return its module, imported now."""
+        return importlib.import_module(f"eitskin_tools.commands.{name.replace('-', '_')}")
 
-COMMANDS: Final = {**LIVE, **RECORDED, **BUNDLES, **OFFLINE}
-"""All subcommands in the order of the help."""
+
+LIVE, RECORDINGS, SHEET, RESEARCH = "A running skin", "Recordings", "A sheet of your own", "Research and training"
+
+COMMANDS: Final[dict[str, Command]] = {
+    "demo": Command(LIVE, "simulate a skin and show its map; needs no hardware", "demo --view"),
+    "run": Command(LIVE, "read a skin and publish tactile frames", "run --port /dev/ttyACM0 --touches lower"),
+    "subscribe": Command(LIVE, "print the frames that a runtime publishes", "subscribe --frames 10"),
+    "view": Command(LIVE, "show a running skin or a recording in the browser", "view session.mcap"),
+    "virtual-skin": Command(LIVE, "simulate a skin behind a serial port", "virtual-skin --rate 100"),
+    "reference": Command(
+        LIVE, "capture the reference: the sheet flat and untouched", "reference --port /dev/ttyACM0 --out flat.json"
+    ),
+    "flash": Command(
+        LIVE, "show, compare, write, verify or roll back a device's configuration", "flash show --port /dev/ttyACM0"
+    ),
+    "surface": Command(
+        LIVE, "turn measured points of the bent sheet into a cloud", "surface bent.ply --out cloud.npz --predict --send"
+    ),
+    "status": Command(LIVE, "report the state of a runtime, or of all skins of a robot", "status"),
+    "service": Command(LIVE, "print or write files for systemd, udev and containers", "service --out files"),
+    "doctor": Command(LIVE, "check ports, devices and permissions, and say how to repair them", "doctor"),
+    "record": Command(RECORDINGS, "write what a runtime measures to a file", "record --out session.mcap --seconds 60"),
+    "replay": Command(RECORDINGS, "publish a recording as if its skin were connected", "replay session.mcap"),
+    "reinfer": Command(
+        RECORDINGS, "compute the maps of a recording again", "reinfer session.mcap --bundle press --json"
+    ),
+    "convert": Command(
+        RECORDINGS, "convert a recording to NPZ, Parquet or rosbag2", "convert session.mcap --out session.npz"
+    ),
+    "skin": Command(SHEET, "show or check the description of a sheet", "skin show paper"),
+    "calibrate": Command(
+        SHEET, "estimate the properties of your sheet from its own readings", "calibrate session.npz --out skin.toml"
+    ),
+    "build": Command(SHEET, "make a bundle for a sheet", "build skin.toml --out mine.eitskin"),
+    "adapt-skin": Command(
+        SHEET, "train a bundle further on a calibrated sheet", "adapt-skin press --skin skin.toml --out mine.eitskin"
+    ),
+    "evaluate": Command(SHEET, "measure how accurate a bundle or solver is", "evaluate --phantoms paper_mm"),
+    "simulate": Command(
+        RESEARCH, "compute the voltages of a scene by the forward model", "simulate scene.json --out voltages.npz"
+    ),
+    "dataset": Command(RESEARCH, "make training data", "dataset --set paper --out data"),
+    "train": Command(RESEARCH, "train the network VD2T", "train --recipe units --data data --out run"),
+    "curves": Command(RESEARCH, "compare the losses of training runs", "curves run"),
+    "export": Command(RESEARCH, "export a trained network as a bundle", "export run --out mine.eitskin"),
+    "pair": Command(RESEARCH, "add a smaller network to a bundle", "pair mine.eitskin small.eitskin --out two.eitskin"),
+    "card": Command(RESEARCH, "measure how accurate a bundle is by contrast and by mismatch", "card mine.eitskin"),
+    "adapt": Command(RESEARCH, "train a network to work without some electrodes", "adapt run --out more"),
+    "bench": Command(RESEARCH, "run a benchmark", "bench frame --frames 1000 --json"),
+}
+"""All subcommands in the order of the help; the module of each is called like it, below ``eitskin_tools.commands``."""
 
 FIRST_STEPS: Final = {
     "eitskin demo": "everything at once, with the map drawn live",
-    "eitskin virtual-skin": "a skin on a port, whose path it prints; then, each in a terminal of its own:",
-    "eitskin run --port PORT": "read it and publish frames",
-    "eitskin subscribe": "see them",
+    "eitskin virtual-skin": "a simulated skin; it prints its port. Then, each in a terminal of its own:",
+    "eitskin run --port PORT": "read that skin and publish frames",
+    "eitskin subscribe": "print the frames",
 }
 """What to type without hardware, and what it does."""
 
 
 def _help_text() -> str:
-    """Return the commands in four groups, and the first steps, as wide as the terminal."""
+    """Return the commands in their groups, and the first steps, as wide as the terminal."""
     columns = shutil.get_terminal_size().columns - 2  # as argparse has it
     groups = []
-    titled = (
-        ("around a running skin", LIVE), ("recordings", RECORDED), ("bundles", BUNDLES),
-        ("simulation, training, evaluation", OFFLINE),
-    )  # fmt: skip
-    for title, commands in titled:
-        lines = [_row(f"    {name:<14}", summary, columns) for name, (_, summary) in commands.items()]
+    for title in (LIVE, RECORDINGS, SHEET, RESEARCH):
+        members = {name: command for name, command in COMMANDS.items() if command.group == title}
+        lines = [_row(f"    {name:<14}", command.summary, columns) for name, command in members.items()]
         groups.append("\n".join([f"{title}:", *lines]))
     steps = [_row(f"  {command:<26}", what, columns) for command, what in FIRST_STEPS.items()]
-    more = textwrap.fill("'eitskin COMMAND --help' says what a command takes.", columns)
-    return "\n\n".join([*groups, "\n".join(["first steps, without hardware:", *steps]), more])
+    more = textwrap.fill("'eitskin COMMAND --help' describes a command.", columns)
+    return "\n\n".join(["\n".join(["First steps, without hardware:", *steps]), *groups, more])
 
 
 def _row(name: str, text: str, columns: int) -> str:
@@ -121,10 +136,15 @@ def _parser(named: str | None) -> Parser:
     parser.add_argument("-h", "--help", action="help", help=argparse.SUPPRESS)
     parser.add_argument("--version", action="store_true", help="print the version and the ids, then exit")
     subparsers = parser.add_subparsers(prog="eitskin", dest="command", metavar="COMMAND", help=argparse.SUPPRESS)
-    for name, (module, summary) in COMMANDS.items():
-        child = subparsers.add_parser(name, description=summary[0].upper() + summary[1:] + ".")
+    for name, command in COMMANDS.items():
+        child = subparsers.add_parser(
+            name,
+            description=f"{command.summary[0].upper()}{command.summary[1:]}.",
+            epilog=f"example:\n  eitskin {command.example}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
         if name == named:
-            importlib.import_module(f"eitskin_tools.commands.{module}").add_arguments(child)
+            command.module(name).add_arguments(child)
     return parser
 
 
@@ -167,7 +187,7 @@ def _main(words: list[str]) -> int:
     if arguments.command is None:
         print("eitskin: name a command; 'eitskin --help' lists them", file=sys.stderr)
         return 2
-    module = importlib.import_module(f"eitskin_tools.commands.{COMMANDS[arguments.command][0]}")
+    module = COMMANDS[arguments.command].module(arguments.command)
     try:
         needs.check(arguments)
         files.check_outputs(arguments)

@@ -26,14 +26,31 @@ def test_help_imports_no_command():
     assert done.stdout == "False\n"
 
 
-def test_help_lists_every_subcommand_in_two_groups_with_the_first_steps(capsys):
+def test_help_lists_every_subcommand_below_the_first_steps(capsys):
     status, text, _ = said(capsys, "--help")
     assert status == 0
     listed = [line.split()[0] for line in text.splitlines() if line[:4].isspace() and line[4:5].isalpha()]
     assert listed == list(cli.COMMANDS)
-    assert text.index("around a running skin:") < text.index("simulation, training, evaluation:")
-    first = text[text.index("first steps") :]
+    first = text[text.index("First steps") : text.index("A running skin:")]
     assert all(f"eitskin {name}" in first for name in ("demo", "virtual-skin", "run --port PORT", "subscribe"))
+    assert text.index("A running skin:") < text.index("Research and training:")
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_help_fits_a_screen_and_shows_an_example_that_is_understood(capsys, name, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    status, text, _ = said(capsys, name, "--help")
+    assert status == 0
+    assert len(text.splitlines()) <= 45
+    assert "  eitskin " + cli.COMMANDS[name].example in text
+    cli._parser(name).parse_args(cli.COMMANDS[name].example.split())
+
+
+def test_help_all_has_the_options_that_help_leaves_out(capsys):
+    short, long = (said(capsys, "run", option)[1] for option in ("--help", "--help-all"))
+    assert "--mlock" in long
+    assert "--mlock" not in short
+    assert "eitskin run --help-all" in short
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)

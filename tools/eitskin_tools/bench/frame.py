@@ -54,10 +54,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", type=int, default=20_000, metavar="N", help="frames at each rate (default 20000)")
     parser.add_argument("--calls", type=int, default=500, metavar="N", help="paced calls of each variant (default 500)")
     parser.add_argument("--bundle", type=files.bundle, metavar="FILE", help="bundle to run (default: the shipped one)")
-    parser.add_argument("--rate", type=float, action="append", metavar="HZ", help="instead of 200 and 1000; repeatable")
+    parser.add_argument(
+        "--rate",
+        type=float,
+        action="append",
+        metavar="HZ",
+        help="frames a second (default: 200 and 1000); may be repeated",
+    )
     parser.add_argument("--solver", metavar="NAME", help="most accurate solver of the stream, as for 'eitskin run'")
     parser.add_argument("--core", type=int, metavar="CPU", help="run the runtime, all its threads, on this CPU only")
-    parser.add_argument("--streams", type=int, default=0, metavar="N", help="with N subscribers to what was measured")
+    parser.add_argument("--streams", type=int, default=0, metavar="N", help="add N subscribers to measured voltages")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

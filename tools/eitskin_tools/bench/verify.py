@@ -56,14 +56,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--deformations", type=int, default=6, metavar="N", help="of family A (default 6)")
     parser.add_argument("--each", type=int, default=4, metavar="N", help="touch sets at each of them (default 4)")
     parser.add_argument(
-        "--only", action="append", metavar="ROW", help="rows whose name has this in it; may be given again"
+        "--only", action="append", metavar="ROW", help="only rows whose name contains this; may be repeated"
     )
     parser.add_argument(
         "--sets",
         type=int,
         default=50,
         metavar="N",
-        help="sets that p is counted on, 20 draws each (default 50; 0: none)",
+        help="touch sets for the check of p-values, 20 draws each (default 50; 0: none)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

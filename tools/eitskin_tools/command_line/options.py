@@ -139,7 +139,7 @@ def add_touches(parser: argparse.ArgumentParser, default: str, what: str = "touc
     parser.add_argument(
         "--touches",
         choices=TOUCH_KINDS,
-        help=f"{what}: lower conductance, as a finger's press on a hydrogel, or raise it, as the paper's touches "
+        help=f"{what}: lower (a finger on a hydrogel lowers conductance) or raise (as in the paper) "
         f"(default: {default})",
     )
 

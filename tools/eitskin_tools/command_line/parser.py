@@ -1,4 +1,4 @@
-"""A parser that says in one line what is wrong, and what was probably meant.
+"""A parser that reports an error in one line, suggests what was probably meant, and keeps its help short.
 
 Its subparsers are of the same class, so that ``eitskin bench skp`` and ``eitskin run --solvr`` are answered alike.
 """
@@ -18,7 +18,36 @@ def expected_one_of(what: str, word: str, names: Iterable[str]) -> str:
 
 
 class Parser(argparse.ArgumentParser):
-    """An ``argparse.ArgumentParser`` with one line on stderr, exit status 2, and suggestions."""
+    """An ``argparse.ArgumentParser`` with errors of one line, exit status 2, suggestions, and help in two lengths."""
+
+    def __init__(self, *args: Any, **keywords: Any) -> None:
+        super().__init__(*args, **keywords)
+        self._more: list[Any] = []
+
+    def add_more(self, title: str) -> Any:
+        """Return a group of options that ``--help-all`` lists and ``--help`` only mentions by its title."""
+        if not self._more:
+            self.add_argument("--help-all", action=_HelpAll, nargs=0, help="show all options and exit")
+        self._more.append(self.add_argument_group(title))
+        return self._more[-1]
+
+    def format_help(self) -> str:
+        """Return the everyday options, and where the others are listed."""
+        if not self._more:
+            return self.format_all()
+        hidden = {id(action) for group in self._more for action in group._group_actions}
+        groups, actions = self._action_groups, self._actions
+        self._action_groups = [group for group in groups if group not in self._more]
+        self._actions = [action for action in actions if id(action) not in hidden]
+        try:
+            titles = ", ".join(str(group.title) for group in self._more)
+            return f"{self.format_all()}\n{len(hidden)} more options ({titles}): {self.prog} --help-all\n"
+        finally:
+            self._action_groups, self._actions = groups, actions
+
+    def format_all(self) -> str:
+        """Return all options."""
+        return super().format_help()
 
     def error(self, message: str) -> NoReturn:
         """Print one line and exit with status 2."""
@@ -50,6 +79,14 @@ class Parser(argparse.ArgumentParser):
             self.error(f"no {action.dest} {value!r}{did_you_mean(str(value), names) or self._listed()}")
         name = "/".join(action.option_strings) or str(action.metavar or action.dest)
         self.error(expected_one_of(name, str(value), names))
+
+
+class _HelpAll(argparse.Action):
+    """``--help-all``: print every option and exit."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        print(parser.format_all() if isinstance(parser, Parser) else parser.format_help(), end="")
+        parser.exit()
 
 
 def _choices(action: argparse.Action) -> Iterable[Any]:

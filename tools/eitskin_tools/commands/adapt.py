@@ -11,10 +11,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the subcommand takes."""
     parser.add_argument("run_folder", metavar="RUN", help="folder of 'eitskin train'")
     parser.add_argument("--out", required=True, metavar="RUN2", help="folder of the adapted run, for 'eitskin export'")
-    parser.add_argument("--data", nargs="+", metavar="DIR", help="the run's data sets, if they have moved")
-    parser.add_argument("--fitting-steps", type=int, default=2000, metavar="N", help="of the filling alone")
-    parser.add_argument("--steps", type=int, default=3000, metavar="N", help="of filling and network together")
-    parser.add_argument("--seed", type=int, default=0, help="of every draw (default 0)")
+    parser.add_argument("--data", nargs="+", metavar="DIR", help="the data sets of the run, if they have moved")
+    parser.add_argument(
+        "--fitting-steps", type=int, default=2000, metavar="N", help="training steps of the imputation alone"
+    )
+    parser.add_argument(
+        "--steps", type=int, default=3000, metavar="N", help="training steps of imputation and network together"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of every draw (default 0)")
     parser.add_argument("--threads", type=int, default=0, help="CPU threads (default: torch's choice)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

@@ -25,18 +25,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--skin",
         required=True,
         metavar="FILE",
-        help="what the sheet is, as 'eitskin calibrate' writes it; devices are drawn from what it leaves uncertain",
+        help="calibrated description from 'eitskin calibrate'; devices are drawn from what it leaves uncertain",
     )
     parser.add_argument(
         "--presses",
         metavar="FILE",
-        help="presses of a stamp recorded on the sheet, as 'eitskin calibrate' reads them; they are learned from too",
+        help="presses of a stamp recorded on the sheet, as 'eitskin calibrate' reads them; also train on these",
     )
     for name, what in (
-        ("deformations", "devices and bends are drawn for"),
-        ("per_deformation", "touch sets at each of them"),
-        ("epochs", "of training"),
-        ("seed", "where all draws come from"),
+        ("deformations", "deformations to draw, each with a device,"),
+        ("per_deformation", "touch sets at each deformation"),
+        ("epochs", "training epochs"),
+        ("seed", "seed of all draws"),
     ):
         default = getattr(usual, name)
         flag = f"--{name.replace('_', '-')}"

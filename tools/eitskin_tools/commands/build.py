@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--hours",
         type=float,
         metavar="H",
-        help="scale data and epochs to so long on this machine (default: not)",
+        help="scale data and epochs to H hours on this machine (default: full length)",
     )
     add_making(parser)
 
@@ -42,9 +42,9 @@ def add_making(parser: argparse.ArgumentParser) -> None:
         "--out", required=True, type=Path, metavar="FILE", help="the bundle; its name should end in .eitskin"
     )
     parser.add_argument(
-        "--work", type=Path, metavar="DIR", help="folder of the half-made bundle (default: FILE.eitskin.build)"
+        "--work", type=Path, metavar="DIR", help="folder for intermediate results (default: FILE.eitskin.build)"
     )
-    parser.add_argument("--workers", type=int, metavar="N", help="processes that make data (default: one a core)")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes that make data (default: one per core)")
     parser.add_argument("--threads", type=int, default=0, help="CPU threads of training (default: torch's choice)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

@@ -24,22 +24,24 @@ GUIDED: Final[dict[str, Any]] = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
-        "recording", metavar="FILE", help="what was recorded, .npz, see docs/calibrate.md; with --guided, where it goes"
+        "recording", metavar="FILE", help="the recorded session (.npz, docs/calibrate.md); with --guided, file to write"
     )
     parser.add_argument("--out", type=Path, required=True, metavar="SKIN.toml", help="the calibrated description")
     parser.add_argument(
         "--skin",
         metavar="FILE",
         default="lab",
-        help="the stated skin, whose uncertainties are the priors: a file, or one of "
+        help="the skin as designed; its uncertainties are the priors: a file, or one of "
         f"{', '.join(files.SKIN.names())} (default: lab)",
     )
-    parser.add_argument("--snr-db", type=float, metavar="DB", help="of a frame (default: the least stated)")
+    parser.add_argument(
+        "--snr-db", type=float, metavar="DB", help="signal to noise ratio of a frame (default: the lowest stated)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     guided = parser.add_argument_group("guided")
-    guided.add_argument("--guided", action="store_true", help="record now: says what to do, and waits for the sheet")
-    guided.add_argument("--port", help="of the skin (or usb:SERIAL)")
-    guided.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    guided.add_argument("--guided", action="store_true", help="record now, with instructions for each step")
+    guided.add_argument("--port", help="serial port of the skin, or usb:SERIAL")
+    guided.add_argument("--baud", type=int, help="bits per second of a UART (default 2000000)")
     guided.add_argument(
         "--full-scan",
         action="store_true",
@@ -51,12 +53,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--surface",
         type=Path,
         metavar="CLOUD.npz",
-        help="scan of the sheet as it lies for reference and presses, by 'eitskin surface' (default: it lies flat)",
+        help="cloud of the sheet during reference and presses, from 'eitskin surface' (default: it lies flat)",
     )
-    guided.add_argument("--bends", type=int, metavar="N", help="bends to ask for (default 3)")
-    guided.add_argument("--presses", type=int, metavar="N", help="presses to ask for (default 6)")
-    guided.add_argument("--stamp", metavar="MM", help="a disc's diameter, as 16, or length x width, as 20x10")
-    guided.add_argument("--frames", type=int, metavar="N", help="of a bend or a press (default 40)")
+    guided.add_argument("--bends", type=int, metavar="N", help="number of bends (default 3)")
+    guided.add_argument("--presses", type=int, metavar="N", help="number of presses (default 6)")
+    guided.add_argument(
+        "--stamp", metavar="MM", help="size of the stamp in mm: diameter, such as 16, or length x width, such as 20x10"
+    )
+    guided.add_argument("--frames", type=int, metavar="N", help="frames of each bend and press (default 40)")
 
 
 def run(arguments: argparse.Namespace) -> int:

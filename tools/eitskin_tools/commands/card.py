@@ -11,8 +11,10 @@ from pathlib import Path
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("bundle", metavar="BUNDLE", help="a file, or a shipped one's name")
-    parser.add_argument("--deformations", type=int, default=8, metavar="N", help="unseen ones (default: 8)")
-    parser.add_argument("--each", type=int, default=3, metavar="N", help="touches at each of them (default: 3)")
+    parser.add_argument(
+        "--deformations", type=int, default=8, metavar="N", help="deformations not trained on (default: 8)"
+    )
+    parser.add_argument("--each", type=int, default=3, metavar="N", help="touches at each deformation (default: 3)")
     parser.add_argument("--draws", type=int, default=2, metavar="N", help="devices of each mismatch (default: 2)")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the bundle with the card in its manifest")
     parser.add_argument("--json", action="store_true", help="print one JSON object")

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, required=True, metavar="OUT", help="X.npz, X.parquet, or a new folder for rosbag2"
     )
-    parser.add_argument("--format", choices=tuple(NEEDED_MODULES), help="default: by the end of OUT's name")
+    parser.add_argument("--format", choices=tuple(NEEDED_MODULES), help="default: from the ending of OUT")
     add_span(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the subcommand takes."""
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="folders of 'eitskin train'; unfinished ones too")
+    parser.add_argument("runs", nargs="+", metavar="RUN", help="folders of 'eitskin train', finished or not")
     parser.add_argument("--plot", metavar="FILE.png", help="draw them")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

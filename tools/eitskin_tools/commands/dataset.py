@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eitskin_tools.command_line import files, options
+from eitskin_tools.command_line.parser import Parser
 from eitskin_tools.console.progress import ProgressBar
 from eitskin_tools.errors import UsageError
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from eitskin_sim.dataset.cluster import Certificates
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """Declare the options."""
     parser.add_argument(
         "--set",
@@ -24,17 +25,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help="the paper's 102,590 samples; richer shapes of units; touches anywhere",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write; goes on if begun")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="where all draws come from (default 0)")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder to write; an interrupted data set continues"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of all draws (default 0)")
     parser.add_argument(
         "--deformations", "--bends", type=int, metavar="N", help="deformations to train on (default 10, 140, 140)"
     )
-    parser.add_argument("--kept", type=int, metavar="N", help="kept apart, of A and of B each (default 0, 20, 20)")
     parser.add_argument(
-        "--touch-sets", type=int, metavar="N", help="in all (default 10259, 60000); free has one a sample"
+        "--kept", type=int, metavar="N", help="deformations held out, of A and of B each (default 0, 20, 20)"
     )
     parser.add_argument(
-        "--per-deformation", type=int, metavar="N", help="touch sets shown at a deformation (default all, 3000, 5000)"
+        "--touch-sets", type=int, metavar="N", help="touch sets in all (default 10259, 60000); free has one a sample"
+    )
+    parser.add_argument(
+        "--per-deformation", type=int, metavar="N", help="touch sets at each deformation (default all, 3000, 5000)"
     )
     parser.add_argument(
         "--near", type=float, metavar="SHARE", help="share of free touch sets drawn close together (default 1/3)"
@@ -43,29 +48,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--touches",
         choices=("hard", "firm", "press", "raise", "both", "skin"),
         default="hard",
-        help="hard touches of contrast 20 to 200 (50 on the grid), firm ones of 5 to 200 with edges up to 4 mm, "
-        "presses that lower conductance to 0.2 to 0.85 of it, touches that raise it 1.2 to 200 times, both ways, or "
-        "as [touches] of the skin says (default hard)",
+        help="contrast: hard 20 to 200 (50 on the grid), firm 5 to 200 with soft edges, press 0.2 to 0.85, raise 1.2 to "
+        "200, both, or skin for [touches] of --skin (default hard)",
     )
     parser.add_argument(
         "--devices",
         choices=("ideal", "random"),
         default="ideal",
-        help="the nominal sheet, or one as a lab builds it for every few deformations: electrodes, layer, front end, "
-        "drift and scans that are off (default ideal)",
+        help="ideal: the nominal sheet; random: sheets with a lab's errors in electrodes, layer, front end, drift and "
+        "scan (default ideal)",
     )
     parser.add_argument(
         "--skin",
         metavar="FILE",
-        help="skin.toml of the sheet, and of the uncertainties that random devices are drawn from: a file, or one of "
-        f"{', '.join(files.SKIN.names())} (default: the paper's, for random devices lab)",
+        help=f"skin.toml of the sheet and its uncertainties: a file, or one of {', '.join(files.SKIN.names())} "
+        "(default: the paper's, for random devices lab)",
     )
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes on this machine (default 1)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tls://HOST:8786, instead")
-    parser.add_argument("--tls-ca", type=Path, metavar="FILE", help="certificate of the cluster's own authority")
-    parser.add_argument("--tls-cert", type=Path, metavar="FILE", help="your certificate, signed by it")
-    parser.add_argument("--tls-key", type=Path, metavar="FILE", help="your private key")
-    parser.add_argument("--json", action="store_true", help="print one JSON object on what was written")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    group = parser.add_more("cluster")
+    group.add_argument("--scheduler", metavar="ADDRESS", help="use a Dask scheduler, such as tls://HOST:8786")
+    group.add_argument("--tls-ca", type=Path, metavar="FILE", help="certificate of the cluster's authority")
+    group.add_argument("--tls-cert", type=Path, metavar="FILE", help="your certificate, signed by it")
+    group.add_argument("--tls-key", type=Path, metavar="FILE", help="your private key")
 
 
 def run(arguments: argparse.Namespace) -> int:

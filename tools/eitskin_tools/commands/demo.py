@@ -13,7 +13,7 @@ from eitskin_tools.processes.signals import endings
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
-        "--seconds", type=float, metavar="S", help="how long, from the first frame (20, with --view 3600)"
+        "--seconds", type=float, metavar="S", help="run time after the first frame (20; with --view 3600)"
     )
     parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (default 200)")
     options.add_bundle(parser, "to run (default: a shipped one that knows the touches)")
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "bundle's card says that it shows the same, else vd2t)",
     )
     parser.add_argument(
-        "--scene", metavar="FILE", help="hold this scene (a file, or sample); without it touches come and go"
+        "--scene", metavar="FILE", help="show this scene only (a file, or sample); default: touches come and go"
     )
     parser.add_argument(
         "--device", default="virtual", choices=("virtual", "qemu"),
@@ -33,9 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="at 50 dB (default N2)")
     parser.add_argument("--seed", type=int, default=0, help="of the noise (default 0)")
-    parser.add_argument("--view", action="store_true", help="look at it in the browser, until Ctrl-C")
-    parser.add_argument("--no-draw", action="store_true", help="do not draw the map")
-    parser.add_argument("--record", type=Path, metavar="FILE.npz", help="keep what the subscriber noted")
+    parser.add_argument("--view", action="store_true", help="show it in the browser, until Ctrl-C")
+    parser.add_argument("--no-draw", action="store_true", help="do not draw the map in the terminal")
+    parser.add_argument("--record", type=Path, metavar="FILE.npz", help="store what the subscriber received")
     parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw a frame of this run (extra 'plot')")
     parser.add_argument("--json", action="store_true", help="print the summary as one JSON object")
 

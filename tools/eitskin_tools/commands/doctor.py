@@ -14,23 +14,23 @@ from eitskin_tools.errors import UsageError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--port", help="greet the device on this port (a path, or usb:SERIAL) as well")
-    parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    parser.add_argument("--port", help="also test the device on this port (a path, or usb:SERIAL)")
+    parser.add_argument("--baud", type=int, help="bits per second of a UART (default 2000000)")
     parser.add_argument("--make-curve-keys", type=Path, metavar="DIR", help="make CURVE keys for TCP, then exit")
     parser.add_argument(
-        "--electrodes", action="store_true", help="look at all 16 electrodes, on --port or in --recorded frames"
+        "--electrodes", action="store_true", help="check all 16 electrodes, on --port or in --recorded frames"
     )
     parser.add_argument(
         "--drift",
         action="store_true",
-        help="how far a flat, free sheet is from its --reference, on --port or in --recorded frames",
+        help="report the drift of a flat, untouched sheet since --reference, on --port or in --recorded frames",
     )
     parser.add_argument(
-        "--recorded", type=Path, metavar="FILE", help="frames to look at: .npy of (n, 104) V, or the end of a .mcap"
+        "--recorded", type=Path, metavar="FILE", help="recorded frames: .npy of (n, 104) V, or the end of a .mcap"
     )
-    parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="how long to look (default 2)")
+    parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="measuring time (default 2)")
     parser.add_argument("--reference", type=Path, metavar="FILE", help="captured reference (default: the model's)")
-    options.add_bundle(parser, "that knows healthy frames (default: free)")
+    options.add_bundle(parser, "to judge the electrodes by (default: free)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

@@ -12,11 +12,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the subcommand takes."""
     parser.add_argument("run_folder", metavar="RUN", help="folder of 'eitskin train'")
     parser.add_argument("--out", required=True, metavar="FILE", help="the bundle; its name should end in .eitskin")
-    parser.add_argument("--data", nargs="+", metavar="DIR", help="the run's data sets, if they have moved")
+    parser.add_argument("--data", nargs="+", metavar="DIR", help="the data sets of the run, if they have moved")
     parser.add_argument(
-        "--phantoms", action="append", default=[], metavar="FILE", help="score these too and write it on the card"
+        "--phantoms",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="also score these and write the result to the card",
     )
-    parser.add_argument("--seeds", type=int, default=3, help="noise draws of each phantom (default 3)")
+    parser.add_argument("--seeds", type=int, default=3, help="noise draws for each phantom (default 3)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

@@ -11,17 +11,19 @@ from pathlib import Path
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("bundle", metavar="BUNDLE", help="the bundle; everything of it stays")
+    parser.add_argument("bundle", metavar="BUNDLE", help="the bundle to extend")
     parser.add_argument("other", metavar="OTHER", help="a bundle of the same skin and touches, with a smaller network")
     parser.add_argument(
         "--out", required=True, type=Path, metavar="FILE", help="the bundle; its name should end in .eitskin"
     )
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument(
-        "--gentle", action="store_true", help="OTHER's network draws what BUNDLE's hardly shows; it need not be smaller"
+        "--gentle",
+        action="store_true",
+        help="use OTHER's network for touches that BUNDLE's hardly shows; it may have any size",
     )
     kind.add_argument(
-        "--replace", action="store_true", help="OTHER's network takes the place of BUNDLE's; its gate and all else stay"
+        "--replace", action="store_true", help="replace BUNDLE's network by OTHER's and keep everything else"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

@@ -39,23 +39,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("endpoint", nargs="?", help="where the runtime publishes (default: its default)")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.mcap", help="file to write; it must be new")
-    parser.add_argument("--maps", action="store_true", help="keep the maps; without, a digest of each")
-    parser.add_argument("--every", type=int, metavar="N", help="with --maps: one map in N (default 1)")
+    parser.add_argument("--maps", action="store_true", help="store maps (default: a digest of each)")
+    parser.add_argument("--every", type=int, metavar="N", help="with --maps: store one map in N (default 1)")
     parser.add_argument(
         "--wire-only",
         action="store_true",
-        help="neither digests nor pictures: the runtime computes no map for the recorder's sake",
+        help="store no digests or pictures, so that the runtime computes no map for the recorder",
     )
     parser.add_argument(
-        "--pictures-hz", type=float, metavar="HZ", help=f"pictures for Foxglove a second (default {PICTURES_HZ:g})"
+        "--pictures-hz", type=float, metavar="HZ", help=f"pictures a second for Foxglove (default {PICTURES_HZ:g})"
     )
-    parser.add_argument("--rotate-mb", type=float, metavar="MB", help="go on in a new file after so many megabytes")
-    parser.add_argument("--rotate-minutes", type=float, metavar="M", help="go on in a new file after so many minutes")
+    parser.add_argument("--rotate-mb", type=float, metavar="MB", help="begin a new file after MB megabytes")
+    parser.add_argument("--rotate-minutes", type=float, metavar="M", help="begin a new file after M minutes")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
-    parser.add_argument("--frames", type=int, metavar="N", help="end after N frames of the wire")
+    parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
     parser.add_argument("--timeout-s", type=float, metavar="T", help="end after T s without a frame (default: wait)")
     add_client_keys(parser)
-    parser.add_argument("--quiet", action="store_true", help="say nothing on stderr but what is wrong")
+    parser.add_argument("--quiet", action="store_true", help="log only problems")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
 
 

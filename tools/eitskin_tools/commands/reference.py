@@ -21,24 +21,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--port", help="capture: serial port (or usb:SERIAL) of the skin, flat and untouched")
     what.add_argument("--show", type=Path, metavar="FILE", help="show a captured reference")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="capture: where it is stored")
-    parser.add_argument("--frames", type=int, default=100, metavar="N", help="capture: how many frames (default 100)")
-    parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="capture: file to write")
+    parser.add_argument("--frames", type=int, default=100, metavar="N", help="capture: number of frames (default 100)")
+    parser.add_argument("--baud", type=int, help="bits per second of a UART (default 2000000)")
     options.add_bundle(
         parser,
-        "whose flat sheet and gate it is held against (default: the shipped one of area labels and of the skin's "
-        "touches)",
+        "to check it against (default: the shipped one of area labels and of the skin's touches)",
     )
-    parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
+    parser.add_argument("--skin", type=Path, metavar="FILE", help="description of the sheet, which the bundle must fit")
     parser.add_argument(
-        "--against", type=Path, metavar="FILE", help="older reference to hold it against (default: what --out replaces)"
+        "--against",
+        type=Path,
+        metavar="FILE",
+        help="older reference to compare it with (default: the one that --out replaces)",
     )
     parser.add_argument(
         "--surface",
         metavar="CLOUD",
-        help="scan of the sheet as it lies now, by 'eitskin surface --predict'; default: it lies flat",
+        help="cloud of the sheet now, from 'eitskin surface --predict' (default: flat)",
     )
-    parser.add_argument("--force", action="store_true", help="take it even if the sheet seems bent, touched or moving")
+    parser.add_argument("--force", action="store_true", help="store it even if the sheet seems bent, touched or moving")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

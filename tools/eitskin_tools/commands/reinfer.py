@@ -26,14 +26,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--recorded-bundle",
         type=files.bundle,
         metavar="FILE",
-        help="the one that was running, if it is not a shipped one",
+        help="the bundle that was running, if it is not a shipped one",
     )
     parser.add_argument(
         "--solver",
         metavar="NAME",
         help="vd2t, vd2t-int8, vd2t-small, tikhonov, or any of 'eitskin evaluate', also 'verified' (extra: sim)",
     )
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="another solver: one frame in N (default 1)")
+    parser.add_argument(
+        "--every", type=int, default=1, metavar="N", help="with another solver: compute one frame in N (default 1)"
+    )
     add_span(parser)
     parser.add_argument("--out", type=Path, metavar="MAPS.npz", help="write the maps")
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw some frames (extra: plot)")

@@ -34,13 +34,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_bundle(parser, "to use (default: the one that was running)")
     parser.add_argument("--solver", metavar="NAME", help="most accurate solver to use (default: the one that ran)")
     pace = parser.add_mutually_exclusive_group()
-    pace.add_argument("--as-fast-as-possible", action="store_true", help="one frame as soon as the last is done")
-    pace.add_argument("--speed", type=float, default=1.0, metavar="X", help="X times the pace at which it came")
-    parser.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
+    pace.add_argument(
+        "--as-fast-as-possible", action="store_true", help="publish each frame as soon as the last is done"
+    )
+    pace.add_argument("--speed", type=float, default=1.0, metavar="X", help="play at X times the recorded pace")
+    parser.add_argument("--loop", action="store_true", help="repeat until Ctrl-C")
     add_span(parser)
     verifier.add_arguments(parser)
-    parser.add_argument("--wait", action="store_true", help="begin half a second after somebody subscribed")
-    parser.add_argument("--quiet", action="store_true", help="say nothing on stderr but 'ready ...' and what is wrong")
+    parser.add_argument("--wait", action="store_true", help="begin half a second after the first subscription")
+    parser.add_argument("--quiet", action="store_true", help="log only 'ready' and problems")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
 
 

@@ -1,7 +1,7 @@
-"""``eitskin run``: read a skin, publish frames, take control requests, until told to stop.
+"""``eitskin run``: read a skin, publish frames and answer control requests until it is stopped.
 
-Standard error says what was got, line by line, then ``ready ...``, then once a second at most how the stream is;
-standard output stays empty but for the one object of ``--json`` at the end.
+Standard error logs the start line by line, then ``ready ...``, then the state of the stream at most once a second.
+Standard output stays empty but for the one object of ``--json`` at the end.
 """
 
 import argparse
@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from eitskin.pipeline.latency_budget import MOST_MS
 from eitskin_tools.command_line import options
 from eitskin_tools.command_line.options import flag
+from eitskin_tools.command_line.parser import Parser
 from eitskin_tools.console.run_log import FORMATS, RunLog, end_unread
 from eitskin_tools.console.run_status import closing, report
 from eitskin_tools.errors import UsageError
@@ -32,76 +33,78 @@ if TYPE_CHECKING:
     from eitskin_tools.service.watchdog import Watchdog
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Parser) -> None:
     """Declare the options."""
     parser.add_argument("--port", help="serial port of the skin, or usb:SERIAL")
+    parser.add_argument("--config", type=Path, metavar="FILE.toml", help="run all skins that a robot.toml lists")
+    options.add_touches(parser, "those of --skin, else raise", "touches to expect")
+    options.add_bundle(parser, "to use (default: the shipped one for these touches)")
     parser.add_argument(
-        "--config", type=Path, metavar="FILE.toml", help="several skins instead of one, as a robot.toml lists them"
+        "--reference", type=Path, metavar="FILE", help="a reference captured earlier (default: capture one now)"
     )
-    parser.add_argument("--check", action="store_true", help="with --config: look at the file and what it names, only")
-    parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    parser.add_argument("--skin", type=Path, metavar="FILE", help="description of the sheet, which the bundle must fit")
     parser.add_argument(
-        "--reconnect", type=float, metavar="S", help="wait so long for a port that vanishes (default: end)"
+        "--reconnect", type=float, metavar="S", help="wait up to S seconds for a port that vanishes (default: end)"
     )
-    options.add_bundle(parser, "to use (default: the shipped one of area labels and of the touches)")
-    options.add_touches(parser, "those of --skin, else raise")
-    parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
-    parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
-    parser.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
-    parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, which TCP needs")
-    parser.add_argument(
-        "--reference", type=Path, metavar="FILE", help="a reference that was captured before (default: capture one now)"
-    )
-    parser.add_argument(
-        "--reference-frames",
-        type=int,
-        metavar="N",
-        help="frames of one that is captured now (default 100)",
-    )
-    parser.add_argument(
-        "--force-reference",
-        action="store_true",
-        help="take one that is captured now even if the sheet seems bent, touched or moving",
-    )
-    parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
-    parser.add_argument(
-        "--budget-ms", type=float, metavar="B", help="latency budget in ms, from read to publish (default: none)"
+    parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
+    parser.add_argument("--quiet", action="store_true", help="log only 'ready' and problems")
+    parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
+
+    group = parser.add_more("network")
+    group.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
+    group.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
+    group.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, which TCP needs")
+
+    group = parser.add_more("device and reference")
+    group.add_argument("--baud", type=int, help="bits per second of a UART (default 2000000)")
+    group.add_argument("--check", action="store_true", help="with --config: check the file and what it names, and end")
+    group.add_argument(
+        "--reference-frames", type=int, metavar="N", help="frames of a reference captured now (default 100)"
     )
-    parser.add_argument(
-        "--solver",
-        metavar="NAME",
-        help="most accurate solver to use: vd2t, vd2t-int8, vd2t-small or tikhonov (default: vd2t-int8 where the "
-        "bundle's card says that it shows the same, else vd2t; with a budget vd2t)",
+    group.add_argument(
+        "--force-reference", action="store_true", help="capture it even if the sheet seems bent, touched or moving"
     )
-    parser.add_argument(
-        "--every-map", action="store_true", help="compute every touched frame, also if only noise changed"
-    )
-    parser.add_argument(
-        "--idle-after", type=float, metavar="S", help="scan a few drives only once untouched for S seconds"
-    )
-    parser.add_argument(
+    group.add_argument(
         "--exclude-electrode",
         type=int,
         action="append",
         default=[],
         metavar="N",
-        help="go on without electrode N, 0 to 15; repeatable",
+        help="work without electrode N, 0 to 15; may be repeated",
     )
-    parser.add_argument(
+
+    group = parser.add_more("solving")
+    group.add_argument(
+        "--solver",
+        metavar="NAME",
+        help="most accurate solver to use: vd2t, vd2t-int8, vd2t-small or tikhonov (default: vd2t, or vd2t-int8 if "
+        "the bundle's card reports equal accuracy and no budget is set)",
+    )
+    group.add_argument(
+        "--budget-ms", type=float, metavar="B", help="latency budget in ms, from read to publish (default: none)"
+    )
+    group.add_argument(
+        "--every-map", action="store_true", help="compute every touched frame, even if only noise changed"
+    )
+    group.add_argument(
+        "--idle-after", type=float, metavar="S", help="scan only a few drives after S seconds without a touch"
+    )
+    group.add_argument(
         "--compensate-drift",
         action=argparse.BooleanOptionalAction,
-        help="take out what the sheet is known to have drifted since the reference (default: wherever the bundle can)",
+        help="correct for drift since the reference (default: if the bundle can)",
     )
-    verifier.add_arguments(parser)
-    parser.add_argument("--sched-fifo", type=int, metavar="PRIORITY", help="ask for SCHED_FIFO at this priority")
-    parser.add_argument("--affinity", metavar="CPUS", help="run on these CPUs only, such as 2 or 2,3")
-    parser.add_argument("--mlock", action="store_true", help="ask that no page is swapped out")
-    parser.add_argument(
-        "--log-format", choices=FORMATS, default="text", help="of stderr: text, or json for one object a line"
-    )
-    parser.add_argument("--quiet", action="store_true", help="say nothing on stderr but 'ready ...' and what is wrong")
-    parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
+
+    verifier.add_arguments(parser.add_more("verification"))
+
+    group = parser.add_more("real time")
+    group.add_argument("--sched-fifo", type=int, metavar="PRIORITY", help="request SCHED_FIFO at this priority")
+    group.add_argument("--affinity", metavar="CPUS", help="run on these CPUs only, such as 2 or 2,3")
+    group.add_argument("--mlock", action="store_true", help="keep all pages in memory")
+
+    group = parser.add_more("log")
+    group.add_argument("--log-format", choices=FORMATS, default="text", help="text, or json for an object a line")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -108,12 +108,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--print", dest="shown", metavar="NAME", help="print one of the files")
-    what.add_argument("--out", type=Path, metavar="DIR", help="write all of them into a folder, to be looked at")
-    what.add_argument("--install", action="store_true", help="write them where systemd and udev look; only root may")
-    parser.add_argument("--root", type=Path, default=Path("/"), metavar="DIR", help="with --install: of the system (/)")
-    parser.add_argument("--user", default="eitskin", metavar="NAME", help="who runs the skins (default eitskin)")
-    parser.add_argument("--program", metavar="PATH", help="the eitskin that is started (default: this one)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object: what was written or is there")
+    what.add_argument("--out", type=Path, metavar="DIR", help="write all files to a folder")
+    what.add_argument("--install", action="store_true", help="write them where systemd and udev read them; needs root")
+    parser.add_argument(
+        "--root", type=Path, default=Path("/"), metavar="DIR", help="with --install: root of the file system (/)"
+    )
+    parser.add_argument("--user", default="eitskin", metavar="NAME", help="user that runs the skins (default eitskin)")
+    parser.add_argument("--program", metavar="PATH", help="path of eitskin (default: this one)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the scene's device when its reference was taken: flat, untouched, and without what came late",
     )
     options.add_skin(parser, "what the scene leaves out: sheet, electrodes, units")
-    parser.add_argument("--json", action="store_true", help="print one JSON object on what was solved")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -20,7 +20,7 @@ ACTIONS = ("show", "check")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("action", choices=ACTIONS, help="print the whole description, or one line if it can be")
+    parser.add_argument("action", choices=ACTIONS, help="show prints the whole description, check one line")
     parser.add_argument("file", metavar="FILE", help=f"a skin.toml, or one of {', '.join(files.SKIN.names())}")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

@@ -29,9 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "'eitskin run --config' (default: its default one)",
     )
     parser.add_argument("--all", action="store_true", help="all skins of a robot")
-    parser.add_argument(
-        "--timeout-s", type=float, default=3.0, metavar="T", help="wait so long for answers (default 3)"
-    )
+    parser.add_argument("--timeout-s", type=float, default=3.0, metavar="T", help="wait T s for answers (default 3)")
     options.add_client_keys(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

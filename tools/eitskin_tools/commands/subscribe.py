@@ -28,12 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("endpoint", nargs="?", help="where the runtime publishes (default: its default)")
     parser.add_argument(
-        "--mode", choices=("latest", "all"), default="latest", help="newest frame (default), or every frame"
+        "--mode", choices=("latest", "all"), default="latest", help="the newest frame (default), or every frame"
     )
     parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
-    parser.add_argument("--timeout-s", type=float, default=5.0, metavar="T", help="give up after T s without a frame")
-    parser.add_argument("--max-age-ms", type=float, metavar="A", help="fail at a frame older than this")
+    parser.add_argument("--timeout-s", type=float, default=5.0, metavar="T", help="fail after T s without a frame")
+    parser.add_argument("--max-age-ms", type=float, metavar="A", help="fail on a frame older than A ms")
     parser.add_argument(
         "--region",
         type=float,
@@ -42,11 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="show only this rectangle of the sheet, in mm",
     )
     options.add_skin(parser, "the sheet's size, so that places are in mm")
-    parser.add_argument("--skip-unchanged", action="store_true", help="do without maps that changed by noise only")
-    parser.add_argument("--touches", action="store_true", help="the list of touches, without maps")
-    parser.add_argument("--verified", action="store_true", help="what physics says of frames, without the frames")
+    parser.add_argument("--skip-unchanged", action="store_true", help="skip maps that changed by noise only")
+    parser.add_argument("--touches", action="store_true", help="print touches instead of maps")
+    parser.add_argument("--verified", action="store_true", help="print the verifier's results instead of frames")
     parser.add_argument(
-        "--force-table", type=Path, metavar="FILE.csv", help="with --verified: strength to newtons, of your own"
+        "--force-table", type=Path, metavar="FILE.csv", help="with --verified: your table from strength to newtons"
     )
     options.add_client_keys(parser)
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="mm",
         help="of the points and of --corner (default: %(default)s); ROS and depth cameras write m",
     )
-    parser.add_argument("--out", required=True, metavar="CLOUD.npz", help="where the cloud goes")
+    parser.add_argument("--out", required=True, metavar="CLOUD.npz", help="file to write the cloud to")
     parser.add_argument(
         "--corner",
         nargs=3,
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--predict",
         action="store_true",
-        help="add V_pred, what the forward model says that this sheet reads untouched: maps are more accurate with it",
+        help="add V_pred, the untouched voltages of this shape by the forward model; maps are more accurate with it",
     )
     parser.add_argument(
         "--send",

@@ -16,17 +16,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--recipe", required=True, metavar="NAME", help="paper, units, free, small, small-units or tiny"
     )
     parser.add_argument(
-        "--data", required=True, nargs="+", metavar="DIR", help="data set of 'eitskin dataset'; several count as one"
+        "--data", required=True, nargs="+", metavar="DIR", help="data sets of 'eitskin dataset'; several count as one"
     )
-    parser.add_argument("--out", required=True, metavar="RUN", help="folder of the run")
-    parser.add_argument("--epochs", type=int, help="instead of the recipe's; the schedule spans them")
+    parser.add_argument("--out", required=True, metavar="RUN", help="folder to write the run to")
+    parser.add_argument("--epochs", type=int, help="epochs (default: the recipe's)")
     parser.add_argument("--learning-rate", type=float, help="instead of the recipe's")
     parser.add_argument("--schedule", choices=["constant", "onecycle"], help="instead of the recipe's")
-    parser.add_argument("--seed", type=int, default=0, help="of weights, order, noise and dropout (default 0)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of weights, order, noise and dropout (default 0)")
     parser.add_argument(
-        "--start-from", metavar="RUN|BUNDLE", help="begin with the best weights of a run, or with those of a bundle"
+        "--start-from", metavar="RUN|BUNDLE", help="initial weights: the best of a run, or those of a bundle"
     )
-    parser.add_argument("--resume", action="store_true", help="go on from the run's last whole epoch")
+    parser.add_argument("--resume", action="store_true", help="continue after the run's last complete epoch")
     parser.add_argument("--threads", type=int, default=0, help="CPU threads (default: torch's choice)")
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
 

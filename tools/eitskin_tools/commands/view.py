@@ -23,24 +23,28 @@ POLL_S = 1.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("file", nargs="?", type=Path, metavar="FILE.mcap", help="look at a recording: any moment of it")
+    parser.add_argument(
+        "file", nargs="?", type=Path, metavar="FILE.mcap", help="a recording to show (default: the running skin)"
+    )
     parser.add_argument("--endpoint", metavar="E", help="where the runtime publishes (default: its default)")
     parser.add_argument(
         "--config",
         type=Path,
         metavar="ROBOT.toml",
-        help="all skins of a robot, or of 'eitskin run --config' in a folder",
+        help="show all skins of a robot.toml, or of the folder of 'eitskin run --config'",
     )
     options.add_bundle(parser, "that computes a recording's maps (default: the one that was running)")
-    parser.add_argument("--port", type=int, default=PORT, metavar="N", help=f"of the page, 0 for any ({PORT})")
+    parser.add_argument("--port", type=int, default=PORT, metavar="N", help=f"port of the page, 0 for any ({PORT})")
     parser.add_argument(
         "--host",
         default="127.0.0.1",
         metavar="A",
         help="address to serve on (127.0.0.1); any other than this machine's own asks for a token",
     )
-    parser.add_argument("--token", action="store_true", help="ask for a token on this machine too")
-    parser.add_argument("--recordings", type=Path, metavar="DIR", help="where the page's recordings go (default: here)")
+    parser.add_argument("--token", action="store_true", help="require a token on this machine too")
+    parser.add_argument(
+        "--recordings", type=Path, metavar="DIR", help="folder for recordings made from the page (default: this one)"
+    )
     parser.add_argument("--no-open", action="store_true", help="do not open a browser")
     options.add_skin(parser, "the sheet's size, so that places are in mm")
     options.add_client_keys(parser)

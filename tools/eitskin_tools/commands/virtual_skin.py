@@ -18,12 +18,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="configuration: a TOML file, or paper, full208, idle or fast (default paper)",
     )
     parser.add_argument(
-        "--scene", metavar="FILE", help="hold this scene (a file, or sample); without it a script of 20 s loops"
+        "--scene", metavar="FILE", help="show this scene only (a file, or sample); default: a script of 20 s loops"
     )
     options.add_skin(parser, "sheet, electrodes, map and which way touches change conductance")
-    options.add_touches(parser, "those of the skin, else raise", "what the script's touches do")
-    parser.add_argument("--seconds", type=float, metavar="S", help="stop after so long")
-    parser.add_argument("--seed", type=int, default=0, help="of noise and faults (default 0)")
+    options.add_touches(parser, "those of the skin, else raise", "how the script's touches change conductance")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--seed", type=int, default=0, help="seed of noise and faults (default 0)")
     parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="kind of noise (default N2)")
     parser.add_argument("--snr-db", type=float, default=50.0, metavar="DB", help="signal to noise ratio (default 50)")
     parser.add_argument(
@@ -31,10 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="repeatable; KIND: flip drop garbage stall unplug reset saturate foreign mute late twice "
         "frozen stuck failing",
     )  # fmt: skip
-    parser.add_argument("--serial-number", default="VIRTUAL-0001", help="what HELLO says (default VIRTUAL-0001)")
-    parser.add_argument("--log", type=Path, metavar="FILE", help="write what happens there, one JSON object a line")
-    parser.add_argument("--wire-times", type=Path, metavar="FILE.npy", help="write the host time of every frame there")
-    parser.add_argument("--json", action="store_true", help="say port and clock as one JSON object")
+    parser.add_argument("--serial-number", default="VIRTUAL-0001", help="serial number in HELLO (default VIRTUAL-0001)")
+    parser.add_argument("--log", type=Path, metavar="FILE", help="log events to this file, a JSON object a line")
+    parser.add_argument(
+        "--wire-times", type=Path, metavar="FILE.npy", help="write the host time of every frame to this file"
+    )
+    parser.add_argument("--json", action="store_true", help="print port and clock as one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -46,7 +48,9 @@ def run(arguments: argparse.Namespace) -> int:
     options.check_positive(arguments, "rate", most=1e5)
     options.check_positive(arguments, "seconds")
     if arguments.scene is not None and arguments.touches is not None:
-        raise UsageError("--touches is what the script's touches do; those of --scene are as it says: leave it out")
+        raise UsageError(
+            "--touches belongs to the script; a scene says how its own touches change conductance: leave it out"
+        )
     options.check_snr(arguments.snr_db)
     options.check_seed(arguments.seed)
     files.find(arguments.config, files.CONFIGURATION)

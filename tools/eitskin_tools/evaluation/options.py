@@ -5,6 +5,7 @@ from typing import Final
 
 from eitskin_tools.command_line import options
 from eitskin_tools.command_line.options import ModeOption, settle
+from eitskin_tools.command_line.parser import Parser
 
 TOUCHED_TRIALS: Final = ("single", "pair", "random")
 TRIALS: Final = (*TOUCHED_TRIALS, "untouched")
@@ -54,96 +55,86 @@ def way_of(arguments: argparse.Namespace) -> str:
     return way
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of ``eitskin evaluate``; what belongs to some ways only is None until :func:`way_of`."""
-    what = parser.add_mutually_exclusive_group(required=True)
+def add_arguments(parser: Parser) -> None:
+    """Add the arguments of ``eitskin evaluate``; those of some ways only are None until :func:`way_of`."""
+    parser.usage = "eitskin evaluate WHAT [options]"
+    what = parser.add_argument_group("what to evaluate").add_mutually_exclusive_group(required=True)
     what.add_argument("--phantoms", metavar="FILE", help="JSON list of phantoms: a file, paper_units or paper_mm")
+    what.add_argument("--single", type=float, metavar="MM", help="one touch of this size, anywhere; a hard square")
+    what.add_argument("--pair", type=float, metavar="MM", help="two 10 mm touches this far apart, edge to edge")
+    what.add_argument("--random", metavar="K-L", help="K to L random touches, such as 2-4")
+    what.add_argument("--untouched", action="store_true", help="bent sheets without a touch")
     what.add_argument(
-        "--single", type=float, metavar="MM", help="trial: one touch of this size, anywhere; a hard square"
+        "--devices", metavar="NAME", help="sheets unlike the nominal one: lab, random, single, drift, FILE"
     )
-    what.add_argument("--pair", type=float, metavar="MM", help="trial: two 10 mm touches this far apart, edge to edge")
-    what.add_argument("--random", metavar="K-L", help="trial: K to L random touches, such as 2-4 or 5-6")
-    what.add_argument("--untouched", action="store_true", help="trial: bent sheets with no touch at all")
-    what.add_argument(
-        "--measured", metavar="FILE.npz", help="samples that somebody measured (docs/evaluation.md), or FILE.mcap"
-    )
+    what.add_argument("--measured", metavar="FILE", help="your own samples (docs/evaluation.md), .npz or .mcap")
     what.add_argument("--tank", metavar="FILE.npz", help="frames of a round tank: objects by sector and sign")
-    what.add_argument(
-        "--devices", metavar="NAME", help="trials on devices unlike the nominal one: lab, random, single, drift or FILE"
-    )
     parser.add_argument(
         "--solver",
-        help="vd2t, vd2t-int8, vd2t-small, verified (vd2t, checked by physics), tikhonov, l1 or sbl (default: vd2t; "
-        "with --tank, tikhonov); the last three serve --tank, too, and solve for pixels or units, whichever the labels "
-        "are of, or, with -pixels or -units behind the name, as in tikhonov-units, always for these",
+        help="vd2t, vd2t-int8, vd2t-small, verified (vd2t checked by physics), tikhonov, l1 or sbl; the last three "
+        "solve for units or pixels as the labels do, or by name: l1-pixels (default: vd2t; --tank: tikhonov)",
     )
+    options.add_bundle(parser, "with the network (default: the shipped one with the same labels)")
+    options.add_skin(parser, "the sheet of trials and the solvers' model")
     parser.add_argument(
         "--noise",
         choices=("N1", "N2", "N3", "none"),
-        help="noise in proportion to the voltages' change (N1), to each voltage (N2), to their rms (N3); default: N2",
-    )
-    parser.add_argument("--snr-db", type=float, metavar="S", help="signal to noise ratio in dB (default: 50)")
-    parser.add_argument(
-        "--reference",
-        choices=("pre", "post", "predicted"),
-        help="what the voltages are compared with: the flat sheet, the bent sheet, or V_pred from its cloud (default: "
-        "post for the classical solvers; a network takes pre by design, and V_pred besides if its head has that input)",
-    )
-    parser.add_argument("--seeds", type=int, metavar="K", help="noise draws for each phantom (default: 1)")
-    parser.add_argument("--shift-px", type=float, metavar="P", help="move every touch by up to P pixels, at random")
-    options.add_bundle(parser, "with the network (default: the one with the same labels)")
-    _add_ablations(parser)
-    _add_trials(parser)
-    options.add_skin(
-        parser, "model, map and clouds of the solvers, and the sheet of trials and of what phantoms leave out"
+        help="noise in proportion to the voltages' change (N1), to each voltage (N2) or to their rms (N3); default: N2",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
-
-def _add_ablations(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("ablations")
-    group.add_argument(
-        "--prediction",
-        choices=("scan", "none", "true"),
-        help="second input of a network's head: V_pred of the cloud, nothing, or the true untouched voltages (default: "
-        "scan)",
-    )
-    group.add_argument(
-        "--cloud",
-        choices=("scan", "flat", "other"),
-        help="the shape that solvers are told: as measured, flat, or that of another deformation (default: scan)",
-    )
-    group.add_argument(
-        "--at-rest",
-        type=int,
-        metavar="N",
-        help="with --solver verified: physics first sees N frames of each deformation untouched (default: 0)",
-    )
-
-
-def _add_trials(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("trials")
-    group.add_argument("--family", choices=("A", "B"), help="where deformations are drawn (default: A)")
-    group.add_argument("--deformations", type=int, metavar="N", help="how many (default: 20)")
+    group = parser.add_more("trials")
+    group.add_argument("--deformations", type=int, metavar="N", help="number of deformations (default: 20)")
+    group.add_argument("--each", type=int, metavar="N", help="touch sets at each deformation (default: 5)")
     group.add_argument(
         "--seed",
         type=int,
         metavar="S",
         help="which draw of deformations, touches and noise, or of devices (default: 0)",
     )
-    group.add_argument("--each", type=int, metavar="N", help="touch sets at each of them (default: 5)")
     group.add_argument(
-        "--labels",
-        choices=("units", "area"),
-        help="of --random and --untouched: touches on the unit grid or anywhere (default: area)",
+        "--family", choices=("A", "B"), help="family of deformations; B was never trained on (default: A)"
     )
-    contrast = "of --single: conductivity over the sheet's, below 1 for a press (default: 50)"
-    group.add_argument("--contrast", type=float, metavar="C", help=contrast)
-    group.add_argument("--border", type=float, metavar="MM", help="of --single: width of a graded border (default: 0)")
-    group.add_argument("--disc", action="store_true", default=None, help="of --single: a disc, not a square")
+    group.add_argument(
+        "--labels", choices=("units", "area"), help="--random, --untouched: touches on the unit grid or anywhere (area)"
+    )
+    group.add_argument(
+        "--contrast", type=float, metavar="C", help="--single: conductivity over the sheet's, below 1 lowers it (50)"
+    )
+    group.add_argument("--border", type=float, metavar="MM", help="--single: width of a graded border (default: 0)")
+    group.add_argument("--disc", action="store_true", default=None, help="--single: a disc instead of a square")
 
-    devices = parser.add_argument_group("devices")
-    devices.add_argument("--draws", type=int, metavar="N", help="devices of each mismatch (default: 3)")
-    devices.add_argument("--trials", metavar="A,B", help="which trials (default: all five)")
-    drifts = "left in, or taken out as the runtime does: met after a start, or followed since the reference"
-    devices.add_argument("--drift", choices=("left", "met", "followed"), help=drifts)
+    group = parser.add_more("noise and reference")
+    group.add_argument("--snr-db", type=float, metavar="S", help="signal to noise ratio in dB (default: 50)")
+    group.add_argument("--seeds", type=int, metavar="K", help="noise draws for each phantom (default: 1)")
+    group.add_argument("--shift-px", type=float, metavar="P", help="move every touch by up to P pixels, at random")
+    group.add_argument(
+        "--reference",
+        choices=("pre", "post", "predicted"),
+        help="compare the voltages with the flat sheet (pre), with the bent sheet (post) or with V_pred (predicted); "
+        "default: post for classical solvers, pre for networks, which also have V_pred",
+    )
+    group.add_argument(
+        "--at-rest", type=int, metavar="N", help="verified: first show N untouched frames of each deformation (0)"
+    )
+
+    group = parser.add_more("ablations")
+    group.add_argument(
+        "--prediction",
+        choices=("scan", "none", "true"),
+        help="the network's second input: V_pred of the scan, nothing, or the true untouched voltages (default: scan)",
+    )
+    group.add_argument(
+        "--cloud",
+        choices=("scan", "flat", "other"),
+        help="the shape that solvers are given: as measured, flat, or of another deformation (default: scan)",
+    )
+
+    group = parser.add_more("devices")
+    group.add_argument("--draws", type=int, metavar="N", help="devices of each mismatch (default: 3)")
+    group.add_argument("--trials", metavar="A,B", help="mm, units, single, press04, press06 (default: all)")
+    group.add_argument(
+        "--drift",
+        choices=("left", "met", "followed"),
+        help="leave drift in, or correct it as the runtime does after a start or since the reference (default: left)",
+    )

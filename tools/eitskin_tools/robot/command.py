@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from eitskin.errors import RobotError
 from eitskin_proto.errors import SkinError
 from eitskin_tools.command_line import files
+from eitskin_tools.command_line.parser import Parser
 from eitskin_tools.console.run_log import RunLog
 from eitskin_tools.errors import UsageError
 
@@ -33,7 +34,7 @@ def run_all(arguments: argparse.Namespace, add_arguments: Callable[[argparse.Arg
         UsageError: An option is given that one skin alone can have.
         RobotError: The file, or one that it names, cannot be used.
     """
-    parser = argparse.ArgumentParser()
+    parser = Parser()
     add_arguments(parser)
     for name, default in vars(parser.parse_args([])).items():
         if name not in SHARED and getattr(arguments, name) != default:

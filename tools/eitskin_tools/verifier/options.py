@@ -20,26 +20,28 @@ NICE: Final = 10
 """Unless told otherwise: a runtime on the same core comes first."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+def add_arguments(parser: Any) -> None:
+    """Declare the options of a parser or of a group."""
     parser.add_argument(
         "--verify",
         metavar="MODE",
         default="off",
-        help="check frames by physics once they have gone out: off, idle (what rests, while no other program wants the "
-        "core) or always (every changed frame, the newest first); default off",
+        help="check published frames against the forward model: off, always (every changed frame, newest first) or "
+        "idle (frames at rest, on an otherwise idle core) (default: off)",
     )
     parser.add_argument(
         "--verify-budget-ms",
         type=float,
         metavar="B",
-        help="what a frame may take (default 200)",
+        help="time limit for a frame in ms (default 200)",
     )
     parser.add_argument(
         "--verify-nice", type=int, metavar="N", help=f"priority of the verifier's process, 0 to 19 (default {NICE})"
     )
     parser.add_argument(
-        "--verify-affinity", metavar="CPUS", help="CPUs of the verifier's process (default: those that --affinity left)"
+        "--verify-affinity",
+        metavar="CPUS",
+        help="CPUs of the verifier's process (default: those that --affinity leaves)",
     )
 
 
