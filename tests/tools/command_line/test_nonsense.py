@@ -8,7 +8,7 @@ from eitskin_tools.command_line.parser import did_you_mean
 SAID = """
 virtual-skin --snr-db nan | --snr-db is nan, expected 0 to 200
 virtual-skin --seed -1 | --seed is -1, expected 0 to 1000000000
-virtual-skin --scene sample --touches lower | those of --scene are as it says
+virtual-skin --scene sample --touches lower | a scene says how its own touches
 virtual-skin --rate=0 | --rate
 virtual-skin --fault=nonsense | nonsense
 virtual-skin --seconds=-1 | --seconds
@@ -61,7 +61,7 @@ evaluate --random 2-4 --solver tikhonv | did you mean 'tikhonov'?
 evaluate --random few | 2-4
 evaluate --single 10 --labels units | --labels
 evaluate --single 10 --shift-px 3 | from 0 to 1
-evaluate --single 10 --seed 5 | --seed does nothing with --single: leave it out; it belongs to --devices
+evaluate --phantoms paper_mm --seed 5 | --seed does nothing with --phantoms: leave it out; it belongs to --single
 evaluate --untouched --each 4 | --each does nothing with --untouched
 evaluate --single 10 --solver sbl --prediction none | --prediction does nothing with --solver sbl
 evaluate --phantoms paper_mm --family B | --family does nothing with --phantoms

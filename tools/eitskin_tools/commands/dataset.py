@@ -32,9 +32,7 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--deformations", "--bends", type=int, metavar="N", help="deformations to train on (default 10, 140, 140)"
     )
-    parser.add_argument(
-        "--kept", type=int, metavar="N", help="deformations held out, of A and of B each (default 0, 20, 20)"
-    )
+    parser.add_argument("--kept", type=int, metavar="N", help="deformations held out of A and of B (default 0, 20, 20)")
     parser.add_argument(
         "--touch-sets", type=int, metavar="N", help="touch sets in all (default 10259, 60000); free has one a sample"
     )
@@ -48,15 +46,14 @@ def add_arguments(parser: Parser) -> None:
         "--touches",
         choices=("hard", "firm", "press", "raise", "both", "skin"),
         default="hard",
-        help="contrast: hard 20 to 200 (50 on the grid), firm 5 to 200 with soft edges, press 0.2 to 0.85, raise 1.2 to "
-        "200, both, or skin for [touches] of --skin (default hard)",
+        help="contrast: hard 20 to 200 (50 on the grid), firm 5 to 200 with soft edges, press 0.2 to 0.85, raise "
+        "1.2 to 200, both, or skin for [touches] of --skin (default hard)",
     )
     parser.add_argument(
         "--devices",
         choices=("ideal", "random"),
         default="ideal",
-        help="ideal: the nominal sheet; random: sheets with a lab's errors in electrodes, layer, front end, drift and "
-        "scan (default ideal)",
+        help="ideal, the nominal sheet, or random: sheets with a lab's errors (default ideal)",
     )
     parser.add_argument(
         "--skin",
