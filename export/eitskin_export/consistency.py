@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.health.correction import NAMES
-from eitskin.health.electrodes import NEEDED, WINDOW, ElectrodeWatch
+from eitskin.health.electrodes import AGREEING_FRAMES, WINDOW, ElectrodeWatch
 from eitskin.health.imputation import Consistency as Deployed
 from eitskin.health.untouched import estimates
 from eitskin_proto.files.arrays import pack_arrays
@@ -93,7 +93,7 @@ class MeasuredConsistency:
             "false_alarm_rate_per_frame": self.false_alarm_rate,
             "frames": self.frames,
             "thresholds": [round(float(value), 3) for value in self.arrays["thresholds"]],
-            "named_after_frames": [NEEDED, WINDOW],
+            "named_after_frames": [AGREEING_FRAMES, WINDOW],
             "filling": [list(self.arrays[name].shape) for name in NAMES] if NAMES[0] in self.arrays else None,
             "drift_error_percent": [round(100.0 * float(limit[0]), 2) for limit in self.arrays["drift_limits"]],
         }

@@ -16,7 +16,7 @@ from typing import Any, Final
 from eitskin.errors import BundleError
 from eitskin.model.bundle import Bundle, graphs_of, load_bundle
 from eitskin.model.engine import HEADS, QUANTISED, default_solver, flipped_pixels, solvers
-from eitskin.model.manifest import BESIDE, GENTLE, SMALL
+from eitskin.model.manifest import EXTRA_NETWORKS, GENTLE, SMALL
 from eitskin_export.bundle import read, write
 from eitskin_proto.errors import SkinError
 
@@ -118,10 +118,10 @@ def replaced(bundle: Path, newer: Path, out: Path) -> dict[str, Any]:
     """
     _, after = _that_go_together(bundle, newer)
     files, facts, skin = read(bundle)
-    gone = [*GRAPHS, *(file for name in BESIDE for file in graphs_of(name))]
+    gone = [*GRAPHS, *(file for name in EXTRA_NETWORKS for file in graphs_of(name))]
     files = {name: data for name, data in files.items() if name not in gone}
     files |= {name: after.files[name] for name in GRAPHS if name in after.files}
-    facts = {name: value for name, value in facts.items() if name not in (*BESIDE, *NETWORK_KEYS)}
+    facts = {name: value for name, value in facts.items() if name not in (*EXTRA_NETWORKS, *NETWORK_KEYS)}
     facts |= {name: after.manifest[name] for name in NETWORK_KEYS if name in after.manifest}
     own = facts.get("metrics", {})
     metrics = {name: one for name, one in after.manifest.get("metrics", {}).items() if name not in FRAME_METRICS}

@@ -28,7 +28,7 @@ REQUIRED: Final[Any] = object()
 LONGEST_TEXT: Final = 512
 """Characters of a text, unless the caller gives another bound."""
 
-NEAR: Final = 0.65
+SIMILARITY: Final = 0.65
 """Share of letters that a name must have in common with what was found; ``file`` has 0.6 of ``single``."""
 
 Default = TypeVar("Default")
@@ -277,7 +277,7 @@ def did_you_mean(word: str, names: Iterable[str]) -> str:
         names: What there is.
     """
     by_lower = {name.lower(): name for name in names}
-    near = get_close_matches(word.lower(), by_lower, n=1, cutoff=NEAR)
+    near = get_close_matches(word.lower(), by_lower, n=1, cutoff=SIMILARITY)
     return f"; did you mean {by_lower[near[0]]!r}?" if near else ""
 
 

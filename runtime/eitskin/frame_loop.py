@@ -99,10 +99,10 @@ class DeferredWork:
             self.do()
 
 
-OLD_S: Final = 0.1
+MAX_START_DELAY_S: Final = 0.1
 """A first frame that waited longer than this, beyond what the line takes by itself, is left out ..."""
 
-ANY_S: Final = 1.0
+OLD_FRAMES_S: Final = 1.0
 """... but none after this: then all of them are old, or the clocks do not agree."""
 
 
@@ -132,14 +132,16 @@ class FirstFrame:
         if not self._awaited:
             return False
         waited_ns = read_ns - scanned_ns - 1000.0 * (self._clock.shortest_delay_us or 0.0)
-        self._awaited = self.backlog = waited_ns > 1e9 * OLD_S and read_ns - self._begun_ns < 1e9 * ANY_S
+        self._awaited = self.backlog = (
+            waited_ns > 1e9 * MAX_START_DELAY_S and read_ns - self._begun_ns < 1e9 * OLD_FRAMES_S
+        )
         return self._awaited
 
 
-LEISURE_S: Final = 0.001
+LINE_REST_S: Final = 0.001
 """The line rests if nothing comes for so long; what was published has been handed over by then."""
 
-MOST_FRUITLESS: Final = 5
+MAX_GREETINGS: Final = 5
 """How often a device is greeted anew without a single frame of its configuration in between."""
 
 FIRST_AGAIN_S: Final = 0.1
@@ -300,7 +302,7 @@ class FrameSource:
         if payloads := self.deferred.payloads(self._device):
             return payloads
         if self._pipeline.has_leisure_work:
-            if payloads := self._device.payloads(LEISURE_S):
+            if payloads := self._device.payloads(LINE_REST_S):
                 return payloads
             self._pipeline.check_health()
         return [] if self._stopping else self._device.payloads(wait_s)  # what woke the moment's wait wakes no other
@@ -354,11 +356,11 @@ class FrameSource:
         """Greet the device anew, and let it start anew.
 
         Raises:
-            NotReady: It does not answer, or was greeted ``MOST_FRUITLESS`` times for nothing, and nobody waits longer.
+            NotReady: It does not answer, or was greeted ``MAX_GREETINGS`` times for nothing, and nobody waits longer.
             HandshakeError: It is another device, or measures in another way.
             PortLost: The port is gone.
         """
-        if self._fruitless >= MOST_FRUITLESS:
+        if self._fruitless >= MAX_GREETINGS:
             self._bear(NotReady(self._fruitless_text()))
         self._fruitless += 1
         while True:
@@ -404,7 +406,7 @@ class FrameSource:
         else:
             sent = "no frame"
         return (
-            f"{name} answers and acknowledges START, but sent {sent} after {MOST_FRUITLESS} attempts: power the device "
+            f"{name} answers and acknowledges START, but sent {sent} after {MAX_GREETINGS} attempts: power the device "
             "off and on; if that does not help, flash it"
         )
 
@@ -419,7 +421,7 @@ class FrameSource:
 CAPTURE_S: Final = 30.0
 """How long capturing a reference may take before it is given up, beyond what its frames take."""
 
-PLAIN: Final = Demand()
+FRAMES_ONLY: Final = Demand()
 """Frames, and no touches."""
 
 
@@ -552,7 +554,7 @@ class FrameLoop:
 
     def _hand_over(self, taker: Taker) -> None:
         """Give the taker what it asks for."""
-        asked: Demand = getattr(taker, "asked", PLAIN)
+        asked: Demand = getattr(taker, "asked", FRAMES_ONLY)
         if asked.touches or self._pipeline.record.touches is not None:
             self._look_for_touches(wanted=asked.touches)
         message = self._pack(short=taker.short, frames=asked.frames)

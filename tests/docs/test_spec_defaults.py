@@ -75,13 +75,13 @@ FRAMES = [
     f"A text has at most {frame.MAX_TEXT} characters and a list at most {frame.MAX_TEXTS}.",
     f"time at the end of {', '.join(f'`{name}`' for name in frame_record.STAGES)}",
     f"totals since the runtime started: {', '.join(f'`{name}`' for name in frame.COUNTS)}",
-    f"list of 1 to {regions.MOST} [int, int, int, int]",
+    f"list of 1 to {regions.MAX_REGIONS} [int, int, int, int]",
     f"{publish.QUEUE_FRAMES} frames at least (and up to {publish.MOST_WAITING}) wait for a subscriber at the runtime",
     f"all do at least every {stillness.REFRESH_FRAMES} frames",
     f"has a dV that is not finite or beyond {normaliser.LARGEST_CHANGE:.0e}".replace("+0", ""),
     "has no row that reaches a thousandth of its reference",
-    f"has the samples of one of the {intake.REMEMBERED} frames before",
-    f"they have moved unevenly: by more than {100 * drift.LEAST_UNEVEN:g} % rms",
+    f"has the samples of one of the {intake.REPEAT_FRAMES} frames before",
+    f"they have moved unevenly: by more than {100 * drift.MIN_UNEVEN:g} % rms",
 ]
 
 TOUCHES = [
@@ -118,7 +118,7 @@ CONTROL = [
     f"| reference | optional `frames`: int, {REFERENCE_FRAMES[0]} to {REFERENCE_FRAMES[1]}, by default "
     f"{captured.DEFAULT_FRAMES};",
     f"wait for frames / rate, and at most {frame_loop.CAPTURE_S:g} s beyond",
-    f"`electrodes`: list of at most {electrodes.MOST_OUT} ints, 0 to 15",
+    f"`electrodes`: list of at most {electrodes.MAX_OUT} ints, 0 to 15",
     f"{12 * PAPER.grid.n_pixels} bytes for the paper's skin",
     f"bin, {8 * N_ROWS} bytes each, float64 little-endian ({N_ROWS}) V",
 ]

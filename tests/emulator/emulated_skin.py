@@ -42,7 +42,7 @@ from eitskin_tools.flash import procedure
 from eitskin_tools.scripted_scene.script import prepare
 from eitskin_tools.virtual_skin.process import WIRE_CAPACITY, Noise, configuration_for
 from eitskin_tools.virtual_skin.pty import PtyPort
-from eitskin_tools.virtual_skin.server import LOOK_S, wire_times
+from eitskin_tools.virtual_skin.server import MAX_WAIT_S, wire_times
 
 LONGEST_S: Final = 60.0
 """Longer scripts are cut off; the board's memory holds 90 s at 200 frames/s."""
@@ -101,7 +101,7 @@ class Relay:
             port = self._port.fileno()
             heard = [port] if self._port.unsent else [port, self._board]
             full = [port] if self._port.unsent else []
-            rest_s = min((until_ns - now) * 1e-9, LOOK_S)
+            rest_s = min((until_ns - now) * 1e-9, MAX_WAIT_S)
             readable, writable, _ = select.select(heard, full, [], rest_s)
             if writable:
                 self._port.flush()

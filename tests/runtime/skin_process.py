@@ -81,7 +81,7 @@ def main(options):
         FOREIGN_ID if player.foreign else PROTOCOL_ID,
         options.get("first_us", 0),
     )
-    server.LATEST_NS = 10 * 10**9  # on a busy machine a scan comes late rather than never: loss is what tests inject
+    server.MAX_DELAY_NS = 10 * 10**9  # on a busy machine a scan comes late rather than never: loss is what tests inject
     port = PatientPort()
     device = VirtualDevice(source, configuration, perf_counter_ns(), identity)
     device.sequence = options.get("sequence", 0)

@@ -21,23 +21,23 @@ from eitskin_tools.console.terminal import StatusLine
 Array = npt.NDArray[np.float64]
 
 WINDOW: Final = 20
-LEAST: Final = 0.002
+MIN_CHANGE: Final = 0.002
 """Rms of a row's relative change beside the common one: a light press has about 0.01."""
 
-SURE: Final = 4.0
+MIN_CHANGE_SIGMAS: Final = 4.0
 """Changes are that many times what noise alone would make."""
 
-STILL: Final = 2.0
+MAX_SIGMAS: Final = 2.0
 """Halves of a window may differ by so many times their noise; rms over a hundred rows is known to a tenth."""
 
-CREEP: Final = 0.05
+MAX_CREEP: Final = 0.05
 """Of the change itself may still be on its way: soft sheets creep."""
 
-LOUD: Final = 0.05
+MAX_ROW_NOISE: Final = 0.05
 """Rows with more relative noise than that tell nothing."""
 
 
-class Watch:
+class FrameWindow:
     """The last frames of a skin."""
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class Watch:
             mean_V: (rows,) of it.
             noise_V: (rows,) standard deviation of a frame.
         """
-        self._reference, self._rows = mean_V, noise_V < LOUD * np.abs(mean_V)
+        self._reference, self._rows = mean_V, noise_V < MAX_ROW_NOISE * np.abs(mean_V)
 
     @property
     def last(self) -> Array:
@@ -84,7 +84,7 @@ class Watch:
         halves = (frames[: WINDOW // 2].mean(axis=0) - frames[WINDOW // 2 :].mean(axis=0))[rows] / scale[rows]
         noise = step_noise(frames)[rows] / scale[rows] * np.sqrt(4.0 / WINDOW)
         moved, expected = _rms(halves), _rms(noise)
-        return bool(moved <= STILL * expected + (CREEP * self.away if self._reference is not None else 0.0))
+        return bool(moved <= MAX_SIGMAS * expected + (MAX_CREEP * self.away if self._reference is not None else 0.0))
 
     @property
     def away(self) -> float:
@@ -100,7 +100,7 @@ class Watch:
         if self._reference is None or not self.full:
             return np.inf
         noise = step_noise(np.array(self._frames))[self._rows] / np.abs(self._reference[self._rows])
-        return max(LEAST, SURE * _rms(noise) / float(np.sqrt(len(self._frames))))
+        return max(MIN_CHANGE, MIN_CHANGE_SIGMAS * _rms(noise) / float(np.sqrt(len(self._frames))))
 
 
 def step_noise(frames: Array) -> Array:
@@ -118,9 +118,9 @@ LoadScan = Callable[[str], Array]
 SKIP: Final = "s"
 BACK: Final = "b"
 QUIT: Final = "q"
-WORDS: Final = f"{SKIP} skip, {BACK} back, {QUIT} quit"
+ANSWERS: Final = f"{SKIP} skip, {BACK} back, {QUIT} quit"
 
-RETURNED: Final = 0.25
+MAX_RESIDUAL: Final = 0.25
 """Share of a press that may stay: sheets keep a few percent for a while."""
 
 
@@ -168,7 +168,7 @@ class Plan:
 
 
 @dataclass(slots=True)
-class Found:
+class GuidedRecording:
     """What was recorded so far."""
 
     reference: Array | None = None
@@ -188,8 +188,8 @@ class Guide:
 
     def __init__(self, plan: Plan, frames: Iterator[Array], talk: Dialogue, load_scan: LoadScan) -> None:
         self._plan, self._frames, self._talk, self._load_scan = plan, frames, talk, load_scan
-        self._watch = Watch()
-        self._found = Found()
+        self._watch = FrameWindow()
+        self._found = GuidedRecording()
 
     def run(self) -> dict[str, Any]:
         """Go through all steps and return the arrays of ``docs/calibrate.md``.
@@ -220,8 +220,8 @@ class Guide:
 
     def _reference(self) -> str | None:
         how = "Lay the sheet flat" if self._plan.lying_mm is None else "Leave the sheet as it was scanned"
-        self._talk.tell(f"{how} and take your hands off. ({WORDS})")
-        self._watch = Watch()
+        self._talk.tell(f"{how} and take your hands off. ({ANSWERS})")
+        self._watch = FrameWindow()
         frames, word = self._taken(self._plan.reference_frames, lambda: True)
         if word == SKIP:
             self._talk.tell("the reference cannot be skipped: everything is held against it")
@@ -234,7 +234,7 @@ class Guide:
 
     def _bend(self, number: int) -> str | None:
         of = f"Bend {number + 1} of {self._plan.bends}"
-        self._talk.tell(f"{of}: bend the sheet without touching its surface, hold it still, and scan it. ({WORDS})")
+        self._talk.tell(f"{of}: bend the sheet without touching its surface, hold it still, and scan it. ({ANSWERS})")
         word = self._until(lambda: self._watch.steady and self._watch.away > self._watch.floor)
         if word:
             return word
@@ -264,7 +264,7 @@ class Guide:
         x, y = self._plan.places_mm[number]
         of = f"Press {number + 1} of {len(self._plan.places_mm)}"
         how = "flat" if self._plan.lying_mm is None else "as it was scanned first,"
-        self._talk.tell(f"{of}: the sheet {how} and free. ({WORDS})")
+        self._talk.tell(f"{of}: the sheet {how} and free. ({ANSWERS})")
         word = self._until(lambda: self._watch.steady and self._watch.away <= self._watch.floor)
         if word:
             return word
@@ -275,7 +275,7 @@ class Guide:
         size = self._watch.away
         self._talk.tell(f"press {number + 1}: changed by {size:.1%}. Let go")
         word = self._until(
-            lambda: self._watch.full and self._watch.away <= max(self._watch.floor, RETURNED * size), new=True
+            lambda: self._watch.full and self._watch.away <= max(self._watch.floor, MAX_RESIDUAL * size), new=True
         )
         if word is None:
             self._found.presses[number] = frames.mean(axis=0)
@@ -321,7 +321,7 @@ class Guide:
                 typed.append(word)
                 return None
             if word:
-                self._talk.tell(f"{word!r} is no answer here: {WORDS}")
+                self._talk.tell(f"{word!r} is no answer here: {ANSWERS}")
             if reached():
                 return None
         raise GuideError("no more frames come from the skin; nothing was written; look at it with 'eitskin doctor'")
@@ -346,7 +346,7 @@ class Guide:
         return arrays
 
 
-LONGEST: Final = 4096
+MAX_LINE_BYTES: Final = 4096
 """Bytes of a line that are kept."""
 
 
@@ -370,9 +370,9 @@ class Terminal:
     def answer(self) -> str | None:
         """Return a line that was typed, or None."""
         while self._open and select.select([self._input], [], [], 0.0)[0]:
-            more = os.read(self._input, LONGEST)
+            more = os.read(self._input, MAX_LINE_BYTES)
             self._open = bool(more)
-            self._typed = (self._typed + more)[-LONGEST:]
+            self._typed = (self._typed + more)[-MAX_LINE_BYTES:]
         line, end, rest = self._typed.partition(b"\n")
         if not end and (self._open or not line):
             return None
@@ -389,10 +389,10 @@ class Terminal:
         self._line.end()
 
 
-PATIENCE_S: Final = 10.0
+FRAME_TIMEOUT_S: Final = 10.0
 """Without a whole frame for so long, the line is taken for silent."""
 
-UNFIT: Final = 100
+MAX_UNFIT_FRAMES: Final = 100
 """Frames in a row that cannot be used: then none will come."""
 
 
@@ -405,7 +405,7 @@ def frames_of(device: Any) -> Iterator[npt.NDArray[np.float64]]:
         device: It streams.
 
     Raises:
-        GuideError: ``UNFIT`` frames in a row cannot be used.
+        GuideError: ``MAX_UNFIT_FRAMES`` frames in a row cannot be used.
     """
     from eitskin.acquisition.capture import whole_frames
     from eitskin.reference.front_end import stuck
@@ -415,12 +415,12 @@ def frames_of(device: Any) -> Iterator[npt.NDArray[np.float64]]:
     came, unfit = True, 0
     while came:
         came = False
-        for view in whole_frames(device, time.perf_counter() + PATIENCE_S):
+        for view in whole_frames(device, time.perf_counter() + FRAME_TIMEOUT_S):
             came = True
             normaliser.load(view.counts)
             reason = "rows are cut off" if view.saturation else stuck(normaliser.counts)
             unfit = unfit + 1 if reason else 0
-            if unfit >= UNFIT:
+            if unfit >= MAX_UNFIT_FRAMES:
                 raise GuideError(
                     f"the last {unfit} frames cannot be used: {reason}; check the current and the gain of the "
                     "configuration with 'eitskin flash'"

@@ -21,10 +21,10 @@ from eitskin_proto.files.writing import replacing
 GAP: Final = 4
 """Characters between two maps side by side."""
 
-LEAST_COLUMNS: Final = 24
+MIN_COLUMNS: Final = 24
 """A narrower map shows nothing of a touch any more."""
 
-MOST_TIMES: Final = 4
+MAX_ZOOM: Final = 4
 """A pixel is enlarged to at most so many characters across."""
 
 
@@ -56,7 +56,7 @@ def arrange(width: int, height: int, shape: tuple[int, int], *, truth: bool) -> 
         return Layout(*alone, "alone")
     beside = _largest((width - GAP) // 2, height - 1, shape)
     below = _largest(width, (height - 2) // 2, shape)
-    if max(beside[0], below[0]) < LEAST_COLUMNS:
+    if max(beside[0], below[0]) < MIN_COLUMNS:
         return Layout(*alone, "alone", left_out=True)
     return Layout(*below, "below") if below[0] > beside[0] else Layout(*beside, "beside")
 
@@ -64,7 +64,7 @@ def arrange(width: int, height: int, shape: tuple[int, int], *, truth: bool) -> 
 def _largest(width: int, lines: int, shape: tuple[int, int]) -> tuple[int, int]:
     """Return (columns, lines) of the largest map in a box, at least 2 by 1."""
     rows, columns = shape
-    times = min(width // columns, 2 * lines // (rows + rows % 2), MOST_TIMES)
+    times = min(width // columns, 2 * lines // (rows + rows % 2), MAX_ZOOM)
     if times >= 1:
         return times * columns, -(-times * rows // 2)
     share = min(width / columns, 2 * lines / rows)
@@ -92,7 +92,7 @@ _STOPS: Final = np.array(
     [[13, 16, 42], [47, 42, 118], [126, 48, 140], [204, 71, 120], [248, 149, 64], [252, 253, 191]], dtype=np.float64
 )
 
-LEFT_OUT: Final = "truth left out; make this 80 x 24"
+TRUTH_LEFT_OUT: Final = "truth left out; make this 80 x 24"
 """What a terminal says that is too small for both maps."""
 
 LEVELS: Final = 32
@@ -223,7 +223,7 @@ class Painter:
         above, below = _wrapped([title], width), _wrapped(footer, width)
         layout = arrange(width, height - len(above) - len(below), image.shape, truth=truth is not None)
         if layout.left_out:  # texts get a line each, so that the map keeps the rest
-            above, below = [title[:width]], [line[:width] for line in (LEFT_OUT, *footer)]
+            above, below = [title[:width]], [line[:width] for line in (TRUTH_LEFT_OUT, *footer)]
             layout = arrange(width, height - len(above) - len(below), image.shape, truth=False)
         maps = self._maps(layout, image, truth)
         spare = height - len(above) - len(maps) - len(below)

@@ -19,7 +19,7 @@ VOLTS_PER_COUNT: Final = (1e-15, 1e3)
 RATE_MHZ: Final = (100, 100_000_000)
 """Least and most, in thousandths of a hertz: one frame in 10 s, and 100,000 a second."""
 
-KEPT: Final = ("volts_per_count", "rows", "sample_bytes", "drives", "idle_drives", "rate_mHz")
+FIXED_FIELDS: Final = ("volts_per_count", "rows", "sample_bytes", "drives", "idle_drives", "rate_mHz")
 """What belongs to a configuration, or to the electronics: a device that is greeted anew must not change it."""
 
 
@@ -89,7 +89,7 @@ def check_same(known: Hello, found: Hello, port: str) -> None:
             f"{port}: the configuration is now {found.configuration_name}/{found.configuration_digest:08x}, expected "
             f"{known.configuration_name}/{known.configuration_digest:08x}; {remedy}"
         )
-    for name in KEPT:
+    for name in FIXED_FIELDS:
         before, now = getattr(known, name), getattr(found, name)
         if before != now:
             raise HandshakeError(

@@ -25,7 +25,7 @@ MUCH_PERCENT: Final = 8.0
 UNEVEN_PERCENT: Final = 1.0
 """Rms of what is not common; 3 to 4 % of a press stays for a while, which is less."""
 
-LOUD: Final = 0.05
+MAX_ROW_NOISE: Final = 0.05
 """Rows whose frames have more relative noise tell nothing."""
 
 FEWEST_ROWS: Final = N_ROWS // 2
@@ -46,7 +46,7 @@ def drift_since(voltages_V: Array, reference: Reference) -> dict[str, Any]:
     mean, noise = voltages_V.mean(axis=0), voltages_V.std(axis=0, ddof=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = mean / base
-        loud = np.maximum(noise / np.abs(mean), spread / np.abs(base)) > LOUD
+        loud = np.maximum(noise / np.abs(mean), spread / np.abs(base)) > MAX_ROW_NOISE
     usable = np.isfinite(ratio) & (ratio > 0.0) & ~loud
     if usable.sum() < FEWEST_ROWS:
         raise BadReference(

@@ -5,13 +5,13 @@ rms. What a touch cannot do is move all rows *alike*: the uneven part of each to
 bent sheets, is at least its common part (1.05 times; ``tests/runtime/health/test_drift_and_touches.py``). So with
 d = l - b, what the mean of some frames has moved against the untouched sheet::
 
-    c = sum w d        e = d - c        still:  chi2(e) <= LIMIT,  or  rms(e) <= PART |c|  and small
+    c = sum w d        e = d - c        still:  chi2(e) <= MAX_CHI2,  or  rms(e) <= MAX_UNEVEN_RATIO |c|  and small
 
 A sheet that was untouched and has been still ever since is untouched. A common change is then taken over at once where
-rms(e) <= PART |c|, and the rest of d with a time constant of ``FOLLOWS`` frames, so that a touch which comes on within
-minutes is seen before it is learned. Whatever else moves the sheet, a touch or a bend, *leaves* the untouched state:
-nothing is followed, for hours if need be, until the sheet is still against b again. What a press leaves behind is a
-small share of its own pattern p, and no touch elsewhere is::
+rms(e) <= MAX_UNEVEN_RATIO |c|, and the rest of d with a time constant of ``UNEVEN_FRAMES`` frames, so that a touch
+which comes on within minutes is seen before it is learned. Whatever else moves the sheet, a touch or a bend, *leaves*
+the untouched state: nothing is followed, for hours if need be, until the sheet is still against b again. What a press
+leaves behind is a small share of its own pattern p, and no touch elsewhere is::
 
     d = c + k p + e,   |k| <= AFTER_EFFECT,   the gate says untouched
 """
@@ -26,20 +26,20 @@ from eitskin_proto.sensor.table import N_ROWS
 
 Array = npt.NDArray[np.float64]
 
-PART: Final = 0.25
+MAX_UNEVEN_RATIO: Final = 0.25
 """Uneven part of a change over its common part, up to which it is no touch: a quarter of what touches have."""
 
-LIMIT: Final = 1.0 + 5.0 * np.sqrt(2.0 / N_ROWS)
+MAX_CHI2: Final = 1.0 + 5.0 * np.sqrt(2.0 / N_ROWS)
 """Mean square of e over its noise: five standard deviations above 1."""
 
-SEEN: Final = 0.0005
+MEAN_NOISE: Final = 0.0005
 """Relative noise that the running mean of the last looks is to have, so that a touch of ten times that is seen."""
 
-FEWEST: Final = 180
-MOST: Final = 10_000
+MIN_FRAMES: Final = 180
+MAX_FRAMES: Final = 10_000
 """Frames that the running mean is of, at least and at most: one second at 200 frames/s, and 50."""
 
-FOLLOWS: Final = 2000.0
+UNEVEN_FRAMES: Final = 2000.0
 """Frames in which a still sheet's uneven part is followed, at least: ten seconds at 200 frames/s."""
 
 AFTER_EFFECT: Final = 0.08
@@ -51,16 +51,16 @@ UNEVEN_STEP: Final = 0.0007
 UNEVEN_WALK: Final = 2e-10
 """Variance a frame that it gains besides: a fifth of the common part's."""
 
-MOST_UNEVEN: Final = 0.002
+MAX_UNEVEN: Final = 0.002
 """Rms by which a sheet may come back unlike itself: less than half of the weakest touch that must stay one."""
 
-RETURNED: Final = 0.2
+MAX_DIFFERENCE_AT_RETURN: Final = 0.2
 """Share of the farthest it was that it may be unlike itself then: what creeps away has not come back."""
 
 CREEP_WALK: Final = 2e-11
 """Variance a frame by which it may be unlike itself all the same, after it left without ever having been far."""
 
-MOST_CREEP: Final = 0.001
+MAX_CREEP: Final = 0.001
 """Rms of that: a quarter of the uneven part of the weakest touch that must stay one."""
 
 LEAST_SIGMA: Final = 1e-4
@@ -87,12 +87,12 @@ class Split:
     @property
     def still(self) -> bool:
         """Whether no touch did it, as far as noise lets one see."""
-        return self.chi <= LIMIT or self.even
+        return self.chi <= MAX_CHI2 or self.even
 
     @property
     def even(self) -> bool:
         """Whether it is so even that neither a touch nor a bend did it, noise or not."""
-        return bool(self.rms <= min(PART * abs(self.common), LIMIT * self.noise + MOST_UNEVEN))
+        return bool(self.rms <= min(MAX_UNEVEN_RATIO * abs(self.common), MAX_CHI2 * self.noise + MAX_UNEVEN))
 
 
 class UntouchedBaseline:
@@ -128,7 +128,7 @@ class UntouchedBaseline:
         self.left, self.after_effect = 0, 0.0
         self.steady = 0
         noise = float(np.sqrt(np.mean(np.minimum(self._variance, EVEN_SIGMA**2 * 9))))
-        self.span = int(np.clip((noise / SEEN) ** 2, FEWEST, MOST))
+        self.span = int(np.clip((noise / MEAN_NOISE) ** 2, MIN_FRAMES, MAX_FRAMES))
         self._used, self._new = np.ones(N_ROWS, dtype=np.bool_), np.zeros(N_ROWS, dtype=np.bool_)
         self._weigh()
 
@@ -232,7 +232,7 @@ class UntouchedBaseline:
         """Let the untouched sheet be what the running mean says, at once as far as that is common."""
         if long.even:
             self.base = self.base + long.common
-        part = min(frames / max(FOLLOWS, 8.0 * self.span), 1.0)
+        part = min(frames / max(UNEVEN_FRAMES, 8.0 * self.span), 1.0)
         self.base = self.base + part * (self._slow - self.base)
         if self._new.any() and self.steady >= self.span:
             self.base[self._new] = self._slow[self._new]
@@ -249,13 +249,13 @@ class UntouchedBaseline:
             return
         share = self._slow_share + self._base_share
         now = self.split(self._slow - self.base, share)
-        allowed = MOST_UNEVEN**2
+        allowed = MAX_UNEVEN**2
         if self._known_once:
             allowed = min(UNEVEN_STEP**2 + UNEVEN_WALK * self.left, allowed)
-        returned = min(allowed, RETURNED**2 * self._square(self._peak))
-        crept = min(CREEP_WALK * self.left, MOST_CREEP**2)
+        returned = min(allowed, MAX_DIFFERENCE_AT_RETURN**2 * self._square(self._peak))
+        crept = min(CREEP_WALK * self.left, MAX_CREEP**2)
         press = max(self._press, self._peak, key=self._square)
-        if now.chi <= LIMIT:  # an even change proves nothing here: drift adds up while something else lies there
+        if now.chi <= MAX_CHI2:  # an even change proves nothing here: drift adds up while something lies there
             self.base = self.base + now.common
         elif touched:
             return

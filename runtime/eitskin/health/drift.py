@@ -3,20 +3,20 @@
 What is followed is taken out of the frames, and of two kinds. The sheet that is known to be untouched is followed from
 look to look (:mod:`eitskin.health.baseline`), from the moment of a reference that was taken just now: common drift,
 uneven drift and after-effects of presses. And where a scan says what the shape does, a common factor c of at least
-``LEAST`` is taken over from the untouched sheet's Gaussian (:mod:`eitskin.health.untouched`), once the frames have
-rested for ``HOLD``, and if the scan explains the rest to D <= ``CLEAN``: no touch of 16 to 25 mm within that, of
-contrast up to 0.6 or from 2, has a common part of ``LEAST``. So no scan takes such a touch out; of fainter ones, 0.85
-or 1.2, up to 4 % may be taken for drift where the bundle's Gaussian allows for random devices. Otherwise what was found
-stays, for as long as it lasts, and its standard deviation grows by that of real sheets ::
+``MIN_COMMON`` is taken over from the untouched sheet's Gaussian (:mod:`eitskin.health.untouched`), once the frames have
+rested for ``REST_FRAMES``, and if the scan explains the rest to D <= ``MAX_SCAN_D``: no touch of 16 to 25 mm within
+that, of contrast up to 0.6 or from 2, has a common part of ``MIN_COMMON``. So no scan takes such a touch out; of
+fainter ones, 0.85 or 1.2, up to 4 % may be taken for drift where the bundle's Gaussian allows for random devices.
+Otherwise what was found stays, for as long as it lasts, and its standard deviation grows by that of real sheets ::
 
     frame = (1 + dV) exp(-drift) - 1          drift (104,) in log
 
 A reference from a file says nothing of what the sheet did since: nothing is taken out before the sheet was seen to read
 like it, but for a common factor, or a scan was. Until then the Gaussian's c is what is reported, with its error: half a
 percent with a cloud, a tenth without, since a stretch that is the same in every direction looks just like it. Before
-that, and where nothing explains the frames, it is what may be expected of any sheet: none, give or take ``PRIOR``.
-Untouched by the gate, and yet beyond ``UNEVEN`` times the limit of D for ``HOLD`` frames, the reference is called
-``uneven``.
+that, and where nothing explains the frames, it is what may be expected of any sheet: none, give or take ``FILE_PRIOR``.
+Untouched by the gate, and yet beyond ``UNEVEN_FACTOR`` times the limit of D for ``REST_FRAMES`` frames, the reference
+is called ``uneven``.
 """
 
 import math
@@ -30,40 +30,40 @@ from eitskin.health.imputation import Array, Consistency
 from eitskin.health.untouched import Untouched
 from eitskin_proto.sensor.table import N_ROWS
 
-HOLD: Final = 400
+REST_FRAMES: Final = 400
 """Frames at rest before a scan is believed, or drift reported by it: two seconds at 200 frames/s."""
 
-CLEAN: Final = 0.7
+MAX_SCAN_D: Final = 0.7
 """D of a scan that explains the sheet; of sheets as modelled nine in ten are below, of touches those of 1 % rms."""
 
-UNEVEN: Final = 2.0
+UNEVEN_FACTOR: Final = 2.0
 """Times the limit: one in nine bends of family B, whose clouds tell less than A's, lies between once and 1.7 times."""
 
-SIGMAS: Final = 3.0
-"""Drift is an event above so many of its standard deviations, and above ``LEAST``."""
+EVENT_SIGMAS: Final = 3.0
+"""Drift is an event above so many of its standard deviations, and above ``MIN_COMMON``."""
 
-LEAST: Final = 0.02
+MIN_COMMON: Final = 0.02
 """Smallest common drift worth an event, and the smallest that is taken over from a scan, in log."""
 
-LEAST_UNEVEN: Final = 0.01
+MIN_UNEVEN: Final = 0.01
 """Smallest uneven drift worth an event: rms, in log."""
 
-WALK: Final = 1e-9
+COMMON_WALK: Final = 1e-9
 """Variance of common drift a frame: 0.1 % a press and a press in five seconds, at 200 frames/s."""
 
-PRIOR: Final = 0.1
+FILE_PRIOR: Final = 0.1
 """Standard deviation of what a sheet may have drifted since a reference that comes from a file."""
 
-EXPECTED_PERCENT: Final = (0.0, 100.0 * PRIOR)
+EXPECTED_PERCENT: Final = (0.0, 100.0 * FILE_PRIOR)
 """Drift and its standard deviation before a frame has told anything."""
 
-TRACKED: Final = 5e-4
+CAPTURE_PRIOR: Final = 5e-4
 """Standard deviation of what is followed from the reference on."""
 
-FEW: Final = 30
-"""Frames of a reference whose spread is not believed below ``USUAL``."""
+FEW_FRAMES: Final = 30
+"""Frames of a reference whose spread is not believed below ``USUAL_SPREAD``."""
 
-USUAL: Final = 0.005
+USUAL_SPREAD: Final = 0.005
 """Relative."""
 
 _ONE: Final = np.ones((), dtype=np.float32)
@@ -93,7 +93,7 @@ class Drift:
         the last is not a number while unknown."""
         self.distance = (self.percent, self.sigma_percent, self.uneven_percent)
         """All three, for a frame."""
-        self.restart(np.full(N_ROWS, USUAL), 100)
+        self.restart(np.full(N_ROWS, USUAL_SPREAD), 100)
 
     def restart(self, sigma: Array, frames: int, *, fresh: bool = False) -> None:
         """Forget everything: there is a new reference.
@@ -103,11 +103,11 @@ class Drift:
             frames: Of which it is the mean.
             fresh: It was taken of the sheet as it is now, not read from a file.
         """
-        believed = sigma if frames >= FEW else np.maximum(sigma, USUAL)
+        believed = sigma if frames >= FEW_FRAMES else np.maximum(sigma, USUAL_SPREAD)
         self.resting.start(believed, frames, known=fresh)
         self._followed = fresh
-        self._variance = TRACKED**2 if fresh else PRIOR**2
-        self._scene_variance = TRACKED**2
+        self._variance = CAPTURE_PRIOR**2 if fresh else FILE_PRIOR**2
+        self._scene_variance = CAPTURE_PRIOR**2
         self._fresh_scan = True
         self._strange = 0
         self.uneven = self._told = self._told_uneven = False
@@ -194,10 +194,10 @@ class Drift:
             self._followed = True
             self._variance = self._scene_variance
         elif self._followed:
-            self._variance = (self._scene_variance if was_known else self._variance) + WALK * frames
+            self._variance = (self._scene_variance if was_known else self._variance) + COMMON_WALK * frames
         model = self._models[bool(self._scan.any())]
         more, distance = model.estimate(resting.mean - self._scan - resting.drift)
-        rested = resting.steady >= max(HOLD, resting.span)
+        rested = resting.steady >= max(REST_FRAMES, resting.span)
         if rested and self._fresh_scan and self._scan.any() and not resting.known:
             self._enter(more, distance, model.sigma, touched=touched)
         self._count_strange(frames, distance, model, touched=touched)
@@ -208,8 +208,8 @@ class Drift:
 
     def _enter(self, more: float, distance: float, sigma: float, *, touched: bool) -> None:
         """Go on from the sheet as it lies if its scan explains it, and take its common factor over if that is large."""
-        clear = abs(more) >= LEAST
-        if distance > CLEAN or more**2 > 16.0 * (self._variance + sigma**2) or (touched and not clear):
+        clear = abs(more) >= MIN_COMMON
+        if distance > MAX_SCAN_D or more**2 > 16.0 * (self._variance + sigma**2) or (touched and not clear):
             return
         if not (clear or self._followed):
             return  # too little to be told from a touch, and nothing before it
@@ -219,9 +219,9 @@ class Drift:
 
     def _count_strange(self, frames: int, distance: float, model: Untouched, *, touched: bool) -> None:
         """Count frames that fit no untouched sheet, though the gate says untouched and a scan what the shape does."""
-        far = distance > UNEVEN * model.limit and model is self._models[1] and not touched
+        far = distance > UNEVEN_FACTOR * model.limit and model is self._models[1] and not touched
         self._strange = self._strange + frames if far else 0
-        self.uneven = self._strange >= HOLD
+        self.uneven = self._strange >= REST_FRAMES
         if self.uneven and not self._followed:
             self.percent, self.sigma_percent = EXPECTED_PERCENT
 
@@ -244,8 +244,8 @@ class Drift:
 
     def _news(self) -> tuple[str, ...]:
         """Return the events of drift, or of its unevenness, that is above what is worth one and was not before."""
-        told = abs(self.percent) > 100.0 * LEAST and abs(self.percent) > SIGMAS * self.sigma_percent
-        self.uneven = self.uneven or self.uneven_percent > 100.0 * LEAST_UNEVEN
+        told = abs(self.percent) > 100.0 * MIN_COMMON and abs(self.percent) > EVENT_SIGMAS * self.sigma_percent
+        self.uneven = self.uneven or self.uneven_percent > 100.0 * MIN_UNEVEN
         events: tuple[str, ...] = ()
         if told and not self._told:
             events = (f"drift:{self.percent:+.0f}%",)

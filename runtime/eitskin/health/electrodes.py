@@ -2,7 +2,7 @@
 
 Each electrode has 26 of the 104 rows, and the others say what those should be (:mod:`eitskin.health.imputation`). What
 a frame says of each is in :mod:`eitskin.health.evidence`: surprise, silence, reversal, jumps. All of it is counted:
-``NEEDED`` of the last ``WINDOW`` frames must agree. What then explains the frame best
+``AGREEING_FRAMES`` of the last ``WINDOW`` frames must agree. What then explains the frame best
 (:mod:`eitskin.health.explanation`) is what is reported.
 
 An electrode is taken back after ``HEALTHY`` frames in a row without any of this. Nothing here is in a frame's way: a
@@ -25,13 +25,13 @@ from eitskin_proto.sensor.table import N_ELECTRODES
 WINDOW: Final = 14
 """Frames over which evidence is counted."""
 
-NEEDED: Final = 10
+AGREEING_FRAMES: Final = 10
 """Frames of them that must agree: a failure is named 10 to 14 frames after it began."""
 
 HEALTHY: Final = 200
 """Frames in a row without evidence after which an electrode is used again: one second at 200 frames/s."""
 
-MOST_OUT: Final = 4
+MAX_OUT: Final = 4
 """Electrodes that may be out at a time; with fewer than twelve left nothing is filled in that deserves the name."""
 
 USUAL_NOISE: Final = 0.005
@@ -129,15 +129,15 @@ class ElectrodeWatch:
         Raises:
             ValueError: One does not exist, or there are too many.
         """
-        if len(set(electrodes)) > MOST_OUT or any(not 0 <= electrode < N_ELECTRODES for electrode in electrodes):
-            raise ValueError(f"electrodes {electrodes} to exclude; expected at most {MOST_OUT}, from 0 to 15")
+        if len(set(electrodes)) > MAX_OUT or any(not 0 <= electrode < N_ELECTRODES for electrode in electrodes):
+            raise ValueError(f"electrodes {electrodes} to exclude; expected at most {MAX_OUT}, from 0 to 15")
 
     def give_up(self, electrode: int) -> bool:
         """Leave an electrode out because it is not reciprocal, and return whether it is, now, for that reason.
 
-        What 104 rows say of an electrode goes before; and no more than ``MOST_OUT`` are left out.
+        What 104 rows say of an electrode goes before; and no more than ``MAX_OUT`` are left out.
         """
-        if len(self.findings) >= MOST_OUT or any(finding.electrode == electrode for finding in self.findings):
+        if len(self.findings) >= MAX_OUT or any(finding.electrode == electrode for finding in self.findings):
             return False
         self.set_findings((*self.findings, Finding(electrode, NOT_RECIPROCAL)))
         return True
@@ -199,7 +199,7 @@ class ElectrodeWatch:
             return changed
         counts = self._history.sum(axis=0)
         self._suspected = bool(counts.any())
-        if counts.max() < NEEDED:
+        if counts.max() < AGREEING_FRAMES:
             self.unclear = self.unclear and bool(counts[WHOLE])
             return changed
         return self._judge(counts, change) or changed
@@ -212,11 +212,11 @@ class ElectrodeWatch:
     def _judge(self, counts: npt.NDArray[np.intp], change: npt.NDArray[np.float32]) -> bool:
         """Say what explains the frame best, and act on it."""
         out = {finding.electrode for finding in self.findings}
-        jumping = [int(e) for e in np.flatnonzero(counts[JUMPING] >= NEEDED // 2) if int(e) not in out]
+        jumping = [int(e) for e in np.flatnonzero(counts[JUMPING] >= AGREEING_FRAMES // 2) if int(e) not in out]
         shorted = self.evidence.pair_ratio < SHORTED_RATIO
         pair = int(np.argmax(counts[PAIR_WRONG]))
         found: tuple[Finding, ...] = ()
-        if counts[PAIR_WRONG][pair] >= NEEDED and shorted[pair]:
+        if counts[PAIR_WRONG][pair] >= AGREEING_FRAMES and shorted[pair]:
             found = self._explanation.shorted_or_detached(pair, change)
         elif jumping:
             found = (Finding(max(jumping, key=lambda e: counts[JUMPING][e]), "noisy"),)
@@ -224,7 +224,7 @@ class ElectrodeWatch:
             found = self._explanation.most_likely(change, self.evidence.surprise, swapped=self.rearranged is not None)
         found = tuple(finding for finding in found if finding.electrode not in out)
         self._history[:] = False
-        if not found or len(out) + len(found) > MOST_OUT:
+        if not found or len(out) + len(found) > MAX_OUT:
             self.unclear = True
             self._pause = WINDOW
             return False

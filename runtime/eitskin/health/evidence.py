@@ -21,7 +21,7 @@ from eitskin.health.imputation import Array
 from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS, TABLE
 
-FREEDOM: Final = 2.0
+DEGREES_OF_FREEDOM: Final = 2.0
 """Of the t distribution whose conditional gives the surprise: touches are far more varied than a Gaussian allows."""
 
 SHORTED_RATIO: Final = 0.01
@@ -33,19 +33,19 @@ OPEN_RATIO: Final = 0.05
 REVERSED_RATIO: Final = -0.2
 """A pair whose rows, weighted by their size, read less than this is reversed; a sheet never reads below 0."""
 
-JUMP: Final = 4.0
+JUMP_SIGMAS: Final = 4.0
 """Standard deviations of a row's second difference that count as a jump."""
 
 JUMPING_ROWS: Final = 6
 """Rows of a pair's 13 that must jump at once: a loose contact's pair, in half of its draws or more."""
 
-ELSEWHERE: Final = 0.2
+MAX_OTHER_SHARE: Final = 0.2
 """Share of the other electrodes' rows that may jump as well."""
 
 OWN_ROWS: Final = 26
 """Rows of the table that drive or measure at one electrode."""
 
-_SCALE: Final = FREEDOM + N_ROWS - OWN_ROWS
+_SCALE: Final = DEGREES_OF_FREEDOM + N_ROWS - OWN_ROWS
 
 PAIR_WRONG, JUMPING, WHOLE = slice(16, 32), slice(32, 48), 48
 """Columns of the votes behind those of 16 surprising electrodes: pairs (e, e + 1), electrodes, and the whole frame."""
@@ -111,7 +111,7 @@ class Weigher:
         self._low_high = (float(ratio_range[0]) - 1.0, float(ratio_range[1]) - 1.0)
         self._thresholds = (float(thresholds[0]), float(thresholds[1]))
         # D_e is never more than D, so a frame with a D below this surprises nowhere; 1 % is for rounding
-        self._harmless = 0.99 * self._thresholds[0] * OWN_ROWS * FREEDOM / _SCALE
+        self._harmless = 0.99 * self._thresholds[0] * OWN_ROWS * DEGREES_OF_FREEDOM / _SCALE
         self.of = _rows_of_each()
         """(16, 26) rows of each electrode."""
         self._inner = np.linalg.inv(precision[self.of[:, :, None], self.of[:, None, :]])
@@ -124,7 +124,7 @@ class Weigher:
             members[rows, electrode] = 1.0
         self._pairs = pairs.sum(axis=1)  # (16,) rows of each pair
         self._members = np.concatenate([pairs.T, members, np.ones((N_ROWS, 1))], axis=1)  # (104, 33)
-        self._jump = JUMP * np.sqrt(6.0) * sigma  # a second difference has six times the variance
+        self._jump = JUMP_SIGMAS * np.sqrt(6.0) * sigma  # a second difference has six times the variance
         self._before = np.zeros((2, N_ROWS))
         self._seen = 0
         nothing = np.zeros((1, N_ELECTRODES))
@@ -171,7 +171,7 @@ class Weigher:
             sums = jumps @ self._members
             of_pair, own, every = sums[:, :16], sums[:, 16:32], sums[:, 32:]
             both = np.minimum(of_pair, of_pair[:, _BEFORE]) >= JUMPING_ROWS  # pairs e - 1 and e
-            votes[:, JUMPING] = both & (every - own <= ELSEWHERE * (N_ROWS - OWN_ROWS))
+            votes[:, JUMPING] = both & (every - own <= MAX_OTHER_SHARE * (N_ROWS - OWN_ROWS))
         if not largest <= self._thresholds[1] * N_ROWS:
             votes[:, WHOLE] = found.total / N_ROWS > self._thresholds[1]
         return votes
@@ -193,7 +193,7 @@ class Weigher:
         part = np.take(scores.T, self.of, axis=0)  # (16, 26, n)
         own = np.einsum("ern,ern->ne", np.matmul(self._inner, part), part)
         rest = np.maximum(total[:, None] - own, 0.0)
-        return np.asarray(own * (_SCALE / OWN_ROWS) / (rest + FREEDOM))
+        return np.asarray(own * (_SCALE / OWN_ROWS) / (rest + DEGREES_OF_FREEDOM))
 
     def scores(self, change: npt.NDArray[np.floating]) -> tuple[Array, Array]:
         """Return (n, 104) y and l - mean of (n, 104) dV."""

@@ -24,14 +24,14 @@ from eitskin.model.bundle import Bundle
 from eitskin.model.gate import Gate
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
 
-TOGETHER: Final = 5
+BATCH_FRAMES: Final = 5
 """Frames whose electrodes are looked at together: a failure is named at most 4 frames later than by looking at each."""
 
-MOST_TOGETHER: Final = TOGETHER + 1
+MAX_BATCH: Final = BATCH_FRAMES + 1
 """The line may never rest: so many frames are looked at in any case."""
 
 DRIFT_TOGETHER: Final = 24
-"""The same for drift, which moves in minutes; a multiple of ``MOST_TOGETHER``."""
+"""The same for drift, which moves in minutes; a multiple of ``MAX_BATCH``."""
 
 
 class Health:
@@ -49,7 +49,7 @@ class Health:
         self._consistency = consistency
         self._lock = threading.Lock()
         self._wanted: tuple[int, ...] | None = None
-        self._raw = np.zeros((MOST_TOGETHER, N_ROWS), dtype=np.float32)
+        self._raw = np.zeros((MAX_BATCH, N_ROWS), dtype=np.float32)
         self._waiting = 0
         """Frames of ``_raw`` that were published and not yet looked at."""
         self._followed = np.zeros((DRIFT_TOGETHER, N_ROWS), dtype=np.float32)
@@ -156,13 +156,13 @@ class Health:
             self._count_reciprocal()
         self._waiting += 1
         self._touched += touched
-        return self._waiting == MOST_TOGETHER
+        return self._waiting == MAX_BATCH
 
     @property
     def due(self) -> bool:
         """Whether enough frames wait, or the gate's threshold is to be set, or somebody wants electrodes left out."""
         calibrating = self.gate_without_rows is not None and self.gate_without_rows.due
-        return self._waiting >= TOGETHER or self._wanted is not None or calibrating
+        return self._waiting >= BATCH_FRAMES or self._wanted is not None or calibrating
 
     def examine(self, predicted: npt.NDArray[np.float32]) -> bool:
         """Look at the frames that wait, and return whether other rows are missing from now on.
@@ -227,7 +227,7 @@ class Health:
         end = self._following + len(change)
         self._followed[self._following : end] = change
         self._following = end
-        if end + MOST_TOGETHER <= DRIFT_TOGETHER:
+        if end + MAX_BATCH <= DRIFT_TOGETHER:
             return
         touched, self._following, self._touched = 2 * self._touched > end, 0, 0
         self._tell(self.drift.update(self._followed[:end], predicted, touched=touched))

@@ -6,7 +6,7 @@ it should, or a wire that reads less than it should, makes them differ in all 13
     gap of a row = |mean(V_km - V_mk)| / mean(|V_km| + |V_mk|)        of a pair: the median of its 13 rows
     gap of an electrode = the smaller one of its two pairs, since a neighbour has one bad pair too
 
-Means run over ``AVERAGED`` frames, so that neither noise nor a quick touch, which changes between the two readings,
+Means run over ``MEAN_FRAMES`` frames, so that neither noise nor a quick touch, which changes between the two readings,
 looks like a failure. This sees a contact of a thousand times its impedance, which 104 rows do not.
 """
 
@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL, TABLE
 
-AVERAGED: Final = 8
+MEAN_FRAMES: Final = 8
 """Frames of the running means."""
 
 LARGEST_GAP: Final = 0.03
@@ -29,7 +29,7 @@ LARGEST_RECORDED_GAP: Final = 0.02
 """The same in a recording of some seconds, of which each row's gap is the median: a touch leaves no trace in that, and
 what comes of it is no more than advice. So it may be stricter."""
 
-NEEDED: Final = 12
+AGREEING_FRAMES: Final = 12
 """Frames in a row with the same suspect; what 104 rows can tell by themselves is told after ten."""
 
 Array = npt.NDArray[np.float64]
@@ -73,8 +73,8 @@ class Reciprocity:
 
     @property
     def suspect(self) -> int | None:
-        """The electrode that has not been reciprocal for ``NEEDED`` frames, if there is one."""
-        return self._last if self._streak >= NEEDED else None
+        """The electrode that has not been reciprocal for ``AGREEING_FRAMES`` frames, if there is one."""
+        return self._last if self._streak >= AGREEING_FRAMES else None
 
     def add(self, counts: npt.NDArray[np.number], known: frozenset[int] = frozenset()) -> None:
         """Take a frame.
@@ -85,7 +85,7 @@ class Reciprocity:
         """
         self._frames += 1
         apart, size = row_gaps(counts)
-        share = 1.0 / min(self._frames, AVERAGED)
+        share = 1.0 / min(self._frames, MEAN_FRAMES)
         self._apart += share * (apart - self._apart)
         self._size += share * (size - self._size)
         self.gaps = electrode_gaps(np.abs(self._apart) / np.maximum(self._size, 1e-30))

@@ -24,7 +24,7 @@ more, before it takes memory."""
 REFERENCE_FRAMES: Final = (2, 10_000)
 """Fewest and most frames of a reference that is asked for."""
 
-SLOW: Final = ("reference",)
+WAITING_COMMANDS: Final = ("reference",)
 """Commands that wait for frames."""
 
 Request = Mapping[str, Any]
@@ -115,7 +115,7 @@ class Commands:
             raise ControlError(
                 f"command {str(command)[:40]!r} does not exist; expected one of {', '.join(self._table)}"
             )
-        return lambda: self._table[command](request), command in SLOW
+        return lambda: self._table[command](request), command in WAITING_COMMANDS
 
     def _cloud(self, request: Request) -> Answer:
         fields = Fields(request, "", error=ControlError)

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from eitskin.errors import FrameError
 from eitskin.frame_record import STAGES
-from eitskin.messaging.regions import MOST, MOST_PIXELS, Region, Regions, whole
+from eitskin.messaging.regions import MAX_REGIONS, MOST_PIXELS, Region, Regions, whole
 from eitskin.messaging.unpacking import unpacked
 from eitskin.touches.touch import NAMES, Touch, TouchList, unpack_touches
 from eitskin_proto.files.plain import plain
@@ -290,8 +290,8 @@ def _regions(fields: Mapping[str, Any], shape: tuple[int, int]) -> Regions:
         regions = tuple(Region(*map(operator.index, bounds)).check(shape) for bounds in found)
     except (TypeError, ValueError) as error:
         raise FrameError(f"frame regions: found {str(found)[:60]}, expected rectangles on the sheet") from error
-    if not 1 <= len(regions) <= MOST:
-        raise FrameError(f"frame regions: found {len(regions)}, expected 1 to {MOST}")
+    if not 1 <= len(regions) <= MAX_REGIONS:
+        raise FrameError(f"frame regions: found {len(regions)}, expected 1 to {MAX_REGIONS}")
     return regions
 
 

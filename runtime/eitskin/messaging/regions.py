@@ -25,13 +25,13 @@ ALWAYS: Final = b"eitskin/always"
 TOUCHES: Final = b"eitskin/touches"
 """Topic of a subscriber that needs the list of touches in every frame."""
 
-MOST: Final = 16
+MAX_REGIONS: Final = 16
 """Regions that a message may name."""
 
 MOST_PIXELS: Final = (120, 120)
 """Rows and columns of the largest map of a skin."""
 
-SLACK: Final = 1e-9
+EDGE_TOLERANCE_PX: Final = 1e-9
 """Of a pixel: a border that is meant to lie on a pixel's edge does not take the next pixel in by rounding."""
 
 
@@ -86,8 +86,8 @@ class Region:
                 f"{height:g} mm, the upper bounds above the lower"
             )
         dx, dy = grid.pixel_mm
-        rows = math.floor(y0 / dy + SLACK), math.ceil(y1 / dy - SLACK)
-        columns = math.floor(x0 / dx + SLACK), math.ceil(x1 / dx - SLACK)
+        rows = math.floor(y0 / dy + EDGE_TOLERANCE_PX), math.ceil(y1 / dy - EDGE_TOLERANCE_PX)
+        columns = math.floor(x0 / dx + EDGE_TOLERANCE_PX), math.ceil(x1 / dx - EDGE_TOLERANCE_PX)
         return cls(*rows, *columns)
 
     @property

@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError, MismatchError
-from eitskin.model.manifest import BESIDE, LABELS, manifest_of
+from eitskin.model.manifest import EXTRA_NETWORKS, LABELS, manifest_of
 from eitskin_proto.files.archive import BadArchiveError, Member, members
 from eitskin_proto.files.arrays import parse_npy, parse_npz
 from eitskin_proto.files.digest import id_of, sha256_of
@@ -137,7 +137,9 @@ class Bundle:
     @property
     def beside(self) -> dict[str, int]:
         """The same width for each additional network, by name."""
-        return {name: int(self.manifest[name]["bias"]) for name in BESIDE if self.manifest.get(name) is not None}
+        return {
+            name: int(self.manifest[name]["bias"]) for name in EXTRA_NETWORKS if self.manifest.get(name) is not None
+        }
 
     @property
     def uses_prediction(self) -> bool:
@@ -220,7 +222,7 @@ def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bund
         raw = _member(archive.members, "manifest.json", LARGEST_MANIFEST, where)
         sizes = {name: member.entry.file_size for name, member in archive.members.items()}
     manifest = manifest_of(raw, where, EXPORT_HINT)
-    besides = [file for name in BESIDE if manifest.get(name) is not None for file in graphs_of(name)]
+    besides = [file for name in EXTRA_NETWORKS if manifest.get(name) is not None for file in graphs_of(name)]
     required = (*REQUIRED, *besides)
     missing = [name for name in (*required, *manifest["files"]) if name not in sizes or name not in manifest["files"]]
     if missing:

@@ -36,16 +36,16 @@ filters is linear up to its first ReLU, with w the whitened logarithms and f wha
     p = (w, f)      touched: max f > c (mean |w| + a)
 
 so the same filters judge a change of p, and what the two frames share is gone from it. Two means are remembered, of
-untouched frames alone: ``recent`` of the last ``FAST``, ``base`` of the last ``SLOW`` ::
+untouched frames alone: ``recent`` of the last ``FAST_FRAMES``, ``base`` of the last ``SLOW_FRAMES`` ::
 
-    p - recent      a press that comes on at once; a bend has hardly moved since        limit NEW c
+    p - recent      a press that comes on at once; a bend has hardly moved since        limit NEW_TOUCH_LEVEL c
     recent - base   one that takes seconds; the sheet may have been bent anew           limit c
-    p - base        one that was found: held against the frames before it, for hours    limit HELD c
+    p - base        one that was found: held against the frames before it, for hours    limit HELD_TOUCH_LEVEL c
 
-While a touch lies there nothing is learned. It is gone when ``GONE`` frames in a row are below the limit, or below
-``LEFT`` of its own strength: real sheets keep that much of a press for a while. Filters of one sign tell the end of a
-touch, which had been taken for the untouched sheet, from the beginning of one. No noise, however strong, is a touch:
-the strongest filter is to be ``NOISE`` times what it is on average.
+While a touch lies there nothing is learned. It is gone when ``RELEASE_FRAMES`` frames in a row are below the limit, or
+below ``MAX_RESIDUAL`` of its own strength: real sheets keep that much of a press for a while. Filters of one sign tell
+the end of a touch, which had been taken for the untouched sheet, from the beginning of one. No noise, however strong,
+is a touch: the strongest filter is to be ``NOISE`` times what it is on average.
 
 A sheet that is bent anew under a faint press may lose it: then the single frame is all there is, as without this.
 """
@@ -66,7 +66,7 @@ from eitskin_proto.sensor.table import N_ROWS
 TWO_SIGNS: Final = -0.9
 """Cosine of two filters below which they are one touch of both signs."""
 
-LEFT_OF_IT: Final = 0.2
+MIN_FILTER_SHARE: Final = 0.2
 """Share of a pattern's size below which a filter is not made stronger any more: its touch hardly shows."""
 
 
@@ -141,7 +141,7 @@ class Filters:
         left = np.eye(size) - product(gone.T, product(precision_of(square), gone))
         shown = product(left, patterns)
         share = np.sqrt(np.maximum((patterns * shown).sum(axis=0) / (patterns**2).sum(axis=0), 0.0))
-        change = np.hstack([left, shown / np.maximum(share, LEFT_OF_IT)])
+        change = np.hstack([left, shown / np.maximum(share, MIN_FILTER_SHARE)])
         weights = product(whitening, change)
         weights[rows] = 0.0  # but for rounding they are
         smaller = float(np.sqrt(np.maximum(np.diag(left), 0.0)).mean())
@@ -160,38 +160,38 @@ def patterns_of(whitening: npt.NDArray[np.float64], filters: npt.NDArray[np.floa
 
 Array = npt.NDArray[np.float32]
 
-FAST: Final = 16
+FAST_FRAMES: Final = 16
 """Frames: 80 ms at 200 frames/s, a twelfth of a bend that takes a second."""
 
-SLOW: Final = 2000
+SLOW_FRAMES: Final = 2000
 """Frames, as the untouched sheet's drift is followed (:mod:`eitskin.health.resting`): ten seconds at 200 frames/s."""
 
-FEWEST: Final = 8
+MIN_UNTOUCHED: Final = 8
 """Untouched frames before changes are judged."""
 
-EVERY: Final = 8
+CHECK_FRAMES: Final = 8
 """Frames from one look at ``recent - base`` to the next."""
 
-NEW: Final = 0.8
-HELD: Final = 0.7
+NEW_TOUCH_LEVEL: Final = 0.8
+HELD_TOUCH_LEVEL: Final = 0.7
 """Of the limit c, which is that of any device at any bend."""
 
-GONE: Final = 4
+RELEASE_FRAMES: Final = 4
 """Frames."""
 
-LEFT: Final = 0.1
+MAX_RESIDUAL: Final = 0.1
 """Share of a touch that may stay behind: real sheets keep 3 to 4 % of a press."""
 
-SETTLED: Final = 0.4
+SETTLED_LEVEL: Final = 0.4
 """Mean |w| over a, up to which the sheet has not moved from ``base``."""
 
 NOISE: Final = 2.25
 """Of noise alone one frame in 20,000 has a filter that is above so many times the average of the strongest."""
 
-LEVEL: Final = 1.0 / 256.0
+LEVEL_WEIGHT: Final = 1.0 / 256.0
 """Share of a frame in that average."""
 
-MEAN: Final = (2 * FAST - 1) ** -0.5
+MEAN: Final = (2 * FAST_FRAMES - 1) ** -0.5
 """Noise of ``recent`` over that of a frame."""
 
 
@@ -250,13 +250,13 @@ class ChangeDetector:
         if self.held:
             return self._hold(response, touched)
         ratio = self._compare(response, self._recent)
-        found = self.seen >= FEWEST and ratio > NEW * self._filters.limit
+        found = self.seen >= MIN_UNTOUCHED and ratio > NEW_TOUCH_LEVEL * self._filters.limit
         if not (found or touched):
             self._learn(response)
-            found = self._looked == EVERY and self._look()
+            found = self._looked == CHECK_FRAMES and self._look()
             if not found:
                 return False
-        elif self.seen < FEWEST:
+        elif self.seen < MIN_UNTOUCHED:
             return False  # nothing to hold it against
         elif self._moved():
             np.copyto(self._base, self._recent)
@@ -266,8 +266,8 @@ class ChangeDetector:
 
     def _hold(self, response: Array, touched: bool) -> bool:
         """Judge a frame while a touch is known."""
-        there = self._compare(response, self._base) > HELD * self._filters.limit
-        stays = there and self.strength > LEFT * self._peak
+        there = self._compare(response, self._base) > HELD_TOUCH_LEVEL * self._filters.limit
+        stays = there and self.strength > MAX_RESIDUAL * self._peak
         if stays or touched:
             self._missed = 0
             if self.strength > self._peak:
@@ -275,7 +275,7 @@ class ChangeDetector:
             return stays
         self._missed += 1
         self._mix(self._recent, response, 1.0 / self._missed)
-        if self._missed == GONE:
+        if self._missed == RELEASE_FRAMES:
             self.held = False
             if there:
                 self.reset()  # what is left of it is the sheet's from now on
@@ -285,9 +285,9 @@ class ChangeDetector:
         """Take a frame that was held against ``recent``, and is untouched, into it."""
         self.seen += 1
         if self.seen > 1:
-            self.level += (self.strength - self.level) * max(LEVEL, 1.0 / (self.seen - 1))
-        self._mix(self._recent, response, max(1.0 / FAST, 1.0 / self.seen))
-        if self.seen <= FEWEST:
+            self.level += (self.strength - self.level) * max(LEVEL_WEIGHT, 1.0 / (self.seen - 1))
+        self._mix(self._recent, response, max(1.0 / FAST_FRAMES, 1.0 / self.seen))
+        if self.seen <= MIN_UNTOUCHED:
             np.copyto(self._base, self._recent)
         else:
             self._looked += 1
@@ -301,7 +301,7 @@ class ChangeDetector:
         if -ratio > self._filters.limit:
             self.reset()  # a touch that had been taken for the untouched sheet is gone
         else:
-            self._mix(self._base, self._recent, max(EVERY / SLOW, EVERY / self.seen))
+            self._mix(self._base, self._recent, max(CHECK_FRAMES / SLOW_FRAMES, CHECK_FRAMES / self.seen))
         return False
 
     def _compare(self, now: Array, before: Array, noise: float = 1.0, *, ends: bool = False) -> float:
@@ -326,7 +326,7 @@ class ChangeDetector:
     def _moved(self) -> bool:
         """Return whether the sheet has moved since ``base``: then ``recent`` is nearer to what it reads untouched."""
         np.subtract(self._recent, self._base, out=self._change)
-        return self._size() > SETTLED * self._filters.still
+        return self._size() > SETTLED_LEVEL * self._filters.still
 
     def _size(self) -> float:
         """Return mean |w| of the change."""

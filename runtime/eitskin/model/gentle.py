@@ -11,11 +11,11 @@ first, the touch is gentle ::
     more  = area of the gentle network's map over that of the own one
 
     share of the gentle map = the larger one of
-        faint   1 where shown <= SURE[0], 0 from SURE[1] on
+        faint   1 where shown <= SHOWN_BOUNDS_MM2[0], 0 from SHOWN_BOUNDS_MM2[1] on
         broad   1 where edges are wide and more is above what hard touches have, 0 where either is not so
 
-There is no jump between 0 and 1. Where shown < NOTHING the own map stays, with no touch in it. A frame of firm touches
-with sharp edges costs sums over the map besides, 40 us; others cost both networks.
+There is no jump between 0 and 1. Where shown < MIN_TOUCH_MM2 the own map stays, with no touch in it. A frame of firm
+touches with sharp edges costs sums over the map besides, 40 us; others cost both networks.
 """
 
 from typing import Final
@@ -29,20 +29,20 @@ from eitskin_proto.skin.skin import Skin
 WINDOW_MM: Final = 15.0
 """Side of the window: a touch of 10 mm between pixels lies in it."""
 
-SURE: Final = (65.0, 85.0)
+SHOWN_BOUNDS_MM2: Final = (65.0, 85.0)
 """Bounds of what is shown, mm2: a touch of 10 mm has 100."""
 
-NOTHING: Final = 1.0
+MIN_TOUCH_MM2: Final = 1.0
 """Less than so many mm2 is no touch."""
 
 EDGES_PX: Final = (0.26, 0.30)
 """Bounds of an edge's width: hard touches of 10 to 20 mm have 0.22 to 0.24, gentle ones of 20 mm 0.4."""
 
-FIRM: Final = ((115.0, 140.0), (2.0, 1.35))
+FIRM_GROWTH: Final = ((115.0, 140.0), (2.0, 1.35))
 """How much larger the gentle network shows hard touches at most, by what is shown, mm2: small ones as what they may be
 besides, large ones as they are."""
 
-VERY_WIDE: Final = ((0.5, 0.7), 1.1)
+WIDE_EDGE: Final = ((0.5, 0.7), 1.1)
 """Bounds of an edge's width from where on that is no more than this: no hard touches but some on bumps have such edges,
 gentle ones of 30 mm have 0.75."""
 
@@ -94,9 +94,9 @@ class GentleEngine:
         """Fill the map."""
         self.own.infer()
         shown = self.shown_mm2()
-        if not shown >= NOTHING:  # a map that is not finite stays so, and is withheld
+        if not shown >= MIN_TOUCH_MM2:  # a map that is not finite stays so, and is withheld
             return
-        faint = 1.0 - _ramp(shown, SURE)
+        faint = 1.0 - _ramp(shown, SHOWN_BOUNDS_MM2)
         edges = edges_px(self._map) if self._asks and faint < 1.0 else 0.0
         wide = _ramp(edges, EDGES_PX)
         if not (faint or wide):
@@ -112,8 +112,8 @@ class GentleEngine:
     def _broad(self, shown: float, edges: float) -> float:
         """Return 1 where the gentle network shows more than it does of hard touches, 0 where it does not."""
         own_mm2 = max(float(self._first.sum()) * self._pixel_mm2, shown)
-        more, likely = float(self._map.sum()) * self._pixel_mm2 / own_mm2, float(np.interp(shown, *FIRM))
-        likely += (VERY_WIDE[1] - likely) * _ramp(edges, VERY_WIDE[0])
+        more, likely = float(self._map.sum()) * self._pixel_mm2 / own_mm2, float(np.interp(shown, *FIRM_GROWTH))
+        likely += (WIDE_EDGE[1] - likely) * _ramp(edges, WIDE_EDGE[0])
         return _ramp(more, (likely - RAMP / 2, likely + RAMP / 2))
 
 

@@ -18,7 +18,7 @@ from eitskin.touches.surface import Surface
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import network_input
 
-OWN: Final = "geometry.onnx"
+GEOMETRY_FILE: Final = "geometry.onnx"
 """The file of the bundle's own network."""
 
 
@@ -73,7 +73,9 @@ class GeometryGraph:
         self._bundle = bundle
         self._grid = bundle.skin.grid
         self._beside = {name: graphs_of(name)[0] for name in bundle.beside}
-        self._widths = {OWN: bundle.bias_width} | {self._beside[name]: width for name, width in bundle.beside.items()}
+        self._widths = {GEOMETRY_FILE: bundle.bias_width} | {
+            self._beside[name]: width for name, width in bundle.beside.items()
+        }
         self._sessions: dict[str, Any] = {}
         self._mended: dict[str, bytes] = {}
         """Checked graphs that are not as they lie in the bundle."""
@@ -118,7 +120,7 @@ class GeometryGraph:
         if log_predicted is not None:
             predicted[0] = log_predicted
         surface = Surface(np.asarray(given), self._grid)
-        return Geometry(biases[OWN], beside, flushed(predicted), revision, surface)
+        return Geometry(biases[GEOMETRY_FILE], beside, flushed(predicted), revision, surface)
 
     def _bias(self, file: str, points: npt.NDArray[np.float32], *, flat: bool) -> npt.NDArray[np.float32]:
         try:

@@ -28,7 +28,7 @@ MOST_FILES: Final = 32
 LARGEST_WIDTH: Final = 65536
 """Of a network's first layer."""
 
-BESIDE: Final = (SMALL, GENTLE)
+EXTRA_NETWORKS: Final = (SMALL, GENTLE)
 """Networks that a bundle may hold beside its own."""
 
 
@@ -73,7 +73,7 @@ def _check_fields(manifest: dict[str, Any]) -> None:
         touch_kind_of(fields.value("touches", "raise"))
     except ValueError as error:
         raise ValueError(f"touches {error}") from error
-    for name in ("gate", "metrics", "recipe", *BESIDE):
+    for name in ("gate", "metrics", "recipe", *EXTRA_NETWORKS):
         if fields.value(name, None) is not None:
             fields.table(name)
     files, head = fields.table("files"), fields.table("head")
@@ -82,5 +82,5 @@ def _check_fields(manifest: dict[str, Any]) -> None:
     for name in files:
         files.table(name).text("sha256")
     head.entries("inputs")
-    for name in ("head", *(name for name in BESIDE if fields.value(name, None) is not None)):
+    for name in ("head", *(name for name in EXTRA_NETWORKS if fields.value(name, None) is not None)):
         fields.table(name).whole("bias", low=1, high=LARGEST_WIDTH)

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-MOST: Final = 1 << 17
+MAX_PRODUCTS: Final = 1 << 17
 """Multiplications of one piece: half of what the most eager OpenBLAS gives to more than one thread."""
 
 
@@ -23,7 +23,7 @@ def product(left: npt.NDArray[Any], right: npt.NDArray[Any]) -> npt.NDArray[Any]
         left: (n, k)
         right: (k, m)
     """
-    rows = max(1, MOST // max(1, right.size))
+    rows = max(1, MAX_PRODUCTS // max(1, right.size))
     if len(left) <= rows:
         return np.asarray(left @ right)
     out = np.empty((len(left), right.shape[1]), dtype=np.result_type(left, right))

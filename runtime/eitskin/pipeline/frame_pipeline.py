@@ -241,7 +241,7 @@ class GeometryInUse:
 
 CLOUD_UNCHANGED: Final = ("geometry:cloud_unchanged",)
 UNTOUCHED: Final = ("inference:untouched", *CLOUD_UNCHANGED)
-LOOKED: Final = ("map:untouched", *CLOUD_UNCHANGED)
+MAP_UNTOUCHED: Final = ("map:untouched", *CLOUD_UNCHANGED)
 NO_SUBSCRIBER: Final = ("inference:no_subscriber", *CLOUD_UNCHANGED)
 IDLE: Final = ("acquisition:idle", "inference:idle", *CLOUD_UNCHANGED)
 UNCHANGED: Final = ("inference:unchanged", *CLOUD_UNCHANGED)
@@ -429,7 +429,7 @@ class Pipeline:
             record.skipped = () if fresh_cloud else CLOUD_UNCHANGED
         elif not record.touched or not wanted:
             self.maps.show_nothing()
-            record.skipped = NO_SUBSCRIBER if record.touched else LOOKED if record.inferred else UNTOUCHED
+            record.skipped = NO_SUBSCRIBER if record.touched else MAP_UNTOUCHED if record.inferred else UNTOUCHED
         elif self.maps.keep(decided.keeps_map):
             record.skipped = UNCHANGED
         elif not self.maps.infer(decided.solver):

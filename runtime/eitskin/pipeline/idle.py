@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from eitskin.errors import BundleError, HandshakeError
 from eitskin.model.gate import EXTRAS, FIELDS, RememberingGate
-from eitskin.reference.normaliser import FAR, LARGEST_CHANGE, Normaliser
+from eitskin.reference.normaliser import LARGE_CHANGE, LARGEST_CHANGE, Normaliser
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.codes import Mode
 from eitskin_proto.wire.messages import Hello
@@ -96,7 +96,7 @@ class IdleGate:
         square = float(self._exact.dot(self._exact))
         if not square <= LARGEST_CHANGE * LARGEST_CHANGE:
             return None
-        self.far = square > FAR
+        self.far = square > LARGE_CHANGE
         self.gate.change[:] = self._exact
         return self.gate.touched()
 

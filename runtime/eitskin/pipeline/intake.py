@@ -39,7 +39,7 @@ REASONS: Final = ("malformed", "duplicate", "configuration", "partial", "implaus
 WITHHELD: Final = {reason: f"withheld:{reason}" for reason in REASONS}
 """The event of the next published frame."""
 
-REMEMBERED: Final = 8
+REPEAT_FRAMES: Final = 8
 """Frames that a frame may repeat: a front end that hangs may have several buffers."""
 
 _FIRST_ROWS: Final = HEADER_BYTES + 12
@@ -69,8 +69,8 @@ class Intake:
         self._view = FrameView()
         self.counter = StreamCounter()
         self.clock = DeviceClock()
-        self._recent: deque[bytes] = deque(maxlen=REMEMBERED)
-        self._payloads: deque[bytes] = deque(maxlen=REMEMBERED)
+        self._recent: deque[bytes] = deque(maxlen=REPEAT_FRAMES)
+        self._payloads: deque[bytes] = deque(maxlen=REPEAT_FRAMES)
         self._repeated = 0
         self.most_repeats: tuple[int | None, int | None] = (None, None)
         """Repetitions in a row that are still chance, of whole scans and of idle ones; None where nothing can tell."""

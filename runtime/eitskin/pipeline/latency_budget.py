@@ -21,7 +21,7 @@ LONGEST_HOLD: Final = 6400
 MOST_MS: Final = 1e6
 """A budget of more is none: a quarter of an hour."""
 
-EASY: Final = 0.5
+EASY_SHARE: Final = 0.5
 """A frame that took less than this part of the budget is easy."""
 
 
@@ -91,7 +91,7 @@ class LatencyBudget:
             self._risen = False
             self._easy = 0
             self.level = min(self.level + 1, self._last)
-        elif elapsed_ns < EASY * budget_ns and (inferred or self.drops_stale):
+        elif elapsed_ns < EASY_SHARE * budget_ns and (inferred or self.drops_stale):
             self._easy += 1
             if self._easy >= self._hold:
                 self._rise()

@@ -17,7 +17,7 @@ from eitskin.frame_record import FrameRecord
 from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import ProjectionEngine, engines, longest
-from eitskin.pipeline.latency_budget import EASY, LatencyBudget
+from eitskin.pipeline.latency_budget import EASY_SHARE, LatencyBudget
 from eitskin.pipeline.stillness import REFRESH_FRAMES, Stillness
 
 PROJECTION: Final = "tikhonov"
@@ -101,7 +101,7 @@ class MapSource:
         """Return the most accurate engine that leaves half of the budget to the rest of a frame, else the fastest."""
         if budget_ns is None:
             return 0
-        easy = (number for number, one in enumerate(self.engines) if self.engine_ns[one.name] <= EASY * budget_ns)
+        easy = (number for number, one in enumerate(self.engines) if self.engine_ns[one.name] <= EASY_SHARE * budget_ns)
         return next(easy, len(self.engines) - 1)
 
     @property

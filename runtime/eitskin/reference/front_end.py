@@ -1,19 +1,19 @@
 """Is this what a living front end reads off a sheet? Rows that cannot be so alike, and frames that cannot come twice.
 
 No sheet gives many rows one count: its rows span a factor of hundreds, and each has noise of its own. Of n rows spread
-with at most ``DENSEST`` to a factor of e, the chance that m rows read the same x counts, at some x of this size, is
+with at most ``MAX_DENSITY`` to a factor of e, the chance that m rows read the same x counts, at some x of this size, is
 about ::
 
-    x (DENSEST / x)^m / m!                  ln p is summed over all groups of rows with one count; below -20
+    x (MAX_DENSITY / x)^m / m!                  ln p is summed over all groups of rows with one count; below -20
                                             (2e-9) the converter is stuck, or a drive's rows repeat
 
 Rows that read alike in the reference are one row here, since a symmetric sheet has them in fours. Rows of no count at
 all are those of an electrode that is off, and rows that the device marks as cut off are counted by themselves. Wires
 that are stuck before the converter have noise: there the rows of all drives, or of all measurements, are nearly alike.
 
-Nor does a frame come twice, bit by bit, if its rows have noise: a row of spread s counts repeats in one of
-2 sqrt(pi) s scans. With the spread of the reference's frames, taken ``HEAVIEST`` times smaller for the sake of a touch
-that leaves every row so much of its voltage, that says how many repetitions chance can give. Noise under one count says
+Nor does a frame come twice, bit by bit, if its rows have noise: a row of spread s counts repeats in one of 2 sqrt(pi) s
+scans. With the spread of the reference's frames, taken ``MAX_CONTRAST`` times smaller for the sake of a touch that
+leaves every row so much of its voltage, that says how many repetitions chance can give. Noise under one count says
 nothing, and there a front end that hangs cannot be told from a sheet at rest.
 """
 
@@ -29,16 +29,16 @@ from eitskin_proto.sensor.table import N_ROWS, TABLE
 
 Array = npt.NDArray[np.float64]
 
-DENSEST: Final = 50.0
+MAX_DENSITY: Final = 50.0
 """Rows within a factor of e: the flat sheet has 38 at most."""
 
-UNLIKELY: Final = -20.0
+MIN_LOG_CHANCE: Final = -20.0
 """ln of 2e-9, of rows that are denser than on any sheet: they are not, so that it never came in 110,000 frames."""
 
-SURE: Final = 28.0
+MIN_SURPRISE: Final = 28.0
 """-ln of a millionth of a millionth: what a repetition must be by chance."""
 
-APART: Final = 1.1
+DISTINCT_RATIO: Final = 1.1
 """Factor between two rows of a reference that may not read the same."""
 
 SYMMETRIC: Final = 4
@@ -47,17 +47,17 @@ SYMMETRIC: Final = 4
 LARGEST_GROWTH: Final = 8.0
 """A row grows at most sixfold by any deformation: one that is cut off at more was not driven there by a sheet."""
 
-MOST_CUT_OFF: Final = 8
+MAX_CUT_OFF: Final = 8
 """Rows that may be cut off at more than ``LARGEST_GROWTH`` times their reference."""
 
-LEAST_ALIKE: Final = 0.02
+MIN_MEAN_DISTANCE: Final = 0.02
 """Mean distance, in log, of a row from the mean of those of all drives: 0.6 and more while the demonstration plays,
 noise where all drives are one."""
 
-FEW_FOLD: Final = 3.0
+MIN_BESIDE_RATIO: Final = 3.0
 """Of what a row beside its drive reads more than one across: below it, all of them are looked at."""
 
-HEAVIEST: Final = 50.0
+MAX_CONTRAST: Final = 50.0
 """A touch of this contrast on the whole sheet leaves every row a fiftieth, and of its noise as much."""
 
 QUIET_REPEATS: Final = 400
@@ -102,7 +102,7 @@ def stuck(
         marked = np.unpackbits(whole, bitorder="little", count=len(counts)) > 0
         if reference is not None:
             strange = int((marked & (np.abs(reference) * LARGEST_GROWTH < limit)).sum())
-            if strange > MOST_CUT_OFF:
+            if strange > MAX_CUT_OFF:
                 return f"{strange} rows are cut off at {limit:g} counts, of which the reference has an eighth at most"
         counts = np.where(marked, 0, counts)
     values = counts.tolist()  # what every frame far from its reference comes through: no numpy, whose calls are cold
@@ -111,12 +111,12 @@ def stuck(
         if found:
             return found
     if len(values) == N_ROWS:
-        weak = FEW_FOLD * abs(values[_ACROSS])
+        weak = MIN_BESIDE_RATIO * abs(values[_ACROSS])
         for strong, depart, weights, what in _WIRES:
             if abs(values[strong]) < weak and counts.all():
                 logs = np.abs(counts, dtype=np.float64)
                 apart = depart @ np.log(logs, out=logs)
-                if float(np.abs(apart, out=apart) @ weights) < LEAST_ALIKE:
+                if float(np.abs(apart, out=apart) @ weights) < MIN_MEAN_DISTANCE:
                     return f"the rows of all {what} are alike"
     return ""
 
@@ -140,8 +140,8 @@ def _alike(
             most, which = len(group), value
         same += len(group)
         size = abs(float(value))
-        chance += min(0.0, math.log(size) + many * math.log(DENSEST / size) - math.lgamma(many + 1.0))
-    if chance >= UNLIKELY:
+        chance += min(0.0, math.log(size) + many * math.log(MAX_DENSITY / size) - math.lgamma(many + 1.0))
+    if chance >= MIN_LOG_CHANCE:
         return ""
     return f"{same} of {total} rows share counts, {most} of them {which:g}"
 
@@ -152,7 +152,7 @@ def _different(rows: npt.NDArray[np.intp], reference: npt.NDArray[np.number] | N
         return max(1, len(rows) - symmetric + 1)
     different, last = 0, 0.0
     for size in np.sort(np.abs(reference[rows])).tolist():
-        if size > APART * last:
+        if size > DISTINCT_RATIO * last:
             different, last = different + 1, size
     return different
 
@@ -163,10 +163,10 @@ def patience(spread_counts: Array) -> int | None:
     Args:
         spread_counts: (n,) standard deviation of each row's single frames, in counts.
     """
-    evidence = _evidence(spread_counts / HEAVIEST)
+    evidence = _evidence(spread_counts / MAX_CONTRAST)
     if evidence >= 0.5:
-        return math.ceil(SURE / evidence)
-    return QUIET_REPEATS if _evidence(spread_counts) >= SURE else None
+        return math.ceil(MIN_SURPRISE / evidence)
+    return QUIET_REPEATS if _evidence(spread_counts) >= MIN_SURPRISE else None
 
 
 def _evidence(spread_counts: Array) -> float:

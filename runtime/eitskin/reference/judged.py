@@ -59,7 +59,7 @@ REMEDY: Final = (
     "'eitskin reference --force' (force=True)"
 )
 
-ANOTHER_SHEET: Final = "a sheet that the bundle was not made for needs a bundle of its own: --bundle FILE"
+OTHER_SHEET_HINT: Final = "a sheet that the bundle was not made for needs a bundle of its own: --bundle FILE"
 """What else a large difference from the bundle's sheet may mean."""
 
 
@@ -126,7 +126,7 @@ def judge(found: Reference, movement: float, checks: ReferenceChecks, refused: t
     if checks.flat_V is not None:
         model = _difference(found.voltages_V, checks.flat_V, usable, noise)
         flat = "the bundle's flat, untouched sheet"
-        _compare(model, MODEL_DIFFERENCE, flat, refusals, remarks, f" ({ANOTHER_SHEET})")
+        _compare(model, MODEL_DIFFERENCE, flat, refusals, remarks, f" ({OTHER_SHEET_HINT})")
     touched = None
     if (before := _same_device(found, checks.older)) is not None:
         both = usable & ~lost_rows(before.voltages_V, before.spread_V)

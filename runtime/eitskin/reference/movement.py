@@ -20,14 +20,14 @@ from eitskin_proto.sensor.table import N_ROWS
 Array = npt.NDArray[np.float64]
 
 PARTS: Final = 10
-LEAST_IN_PART: Final = 4
+MIN_PART_FRAMES: Final = 4
 """Most parts of a capture, and fewest frames in one; fewer than two parts say nothing."""
 
-SURE: Final = 3.0
+MAX_VARIANCE_RATIO: Final = 3.0
 """Noise alone makes the variance of ten means so many times what is expected of it once in a thousand captures, even
 where it is the same in all rows."""
 
-EVEN: Final = 0.01
+EQUAL_WEIGHT_SPREAD: Final = 0.01
 """Rows whose parts are known better than this all count the same."""
 
 
@@ -42,7 +42,7 @@ class Movement:
 
     def __init__(self, frames: int) -> None:
         self._frames = frames
-        self._parts = min(PARTS, frames // LEAST_IN_PART)
+        self._parts = min(PARTS, frames // MIN_PART_FRAMES)
         self._taken = 0
         self._sums = np.zeros((max(self._parts, 1), N_ROWS))
         self._count = np.zeros(max(self._parts, 1))
@@ -74,6 +74,6 @@ class Movement:
         square = mean[rows] ** 2
         wander = np.var(self._sums[:, rows] / self._count[:, None], axis=0, ddof=1) / square
         noise = self._steps[rows] / (2.0 * (self._taken - 1)) / float(self._count.mean()) / square
-        weight = 1.0 / (EVEN**2 + noise)
+        weight = 1.0 / (EQUAL_WEIGHT_SPREAD**2 + noise)
         found, expected = float(weight @ wander), float(weight @ noise)
-        return 0.0 if found <= SURE * expected else float(np.sqrt((found - expected) / weight.sum()))
+        return 0.0 if found <= MAX_VARIANCE_RATIO * expected else float(np.sqrt((found - expected) / weight.sum()))

@@ -20,7 +20,7 @@ NO_SIGNAL: Final = 1e-3
 sheet, leaves every row a fiftieth."""
 
 
-FAR: Final = 1.0
+LARGE_CHANGE: Final = 1.0
 """|dV|^2 above which rows are looked at: five or more rows of a drive that read the same are farther than this from any
 sheet's (1.8 at least, the flat sheet's 5 rows of drive 9)."""
 
@@ -124,7 +124,7 @@ class Normaliser:
         self.silent = abs(square - usable) <= 2.0 * NO_SIGNAL * usable and self._is_silent()
         if self.silent or not square <= LARGEST_CHANGE * LARGEST_CHANGE:  # also false for NaN
             return False
-        self.far = square > FAR
+        self.far = square > LARGE_CHANGE
         out[:] = self._exact
         return True
 

@@ -40,16 +40,18 @@ Array = npt.NDArray[np.float64]
 LARGEST_EXCESS: Final = 0.25
 """Of the median log ratio over what the cloud's size explains."""
 
-EXPLAINED: Final = (0.08, 1.88)
+STRETCH_WEIGHTS: Final = (0.08, 1.88)
 """What the logarithms of the mean stretch along x and y count in the median log ratio; a fit to the same draws."""
 
-WIDER: Final = 3.0
+CAPTURED_FACTOR: Final = 3.0
 """How much wider bounds are against a captured reference."""
 
 LARGEST_SHAPE: Final = 0.5
 """Median |log| between the model's flat sheet and the captured one, a common factor taken out."""
 
-BOTH: Final = "give the forward model's V_pred of this cloud and predicted_flat, its own V of the flat sheet, both in V"
+PREDICTION_HINT: Final = (
+    "give the forward model's V_pred of this cloud and predicted_flat, its own V of the flat sheet, both in V"
+)
 
 
 def check_prediction(
@@ -106,7 +108,7 @@ def scan_of(surface: Surface, skin: Skin) -> ReferenceScan:
 
 
 def _check(explained: float, found: Array, against: Array, model: Array | None, device: Array | None) -> None:
-    name, wider = ("the captured reference", WIDER) if model is None else ("predicted_flat", 1.0)
+    name, wider = ("the captured reference", CAPTURED_FACTOR) if model is None else ("predicted_flat", 1.0)
     _check_level(found, against, name, wider, explained)
     if model is not None and device is not None:
         _check_shape(model, device)
@@ -126,7 +128,7 @@ def _exponents(skin: Skin) -> Array:
     """Return what the logarithms of the mean stretch along x and y count."""
     (length, width), (long, wide) = skin.outline.size_mm, PAPER.outline.size_mm
     share = (1.0 + float(np.clip(np.log(length / width) / np.log(long / wide), -1.0, 1.0))) / 2.0
-    along, across = np.array(EXPLAINED), np.array(EXPLAINED[::-1])
+    along, across = np.array(STRETCH_WEIGHTS), np.array(STRETCH_WEIGHTS[::-1])
     return np.asarray(share * along + (1.0 - share) * across + float(skin.layer.gauge_factor.nominal(1)[0]))
 
 
@@ -141,7 +143,7 @@ def _check_level(found: Array, against: Array, name: str, wider: float, explaine
         low, high = np.exp(explained + np.array([-1.0, 1.0]) * LARGEST_EXCESS * wider)
         raise ValueError(
             f"predicted is {middle:.3g} times {name} (median row), expected {low:.3g} to {high:.3g} times for this "
-            f"cloud: {BOTH}"
+            f"cloud: {PREDICTION_HINT}"
         )
     rows = np.flatnonzero(usable)
     for worst, wrong in (
@@ -151,7 +153,7 @@ def _check_level(found: Array, against: Array, name: str, wider: float, explaine
         if wrong:
             raise ValueError(
                 f"predicted[{rows[worst]}] is {ratio[worst]:.3g} times {name}, expected {RATIO[0] / wider:.2g} to "
-                f"{RATIO[1] * wider:.2g} times: {BOTH}"
+                f"{RATIO[1] * wider:.2g} times: {PREDICTION_HINT}"
             )
 
 
@@ -159,7 +161,7 @@ def _usable(against: Array, name: str) -> npt.NDArray[np.bool_]:
     try:
         return np.asarray(~weak_rows(against))
     except ValueError as error:
-        raise ValueError(f"{name} holds no voltage: {BOTH}") from error
+        raise ValueError(f"{name} holds no voltage: {PREDICTION_HINT}") from error
 
 
 def _check_shape(model: Array, device: Array) -> None:

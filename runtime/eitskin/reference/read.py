@@ -12,7 +12,7 @@ from typing import Final
 from eitskin.errors import BadReference
 from eitskin_proto.files.reading import FileError, read_bytes
 
-ANOTHER: Final = "name a reference, or capture one into a new file: eitskin reference --port PORT --out NEW"
+OTHER_FILE_HINT: Final = "name a reference, or capture one into a new file: eitskin reference --port PORT --out NEW"
 """What to do about a file that is no reference and must stay as it is."""
 
 
@@ -35,15 +35,15 @@ def read_reference(where: Path, form: str, largest: int) -> bytes:
     try:
         raw = read_bytes(where, largest)
     except FileError as error:
-        raise BadReference(f"no reference: {error}; {ANOTHER}") from error
+        raise BadReference(f"no reference: {error}; {OTHER_FILE_HINT}") from error
     except PermissionError as error:
         raise BadReference(f"reference {where} cannot be read: {_denied(where)}") from error
     except FileNotFoundError as error:
         raise BadReference(f"reference {where} cannot be read: {error.strerror}; {capture_again(where)}") from error
     except OSError as error:
-        raise BadReference(f"reference {where} cannot be read: {error.strerror or error}; {ANOTHER}") from error
+        raise BadReference(f"reference {where} cannot be read: {error.strerror or error}; {OTHER_FILE_HINT}") from error
     if raw.lstrip()[:1] != b"{" or form.encode() not in raw:  # a recording holds one too, among other things
-        raise BadReference(f"{where} is no reference; {ANOTHER}")
+        raise BadReference(f"{where} is no reference; {OTHER_FILE_HINT}")
     return raw
 
 

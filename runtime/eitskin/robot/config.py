@@ -41,16 +41,16 @@ from eitskin_proto.skin.touch_kind import TouchKind
 FORMAT: Final = "eitskin-robot"
 VERSION: Final = 1
 
-LARGEST: Final = 64 << 10
+MAX_FILE_BYTES: Final = 64 << 10
 """Bytes of the file."""
 
-MOST: Final = 64
+MAX_SKINS: Final = 64
 """Skins of a robot."""
 
 NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
 """Of a skin: fit for a file's name, for a unit of systemd and for a line of a log."""
 
-LONGEST: Final = 1e9
+MAX_TIME: Final = 1e9
 """Of times in s and ms."""
 
 LAST_CORE: Final = 4095
@@ -58,7 +58,7 @@ LAST_CORE: Final = 4095
 USB: Final = "usb:"
 """How the names of USB devices begin; alone it takes any."""
 
-TAKEN: Final = (FRAMES, CONTROL, "robot")
+RESERVED_NAMES: Final = (FRAMES, CONTROL, "robot")
 """Names that mean something else in the folder."""
 
 RESTARTS: Final = ("never", "on-failure", "always")
@@ -155,7 +155,7 @@ def load_robot(path: str | Path) -> Robot:
     """
     where = Path(path)
     try:
-        return _robot(Fields(parse_toml(read_text(where, LARGEST)), ""), where.absolute().parent)
+        return _robot(Fields(parse_toml(read_text(where, MAX_FILE_BYTES)), ""), where.absolute().parent)
     except ValueError as error:
         text = str(error)
         raise RobotError(text if text.startswith(str(where)) else f"{where}: {text}") from error
@@ -164,7 +164,7 @@ def load_robot(path: str | Path) -> Robot:
 def _robot(content: Fields, beside: Path) -> Robot:
     content.check_format(FORMAT, VERSION, "a robot's list of skins")
     folder = _path(content, "folder", beside) or runtime_folder()
-    listed = content.entries("skins", least=1, most=MOST, of="tables [[skins]]")
+    listed = content.entries("skins", least=1, most=MAX_SKINS, of="tables [[skins]]")
     content.close()
     skins = tuple(_skin(listed.table(place), folder, beside) for place in listed)
     _check_distinct(skins)
@@ -173,11 +173,11 @@ def _robot(content: Fields, beside: Path) -> Robot:
 
 def _skin(table: Fields, folder: Path, beside: Path) -> SkinSettings:
     name = table.text("name")
-    if NAME.fullmatch(name) is None or name.lower() in TAKEN:
+    if NAME.fullmatch(name) is None or name.lower() in RESERVED_NAMES:
         raise table.wrong(
             "name",
-            f"letters, digits, - and _, at most 32, not beginning with - or _, and none of {', '.join(TAKEN)}: it "
-            "names a folder",
+            f"letters, digits, - and _, at most 32, not beginning with - or _, and none of "
+            f"{', '.join(RESERVED_NAMES)}: it names a folder",
         )
     table.where = f"skin {name}"
     curve_keys = _path(table, "curve_keys", beside)
@@ -198,12 +198,12 @@ def _skin(table: Fields, folder: Path, beside: Path) -> SkinSettings:
         reference_frames=table.whole("reference_frames", None, low=2, high=10_000),
         curve_keys=curve_keys,
         solver=table.choice("solver", SOLVERS, None),
-        budget_ms=table.number("budget_ms", None, above=0.0, high=LONGEST),
+        budget_ms=table.number("budget_ms", None, above=0.0, high=MAX_TIME),
         every_map=table.truth("every_map", False),
-        idle_after_s=table.number("idle_after_s", None, above=0.0, high=LONGEST),
+        idle_after_s=table.number("idle_after_s", None, above=0.0, high=MAX_TIME),
         exclude_electrodes=table.wholes("exclude_electrodes", (), high=N_ELECTRODES - 1),
         compensate_drift=table.truth("compensate_drift", None),
-        reconnect_s=table.number("reconnect_s", None, above=0.0, high=LONGEST),
+        reconnect_s=table.number("reconnect_s", None, above=0.0, high=MAX_TIME),
         restart=table.choice("restart", RESTARTS, "never"),
         realtime=_realtime(table.table("realtime")),
         verify=_verify(table.table("verify")),
@@ -249,7 +249,7 @@ def _realtime(table: Fields) -> Realtime:
 def _verify(table: Fields) -> Verify:
     found = Verify(
         table.choice("mode", ("off", "idle", "always"), "off"),
-        table.number("budget_ms", None, above=0.0, high=LONGEST),
+        table.number("budget_ms", None, above=0.0, high=MAX_TIME),
         table.whole("nice", None, high=19),
         table.wholes("affinity", (), high=LAST_CORE),
     )

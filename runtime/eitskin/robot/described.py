@@ -16,7 +16,7 @@ from typing import Final
 
 from eitskin.errors import EndpointError, RobotError
 from eitskin.messaging.endpoints import ROBOT, needs_keys, runtime_folders
-from eitskin.robot.config import MOST, NAME, Robot, RobotSkin, load_robot
+from eitskin.robot.config import MAX_SKINS, NAME, Robot, RobotSkin, load_robot
 from eitskin.robot.pose import Pose
 from eitskin_proto.fields import Fields
 from eitskin_proto.files.plain import plain
@@ -29,7 +29,7 @@ VERSION: Final = 1
 FILE: Final = ROBOT
 """In the folder."""
 
-LARGEST: Final = 256 << 10
+MAX_FILE_BYTES: Final = 256 << 10
 """Bytes of the file."""
 
 STATES: Final = ("starting", "ready", "waiting", "failed", "ended")
@@ -80,7 +80,7 @@ def read_states(folder: Path) -> tuple[ProcessState, ...]:
     """
     path = folder / FILE
     try:
-        found = read_json(path, LARGEST)
+        found = read_json(path, MAX_FILE_BYTES)
     except FileNotFoundError:
         raise RobotError(
             f"no {path}: nobody runs skins there; start them with 'eitskin run --config robot.toml', or name the "
@@ -97,7 +97,7 @@ def read_states(folder: Path) -> tuple[ProcessState, ...]:
 def _states(found: object) -> tuple[ProcessState, ...]:
     content = Fields(found, "")
     content.check_format(FORMAT, VERSION, "a robot's state")
-    listed = content.entries("skins", least=1, most=MOST, of="skins")
+    listed = content.entries("skins", least=1, most=MAX_SKINS, of="skins")
     return tuple(_state(listed.table(place)) for place in listed)
 
 

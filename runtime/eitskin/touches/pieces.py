@@ -20,7 +20,7 @@ HALF: Final = 0.5
 SADDLE: Final = 0.25
 """How far below the lower of two peaks the way between them leads, at least, where they are two touches."""
 
-HIGH: Final = HALF + SADDLE
+DIVIDED_LEVEL: Final = HALF + SADDLE
 """Two peaks of one piece, of values up to 1, that a saddle divides are apart above this level as well."""
 
 MOST_RUNS: Final = 1024
@@ -32,11 +32,11 @@ MOST_DIVIDED: Final = 1024
 Indices = npt.NDArray[np.intp]
 
 
-_LEVELS: Final = np.array([[HALF], [HIGH]])
+_LEVELS: Final = np.array([[HALF], [DIVIDED_LEVEL]])
 
 
 def _runs(flat: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.bool_], Indices, list[int]]:
-    """Return which pixels are at least ``HALF``, the edges of their runs, and the edges of the runs of ``HIGH``.
+    """Return which pixels are at least ``HALF``, and the edges of their runs and of those of ``DIVIDED_LEVEL``.
 
     Of each run, in a row: its first pixel, and the one behind its last.
     """
@@ -116,10 +116,10 @@ def pieces(flat: npt.NDArray[np.float64], width: int) -> tuple[Indices, Indices,
 
 
 def _dividable(high: Sequence[int], width: int, starts: Sequence[int], numbers: Sequence[int]) -> list[int]:
-    """Return the pieces that are more than one above ``HIGH``: only these can have a saddle.
+    """Return the pieces that are more than one above ``DIVIDED_LEVEL``: only these can have a saddle.
 
     Args:
-        high: Edges of the runs above ``HIGH``.
+        high: Edges of the runs above ``DIVIDED_LEVEL``.
         width: Pixels of a row, the border's two among them.
         starts: First pixels of the runs above ``HALF``.
         numbers: The piece of each.

@@ -21,7 +21,7 @@ from eitskin.touches.moments import MOST_TOUCHES, Found
 from eitskin.touches.touch import BORN, DIED, MERGED, SPLIT
 from eitskin_proto.skin.grid import Grid
 
-MOST: Final = 2**32 - 1
+MAX_ID: Final = 2**32 - 1
 """The largest number of a message, behind which they begin again: shreds of a map take a month to get there."""
 
 GATE_MM: Final = 10.0
@@ -109,7 +109,7 @@ class Tracker:
         for touch in range(count):
             if result[touch] is None and peaks[touch] >= BIRTH:
                 parent = lay_in[touch] if lay_in[touch] in goes_on else 0
-                self.newest = self.newest % MOST + 1
+                self.newest = self.newest % MAX_ID + 1
                 result[touch] = Track(self.newest, parent, device_us, xs[touch], ys[touch])
                 events.append((SPLIT if parent else BORN, self.newest, parent))
         left: list[Track] = []

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from eitskin.health.drift import HOLD, LEAST, PRIOR, TRACKED, WALK, Drift
+from eitskin.health.drift import CAPTURE_PRIOR, COMMON_WALK, FILE_PRIOR, MIN_COMMON, REST_FRAMES, Drift
 from eitskin.health.imputation import Consistency
 from eitskin_proto.sensor.table import N_ROWS
 
@@ -59,10 +59,10 @@ def corrected(drift, logs):
 
 def expected_of_any_sheet(drift):
     """Whether only what any sheet may have drifted is reported."""
-    return drift.percent == 0.0 and drift.sigma_percent == 100.0 * PRIOR
+    return drift.percent == 0.0 and drift.sigma_percent == 100.0 * FILE_PRIOR
 
 
-RESTED = HOLD // TOGETHER + 5
+RESTED = REST_FRAMES // TOGETHER + 5
 
 
 @pytest.mark.parametrize("true", [-0.1, 0.1, 0.4])
@@ -73,7 +73,7 @@ def test_a_reference_that_was_just_taken_is_followed_without_any_scan(true):
     assert len(events) == 1
     assert events[0].startswith("drift:")
     assert drift.percent == pytest.approx(100 * np.expm1(true), abs=0.1)
-    assert drift.sigma_percent == pytest.approx(100 * TRACKED)
+    assert drift.sigma_percent == pytest.approx(100 * CAPTURE_PRIOR)
     np.testing.assert_allclose(corrected(drift, true), 0.0, atol=0.005)
 
 
@@ -97,10 +97,12 @@ def test_a_bend_that_no_scan_explains_holds_what_was_found_and_says_how_sure_tha
     show(drift, 0.3 + BENDS[0], 200)
     assert not drift.known
     assert drift.taken_out == before
-    assert drift.sigma_percent == pytest.approx(100 * math.sqrt(TRACKED**2 + 200 * TOGETHER * WALK), rel=0.01)
+    assert drift.sigma_percent == pytest.approx(
+        100 * math.sqrt(CAPTURE_PRIOR**2 + 200 * TOGETHER * COMMON_WALK), rel=0.01
+    )
     show(drift, 0.05, RESTED)
     assert drift.known
-    assert drift.sigma_percent == pytest.approx(100 * TRACKED)
+    assert drift.sigma_percent == pytest.approx(100 * CAPTURE_PRIOR)
 
 
 def test_a_scan_that_contradicts_what_was_followed_is_not_believed():
@@ -125,8 +127,8 @@ def test_a_touch_is_neither_followed_nor_scanned_away():
 @pytest.mark.parametrize(("predicted", "bend"), [(NO_PREDICTION, 1.0), (PREDICTION, 0.1)])
 def test_before_anything_is_known_the_gaussian_says_what_it_can(predicted, bend):
     drift = followed(fresh=False)
-    show(drift, 0.5 * LEAST + bend * np.array([1.0, -0.5, 0.3, 0.2]) @ BENDS, RESTED, predicted)
-    assert drift.percent == pytest.approx(50 * LEAST, abs=1.0)
+    show(drift, 0.5 * MIN_COMMON + bend * np.array([1.0, -0.5, 0.3, 0.2]) @ BENDS, RESTED, predicted)
+    assert drift.percent == pytest.approx(50 * MIN_COMMON, abs=1.0)
     assert drift.sigma_percent == pytest.approx(0.2 if predicted.any() else 2.0)
     assert drift.taken_out == 0.0
     assert math.isnan(drift.uneven_percent)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.health.electrodes import HEALTHY, NEEDED, ElectrodeWatch
+from eitskin.health.electrodes import AGREEING_FRAMES, HEALTHY, ElectrodeWatch
 from eitskin.health.imputation import Consistency
 from eitskin.health.swapped_wires import rewiring
 from eitskin_proto.sensor.row_gaussian import rows_of
@@ -91,7 +91,7 @@ def test_a_detached_electrode_is_named_within_20_frames(electrode):
     assert show(looking, healthy(50)) == []
     changes = show(looking, detached(healthy(20, seed=1), electrode))
     assert changes
-    assert NEEDED <= changes[0] <= 20
+    assert AGREEING_FRAMES <= changes[0] <= 20
     assert looking.states()[electrode] == "detached"
     assert sum(state != "well" for state in looking.states()) == 1
     assert looking.texts == (f"{electrode}:detached:imputed",)
@@ -116,7 +116,7 @@ def test_an_electrode_whose_contact_jumps_is_noisy(electrode):
     looking = watch()
     changes = show(looking, frames)
     assert changes
-    assert 20 + NEEDED <= changes[0] <= 40
+    assert 20 + AGREEING_FRAMES <= changes[0] <= 40
     assert looking.states()[electrode] == "noisy"
 
 

@@ -6,7 +6,7 @@ from tests.runtime.health.test_electrodes import NOISE, REFERENCE, consistency, 
 
 from eitskin.health.electrodes import WINDOW
 from eitskin.health.evidence import N_VOTES, Weigher
-from eitskin.health.monitor import MOST_TOGETHER, TOGETHER, Health
+from eitskin.health.monitor import BATCH_FRAMES, MAX_BATCH, Health
 from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ROWS
 
@@ -84,16 +84,16 @@ def test_a_stream_has_its_failure_named_within_20_frames():
             break
     assert health.electrodes.texts == ("6:detached:imputed",)
     assert health.take_events() == ("electrode:6:detached:imputed",)
-    assert WINDOW + MOST_TOGETHER - 1 <= 20  # frames of evidence, and those that wait for the others
+    assert WINDOW + MAX_BATCH - 1 <= 20  # frames of evidence, and those that wait for the others
 
 
 def test_frames_are_looked_at_in_any_case_if_the_line_never_rests():
     health = Health(consistency())
     frame = healthy(1)[0]
     must = []
-    for _ in range(MOST_TOGETHER):
+    for _ in range(MAX_BATCH):
         health.prepare(frame.copy())
         must.append(health.put_aside(touched=False))
-    assert must == [False] * TOGETHER + [True]
+    assert must == [False] * BATCH_FRAMES + [True]
     assert not health.examine(NO_SCAN)
     assert not health.due

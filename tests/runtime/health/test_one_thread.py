@@ -36,5 +36,5 @@ def test_a_product_in_pieces_is_the_product(rows, inner, columns, monkeypatch):
     left, right = rng.standard_normal((rows, inner)), rng.standard_normal((inner, columns))
     # sums of 400 terms of size 1, in another order: 400 * 2^-53 * 20 is under 1e-12
     np.testing.assert_allclose(product(left, right), left @ right, rtol=0, atol=1e-12)
-    monkeypatch.setattr(small_products, "MOST", 1)
+    monkeypatch.setattr(small_products, "MAX_PRODUCTS", 1)
     np.testing.assert_allclose(product(left, right), left @ right, rtol=0, atol=1e-12)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from eitskin.health.electrodes import HEALTHY
-from eitskin.health.monitor import MOST_TOGETHER, health_of
-from eitskin.health.reciprocity import NEEDED, Reciprocity, electrode_gaps, row_gaps
+from eitskin.health.monitor import MAX_BATCH, health_of
+from eitskin.health.reciprocity import AGREEING_FRAMES, Reciprocity, electrode_gaps, row_gaps
 from eitskin.model.bundle import default_path, load_bundle
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
@@ -63,7 +63,7 @@ def test_a_suspect_needs_its_frames_in_a_row(counts):
         took += 1
     assert watched.suspect == 5
     # The running mean passes 3 % of 11 % after three frames; then all of them count.
-    assert NEEDED <= took <= NEEDED + 3
+    assert AGREEING_FRAMES <= took <= AGREEING_FRAMES + 3
     watched.add(weak(whole, 5, 0.8), frozenset({5}))
     assert watched.suspect is None, "what is out of use already is no news"
 
@@ -114,4 +114,4 @@ def test_the_stream_names_it_in_time_fills_it_in_and_takes_it_back(watching):
         frames += 1
         assert frames < 2 * HEALTHY
     assert frames >= HEALTHY
-    assert frames <= HEALTHY + 10 + MOST_TOGETHER  # the running mean first has to forget
+    assert frames <= HEALTHY + 10 + MAX_BATCH  # the running mean first has to forget

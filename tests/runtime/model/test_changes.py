@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.gate import GONE, SLOW, ChangeDetector, Filters, Gate, RememberingGate
+from eitskin.model.gate import RELEASE_FRAMES, SLOW_FRAMES, ChangeDetector, Filters, Gate, RememberingGate
 
 WHITENED, COUNT, LIMIT, STILL = 60, 24, 7.0, 0.25
 NOISE = 0.2
@@ -58,7 +58,7 @@ def test_a_press_that_is_held_is_never_learned_and_its_end_is_seen_at_once():
     rng = np.random.default_rng(2)
     rest = sheet(rng)
     changes = watching(rest, rng)
-    creep = np.linspace(0.0, 1.0, 5 * SLOW)[:, None] * 0.3 * sheet(rng)  # uneven drift of a session
+    creep = np.linspace(0.0, 1.0, 5 * SLOW_FRAMES)[:, None] * 0.3 * sheet(rng)  # uneven drift of a session
     assert judged(changes, rest + PRESS + creep, rng).mean() > 0.999
     after = judged(changes, np.tile(rest + creep[-1], (300, 1)), rng)
     assert not after.any()
@@ -97,7 +97,7 @@ def test_what_a_strong_press_leaves_behind_is_no_touch():
     after = judged(changes, np.tile(rest + 0.08 * strong, (300, 1)), rng)
     assert not after.any()
     assert not changes.held
-    assert changes.seen >= 300 - 2 * GONE
+    assert changes.seen >= 300 - 2 * RELEASE_FRAMES
     assert judged(changes, np.tile(rest + 0.08 * strong + PRESS, (5, 1)), rng).any()
 
 

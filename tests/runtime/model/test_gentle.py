@@ -12,7 +12,7 @@ from eitskin.model import gentle
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import graphs_of, load_bundle
 from eitskin.model.engine import engines, solvers
-from eitskin.model.gentle import EDGES_PX, SURE, GentleEngine, edges_px
+from eitskin.model.gentle import EDGES_PX, SHOWN_BOUNDS_MM2, GentleEngine, edges_px
 from eitskin.model.geometry import GeometryGraph
 from eitskin_proto.skin.skin import PAPER
 
@@ -58,11 +58,16 @@ def test_only_where_the_own_map_shows_faint_touches_alone_the_other_network_runs
 def test_between_the_bounds_either_map_has_its_share_without_a_jump():
     pixel = GRID.size_mm[0] * GRID.size_mm[1] / GRID.n_pixels
     other = touched(12, row=3)
-    for shown in (*SURE, 0.5 * sum(SURE), SURE[0] + 0.01, SURE[1] - 0.01):
+    for shown in (
+        *SHOWN_BOUNDS_MM2,
+        0.5 * sum(SHOWN_BOUNDS_MM2),
+        SHOWN_BOUNDS_MM2[0] + 0.01,
+        SHOWN_BOUNDS_MM2[1] - 0.01,
+    ):
         own = touched(9, value=shown / (9 * pixel))
         one, whole, _ = engine(own, other)
         one.infer()
-        share = min(max((shown - SURE[0]) / (SURE[1] - SURE[0]), 0.0), 1.0)
+        share = min(max((shown - SHOWN_BOUNDS_MM2[0]) / (SHOWN_BOUNDS_MM2[1] - SHOWN_BOUNDS_MM2[0]), 0.0), 1.0)
         expected = share * own + (1.0 - share) * other if share < 1.0 else own
         np.testing.assert_allclose(whole, expected.ravel(), atol=1e-3)
 
@@ -89,7 +94,7 @@ def test_a_firm_touch_with_wide_edges_is_drawn_by_the_network_that_shows_it_much
     assert edges_px(own) > EDGES_PX[1]
     one, whole, ran = engine(own, other)
     one.infer()
-    assert one.shown_mm2() > SURE[1], "it is firm"
+    assert one.shown_mm2() > SHOWN_BOUNDS_MM2[1], "it is firm"
     assert ran == ["own", "gentle"]
     np.testing.assert_allclose(whole, other.ravel(), atol=1e-6)
 
@@ -113,7 +118,7 @@ def with_gentle(tiny_path, tmp_path):
 def maps(bundle, monkeypatch=None, bounds=None):
     """{solver: map} of one dV, with other bounds of what is shown."""
     if bounds is not None:
-        monkeypatch.setattr(gentle, "SURE", bounds)
+        monkeypatch.setattr(gentle, "SHOWN_BOUNDS_MM2", bounds)
     buffers, found = Buffers(bundle), {}
     buffers.use_geometry(GeometryGraph(bundle).geometry(bent(), None, 1))
     buffers.change[0] = np.random.default_rng(5).normal(0, 0.1, 104)

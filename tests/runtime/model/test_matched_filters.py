@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.gate import LEFT_OF_IT, Filters, Gate, patterns_of
+from eitskin.model.gate import MIN_FILTER_SHARE, Filters, Gate, patterns_of
 from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ROWS
 
@@ -76,7 +76,7 @@ def test_a_filter_s_noise_stays_and_sizes_shrink_by_the_share_that_is_stated(arr
     found = patterns.T @ weights[:-1, size:]
     assert (found.argmax(1) == np.arange(len(found)))[kept].mean() > 0.95
     # which ones are kept is known to a few percent; a pattern of which little is left, to a tenth
-    assert (found.diagonal()[kept] > 0.8 * LEFT_OF_IT).all()
+    assert (found.diagonal()[kept] > 0.8 * MIN_FILTER_SHARE).all()
 
 
 def test_rows_that_come_back_bring_the_gate_back_to_the_last_bit(arrays):

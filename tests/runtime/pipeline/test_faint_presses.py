@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eitskin.model.gate import FEWEST
+from eitskin.model.gate import MIN_UNTOUCHED
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
@@ -73,6 +73,6 @@ def test_a_press_that_no_frame_shows_by_itself_gets_a_map_and_a_new_reference_be
     for begin in (lambda: remembering.use_reference(reference), lambda: remembering.greet(hello)):
         begin()
         assert remembering.gate.changes.seen == 0
-        assert not any(show(bend + press, FEWEST - 1))
+        assert not any(show(bend + press, MIN_UNTOUCHED - 1))
         assert not any(show(bend, 100))
         assert any(show(bend + press, 5))

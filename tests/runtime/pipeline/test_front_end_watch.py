@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.pipeline.intake import REMEMBERED
+from eitskin.pipeline.intake import REPEAT_FRAMES
 from eitskin.reference.captured import Reference
 from eitskin_proto.wire.codes import FrameFlag
 
@@ -31,7 +31,7 @@ def test_a_frame_that_comes_again_is_withheld_whichever_buffer_it_comes_from(noi
     assert not go(noisy, payload(counts, 4))
     assert not go(noisy, payload(touched, 5))
     assert noisy.intake.withheld["frozen"] == 3
-    for number in range(REMEMBERED):
+    for number in range(REPEAT_FRAMES):
         other = counts.copy()
         other[0] += 1 + number
         assert go(noisy, payload(other, 6 + number))

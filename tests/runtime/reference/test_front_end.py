@@ -5,7 +5,7 @@ import pytest
 
 from eitskin.errors import BadReference
 from eitskin.reference.builder import MOST_UNFIT, ReferenceBuilder
-from eitskin.reference.front_end import MOST_CUT_OFF, patience, stuck
+from eitskin.reference.front_end import MAX_CUT_OFF, patience, stuck
 from eitskin_proto.sensor.table import TABLE
 
 FULL_SCALE = 2**23 - 1
@@ -38,8 +38,8 @@ def test_dead_rows_and_a_few_that_are_cut_off_are_no_lie(counts):
     frame[20:] = 0
     assert not stuck(frame, counts)
     frame = counts.copy()
-    frame[60 : 60 + MOST_CUT_OFF + 1] = FULL_SCALE
-    few, many = (sum(1 << (60 + row) for row in range(count)) for count in (MOST_CUT_OFF, MOST_CUT_OFF + 1))
+    frame[60 : 60 + MAX_CUT_OFF + 1] = FULL_SCALE
+    few, many = (sum(1 << (60 + row) for row in range(count)) for count in (MAX_CUT_OFF, MAX_CUT_OFF + 1))
     assert not stuck(frame, counts, few, FULL_SCALE)
     assert "cut off at" in stuck(frame, counts, many, FULL_SCALE)
     assert not stuck(frame, counts * 20.0, many, FULL_SCALE)  # rows near full scale may be driven beyond it

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from eitskin.health.baseline import MOST_UNEVEN, PART, UntouchedBaseline
-from eitskin.health.drift import CLEAN, LEAST, Drift
+from eitskin.health.baseline import MAX_UNEVEN, MAX_UNEVEN_RATIO, UntouchedBaseline
+from eitskin.health.drift import MAX_SCAN_D, MIN_COMMON, Drift
 from eitskin.health.imputation import Consistency
 from eitskin.health.untouched import Untouched
 from eitskin.model.bundle import default_path, load_bundle
@@ -52,8 +52,8 @@ def test_no_touch_moves_all_rows_alike(touches, noise):
     resting.start(noise, 100, known=True)
     for contrast, logs in touches:
         found = resting.split(logs, 1.0)
-        assert found.rms > 3.0 * PART * abs(found.common), contrast
-        assert found.rms > 1.5 * MOST_UNEVEN, contrast
+        assert found.rms > 3.0 * MAX_UNEVEN_RATIO * abs(found.common), contrast
+        assert found.rms > 1.5 * MAX_UNEVEN, contrast
 
 
 def test_a_touch_that_a_clean_scan_hides_moves_less_than_what_is_taken_from_scans(touches, consistency):
@@ -61,7 +61,7 @@ def test_a_touch_that_a_clean_scan_hides_moves_less_than_what_is_taken_from_scan
     for contrast, logs in touches:
         common, distance = model.estimate(logs)
         faint = 0.8 < contrast < 1.5  # beside random devices little is left of those to tell them by
-        assert distance > CLEAN or abs(common) < (2.0 * LEAST if faint else 0.6 * LEAST), contrast
+        assert distance > MAX_SCAN_D or abs(common) < (2.0 * MIN_COMMON if faint else 0.6 * MIN_COMMON), contrast
 
 
 def share_taken_out(consistency, logs, noise, looks, rng):

@@ -58,7 +58,7 @@ def test_show_write_verify_diff_and_rollback_tell_one_story(device, capsys):
     assert report(capsys, "show")[1]["active"]["name"] == "full208"
 
 
-@pytest.mark.parametrize("step", procedure.LEFT_BY)
+@pytest.mark.parametrize("step", procedure.STATE_AFTER)
 def test_an_interrupted_write_says_what_the_device_is_left_with(device, capsys, monkeypatch, step):
     def interrupted(begun, done, total):
         if begun == step:
@@ -68,7 +68,7 @@ def test_an_interrupted_write_says_what_the_device_is_left_with(device, capsys, 
     status, out, err = run(capsys, "write", "fast", "--port", "host")
     assert (status, out) == (130, "")
     assert len(err.splitlines()) == 1
-    assert procedure.LEFT_BY[step] in err
+    assert procedure.STATE_AFTER[step] in err
     device.run(31_000_000, step_us=10_000)  # longer than a trial
     monkeypatch.undo()
     monkeypatch.setattr(flash, "open_line", lambda port, baud: device)

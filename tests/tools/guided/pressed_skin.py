@@ -33,7 +33,7 @@ class Sheet:
 
 
 def main(options):
-    server.LATEST_NS = 10 * 10**9  # on a busy machine a scan comes late rather than never
+    server.MAX_DELAY_NS = 10 * 10**9  # on a busy machine a scan comes late rather than never
     port = PtyPort()
     identity = Identity("VIRTUAL-0001", PROTOCOL_ID, 0)
     device = VirtualDevice(Sheet(options), configuration_for(100.0, "paper"), perf_counter_ns(), identity)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.cloud import flat_cloud
-from eitskin_tools.guided import WINDOW, Guide, GuideError, Plan, Watch
+from eitskin_tools.guided import WINDOW, FrameWindow, Guide, GuideError, Plan
 
 ROWS = np.arange(104)
 FLAT = np.where(ROWS % 3, -1.0, 1.0) * 1e-3 * 40.0 ** (-ROWS / 103.0)
@@ -124,7 +124,7 @@ def test_a_sheet_that_moves_is_not_at_rest_and_noise_alone_is():
     rng = np.random.default_rng(3)
     still = moving = 0
     for _ in range(200):
-        watch, slow = Watch(), Watch()
+        watch, slow = FrameWindow(), FrameWindow()
         for k in range(WINDOW):
             noise = NOISE * rng.standard_normal(104)
             watch.add(FLAT * (1.0 + noise))
@@ -133,4 +133,4 @@ def test_a_sheet_that_moves_is_not_at_rest_and_noise_alone_is():
         moving += slow.steady
     assert still == 200
     assert moving == 0
-    assert not Watch().steady
+    assert not FrameWindow().steady

@@ -13,7 +13,7 @@ from eitskin_tools import cli
 from eitskin_tools.evaluation.measured_file import load_measured
 from eitskin_tools.recording.convert import table_of
 from eitskin_tools.recording.layout import RecordingError
-from eitskin_tools.recording.reinfer import others, reinfer
+from eitskin_tools.recording.reinfer import comparison_solver, reinfer
 from eitskin_tools.recording.replay import Player, ReplayOptions
 from eitskin_tools.recording.script import Script, SeekableRecording
 from eitskin_tools.view.film import Film
@@ -62,7 +62,7 @@ def test_what_is_not_known_is_not_computed_and_what_is_comes_out_the_same(lackin
     script, bundle = Script(lacking), load_bundle(TINY)
     found = reinfer(script, bundle).fields()
     assert (found["equal"], found["unknown"], found["differing"]) == (150 - first_frames, first_frames, {})
-    simulated = others(script, bundle, None, "sbl")
+    simulated = comparison_solver(script, bundle, None, "sbl")
     assert simulated is not None
     assert simulated.compute(next(script.steps())) is None
 

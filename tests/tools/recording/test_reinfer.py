@@ -13,12 +13,12 @@ from eitskin_tools.recording.codec import digest_of
 from eitskin_tools.recording.layout import RecordingError
 from eitskin_tools.recording.reinfer import (
     Agreement,
-    Computed,
+    ComputedFrame,
     Equality,
     centre_mm,
+    comparison_solver,
     digests,
     draw,
-    others,
     reinfer,
     unknown_clause,
     write,
@@ -40,10 +40,10 @@ def test_why_a_map_cannot_be_told_is_said_by_its_cause(file: Path) -> None:
     nothing, equality = np.zeros((30, 45), dtype=np.float32), Equality()
     first, seq = steps[0], steps[0].seq or 0
 
-    def came(after: int, map_seq: int, found: Computed | None) -> None:
+    def came(after: int, map_seq: int, found: ComputedFrame | None) -> None:
         equality.published_as(replace(first, seq=seq + after, map_seq=map_seq, solver="vd2t"), "", found)
 
-    touched = Computed(nothing, True, "vd2t")
+    touched = ComputedFrame(nothing, True, "vd2t")
     came(0, seq, None)
     came(1, seq - 5, None)
     came(2, seq - 5, touched)
@@ -60,17 +60,17 @@ def test_why_a_map_cannot_be_told_is_said_by_its_cause(file: Path) -> None:
 def test_the_same_solver_by_name_agrees_with_itself_and_another_does_less(file: Path) -> None:
     script, bundle = Script(file), load_bundle(TINY)
     ran = next(step.frame.solver for step in script.steps() if step.frame.touched)
-    same = reinfer(script, bundle, others(script, bundle, None, ran)).fields()["against_recorded"]
+    same = reinfer(script, bundle, comparison_solver(script, bundle, None, ran)).fields()["against_recorded"]
     assert same["touched_agreement"] == 1.0
     assert same["cc_p5"] == pytest.approx(1.0)
-    other = reinfer(script, bundle, others(script, bundle, None, "tikhonov")).fields()["against_recorded"]
+    other = reinfer(script, bundle, comparison_solver(script, bundle, None, "tikhonov")).fields()["against_recorded"]
     assert other["both_touched"] == same["both_touched"] > 10
     assert other["cc_median"] < 0.999
 
 
 def test_another_bundle_is_compared_by_its_own_maps(short: Path) -> None:
     script, ran, named = Script(short), load_bundle(TINY), default_path()
-    found = reinfer(script, ran, others(script, ran, named, None), keep=1000)
+    found = reinfer(script, ran, comparison_solver(script, ran, named, None), keep=1000)
     against = found.fields()["against_recorded"]
     assert against["frames"] == script.frames == 45
     assert against["both_touched"] > 10
@@ -87,7 +87,7 @@ def test_another_bundle_asks_its_own_gate_and_not_the_recording(tmp_path: Path) 
     quiet = [replace(item, touched=False) if isinstance(item, WireFrame) else item for item in items]
     recorded(tmp_path / "a.mcap", quiet)
     script = Script(tmp_path / "a.mcap")
-    found = reinfer(script, ran, others(script, ran, default_path(), None), keep=1000)
+    found = reinfer(script, ran, comparison_solver(script, ran, default_path(), None), keep=1000)
     assert found.maps is not None
     assert found.others is not None
     assert found.maps.touched == touched
@@ -98,7 +98,7 @@ def test_another_bundle_asks_its_own_gate_and_not_the_recording(tmp_path: Path) 
 
 def test_one_frame_in_some_is_enough_for_a_slow_solver(file: Path) -> None:
     script, bundle = Script(file), load_bundle(TINY)
-    found = reinfer(script, bundle, others(script, bundle, None, "tikhonov"), every=10).fields()
+    found = reinfer(script, bundle, comparison_solver(script, bundle, None, "tikhonov"), every=10).fields()
     assert found["against_recorded"]["frames"] == 15
 
 
@@ -107,13 +107,13 @@ def test_a_solver_that_is_not_there_is_named_with_those_that_are(file: Path) -> 
     with pytest.raises(
         ValueError, match=r"'sblx' does not exist; expected one of vd2t, vd2t-int8, vd2t-small, tikhonov, .*sbl"
     ):
-        others(script, bundle, None, "sblx")
+        comparison_solver(script, bundle, None, "sblx")
 
 
 def test_maps_and_a_picture_are_written(file: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     script, bundle = Script(file), load_bundle(TINY)
-    found = reinfer(script, bundle, others(script, bundle, None, "tikhonov"), keep=1000, from_s=0.0)
+    found = reinfer(script, bundle, comparison_solver(script, bundle, None, "tikhonov"), keep=1000, from_s=0.0)
     write(tmp_path / "maps.npz", found)
     with np.load(tmp_path / "maps.npz") as arrays:
         assert arrays["map"].shape == arrays["recorded_map"].shape == (150, 30, 45)
@@ -148,8 +148,8 @@ def test_agreement_counts_touched_alike_and_measures_apart() -> None:
     one, other = np.zeros((30, 45), np.float32), np.zeros((30, 45), np.float32)
     one[5:8, 5:8] = other[5:8, 15:18] = 1.0
     found = Agreement((2.0, 2.0))
-    found.add(Computed(one, True, "a"), Computed(other, True, "b"))
-    found.add(Computed(one, True, "a"), Computed(np.zeros_like(one), False, "none"))
+    found.add(ComputedFrame(one, True, "a"), ComputedFrame(other, True, "b"))
+    found.add(ComputedFrame(one, True, "a"), ComputedFrame(np.zeros_like(one), False, "none"))
     fields = found.fields()
     assert fields["touched_agreement"] == 0.5
     assert fields["centre_mm_median"] == pytest.approx(20.0)

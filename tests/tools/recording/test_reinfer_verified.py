@@ -15,7 +15,7 @@ from eitskin_tools.evaluation.verified import recorded as module
 from eitskin_tools.evaluation.verified.recorded import VerifiedSolver
 from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork
 from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES
-from eitskin_tools.recording.reinfer import Computed, Rerun, reinfer, write
+from eitskin_tools.recording.reinfer import ComputedFrame, Rerun, reinfer, write
 from eitskin_tools.recording.script import Script, Step
 
 from . import conftest
@@ -151,7 +151,7 @@ def test_one_frame_in_some_meets_a_cloud_that_was_given_between(file: Path) -> N
         def __init__(self) -> None:
             self.clouds: list[int] = []
 
-        def compute(self, step: Step) -> Computed | None:
+        def compute(self, step: Step) -> ComputedFrame | None:
             if step.cloud is not None:
                 self.clouds.append(step.cloud.revision)
             return None

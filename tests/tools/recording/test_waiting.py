@@ -4,7 +4,7 @@ import threading
 import time
 
 from eitskin.errors import NoFrame
-from eitskin_tools.recording.recorder import Intake
+from eitskin_tools.recording.recorder import SubscriptionQueue
 
 
 class Unusable:
@@ -30,7 +30,7 @@ class Unusable:
 
 def test_a_recorder_tells_what_cannot_be_used_from_silence() -> None:
     source = Unusable()
-    intake = Intake([lambda: source])
+    intake = SubscriptionQueue([lambda: source])
     try:
         end_s = time.monotonic() + 60.0
         while intake.unusable is None and time.monotonic() < end_s:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from eitskin_tools.service.watchdog import STOOD_STILL
+from eitskin_tools.service.watchdog import EXIT_STATUS
 
 HERE = Path(__file__).parent
 TESTS = HERE.parents[1]
@@ -49,7 +49,7 @@ def words(port, tmp_path):
 def test_a_frame_loop_that_stands_still_ends_the_process_with_the_reason_and_the_place(words, form, tmp_path):
     with started(HERE / "stuck_process.py", *words, "--log-format", form) as runtime:
         _, said = runtime.communicate(timeout=PATIENCE_S)
-    assert runtime.returncode == STOOD_STILL
+    assert runtime.returncode == EXIT_STATUS
     if form == "json":
         last = json.loads(said.splitlines()[-1])
         assert last["event"] == "error"

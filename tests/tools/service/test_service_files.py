@@ -11,7 +11,7 @@ import pytest
 from eitskin.acquisition.usb_port import PRODUCT_ID, VENDOR_ID
 from eitskin_tools import cli
 from eitskin_tools.commands.service import FILES, text_of
-from eitskin_tools.service.watchdog import STOOD_STILL
+from eitskin_tools.service.watchdog import EXIT_STATUS
 
 UNITS = ("eitskin.service", "eitskin@.service")
 
@@ -54,7 +54,7 @@ def test_who_stood_still_is_started_again_and_who_was_asked_for_nonsense_is_not(
     service = dict(parsed(text_of(name, "robot", "/usr/bin/eitskin"))["Service"])
     assert service["Restart"] == "on-failure"
     kept_down = service["RestartPreventExitStatus"].split()
-    assert str(STOOD_STILL) not in kept_down
+    assert str(EXIT_STATUS) not in kept_down
     assert kept_down == ["2"], "bad usage alone: a second start would say the same"
 
 

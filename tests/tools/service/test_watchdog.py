@@ -3,7 +3,7 @@ import threading
 import pytest
 
 from eitskin_tools.service.supervisor import Supervisor
-from eitskin_tools.service.watchdog import LIMIT_S, LOOK_S, STOOD_STILL, Watchdog, WatchedLine
+from eitskin_tools.service.watchdog import EXIT_STATUS, LIMIT_S, POLL_S, Watchdog, WatchedLine
 
 
 class Line:
@@ -52,7 +52,7 @@ def make(ended):
     return make
 
 
-LOOKS = round(LIMIT_S / LOOK_S)
+LOOKS = round(LIMIT_S / POLL_S)
 
 
 def test_a_loop_without_a_beat_ends_the_process_with_the_reason_and_what_it_does(make, ended, tmp_path):
@@ -68,7 +68,7 @@ def test_a_loop_without_a_beat_ends_the_process_with_the_reason_and_what_it_does
     (text, stacks), status = ended
     assert text.startswith("the frame loop has stood still for 2 s; ")
     assert "test_a_loop_without_a_beat" in stacks
-    assert status == STOOD_STILL
+    assert status == EXIT_STATUS
     assert not socket.exists()
 
 
@@ -82,7 +82,7 @@ def test_waiting_for_a_silent_device_is_not_standing_still_and_is_a_sign_of_life
     dog.watch("the frame loop", watched)
     for _ in range(10 * LOOKS):
         dog.check()
-    assert supervisor.signs == 10 * LOOKS * LOOK_S / 1.0  # one in half of the interval
+    assert supervisor.signs == 10 * LOOKS * POLL_S / 1.0  # one in half of the interval
     line.let.set()
     waiting.join()
     assert ended == []
@@ -91,7 +91,7 @@ def test_waiting_for_a_silent_device_is_not_standing_still_and_is_a_sign_of_life
 def test_what_must_end_ends_the_process_if_it_does_not(make, ended):
     dog, _ = make()
     dog.watch("closing everything", limit_s=1.0)
-    for _ in range(round(1.0 / LOOK_S)):
+    for _ in range(round(1.0 / POLL_S)):
         dog.check()
     assert ended == []
     dog.check()

@@ -15,7 +15,7 @@ import eitskin
 from eitskin.messaging.publish import Publisher
 from eitskin.skin import Skin, serve
 from eitskin_tools.processes.children import Backoff
-from eitskin_tools.verifier.child import Place, VerifierProcess
+from eitskin_tools.verifier.child import Placement, VerifierProcess
 from eitskin_tools.verifier.feed import VerifierFeed
 
 HERE = Path(__file__).parent
@@ -102,7 +102,7 @@ def streaming(tmp_path, monkeypatch):
             skin.capture_reference(10)
             publisher = Publisher(f"ipc://{tmp_path}/frames")
             stack.callback(publisher.close)
-            place = Place(nice=5, program=SCRIPTED)
+            place = Placement(nice=5, program=SCRIPTED)
             backoff = Backoff(0.1, 0.2, 60.0)
             process = stack.enter_context(VerifierProcess(place, backoff, max_failures))
             stream = Stream(skin, publisher, process, VerifierFeed(skin, publisher, process, mode), tmp_path)

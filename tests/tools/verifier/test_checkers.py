@@ -14,7 +14,7 @@ from eitskin_sim.scene.touch_table import RECTANGLE
 from eitskin_sim.verification.network_map import map_of
 from eitskin_sim.verification.sheet_model import model_of_cloud
 from eitskin_tools.verifier.checkers import CannotVerifyError, Checker
-from eitskin_tools.verifier.child import Place, VerifierProcess
+from eitskin_tools.verifier.child import Placement, VerifierProcess
 from eitskin_tools.verifier.letters import LARGEST_PACKET, STATE, FrameLetter, RestLetter, Setup, unpack
 
 pytestmark = [pytest.mark.slow, pytest.mark.heavy]
@@ -119,7 +119,7 @@ def test_a_sheet_seen_at_rest_is_known_and_one_that_is_not_its_scans_is_said(mod
 def test_the_process_refuses_another_skin_and_answers_frames_of_the_next(units):
     setup, change, values = units
     found = []
-    with VerifierProcess(Place()) as process:
+    with VerifierProcess(Placement()) as process:
         while process.line is None:
             time.sleep(0.01)
         process.line.send(dataclasses.replace(setup, skin_digest="0123456789abcdef").packed(1))

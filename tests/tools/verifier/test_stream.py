@@ -11,7 +11,7 @@ import pytest
 import eitskin
 from eitskin_tools import cli
 from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES
-from eitskin_tools.verifier.feed import LATE
+from eitskin_tools.verifier.feed import LATE_REASON
 
 from .conftest import PATIENCE_S, TOUCHED, until
 
@@ -143,8 +143,8 @@ def test_a_computation_that_hangs_is_said_and_ended_and_the_stream_goes_on(strea
         first(verdicts, lambda one: one.verified)
         stream.tell("hang")
         late = first(verdicts, lambda one: not one.verified and one.why)
-        assert (late.state, late.why) == ("ready", LATE)
-        assert stream.skin.status()["verifier"]["why"] == LATE
+        assert (late.state, late.why) == ("ready", LATE_REASON)
+        assert stream.skin.status()["verifier"]["why"] == LATE_REASON
         stream.tell("hang", off=True)
         assert "hung, and was ended" in first(verdicts, lambda one: one.state == "waiting").why
         first(verdicts, lambda one: one.verified)

@@ -12,7 +12,7 @@ from eitskin import Frame, WireFrame
 from eitskin_tools.recording.layout import FRAME, WIRE
 from eitskin_tools.recording.reader import Entry, Recording
 from eitskin_tools.view import film as parts_module
-from eitskin_tools.view.film import MOST_MARKS, Film, Overview, OverviewThread
+from eitskin_tools.view.film import MAX_MARKS, Film, Overview, OverviewThread
 from eitskin_tools.view.messages import unpacked
 
 from ..recording.conftest import TINY, measured, recorded
@@ -102,11 +102,11 @@ def test_losses_and_events_are_marked_once_and_within_bounds():
     for k in range(100):
         overview.add(note(k, events=["saturated"], counts={"lost": k, "corrupt": 5 if k >= 50 else 0}))
         overview.add(note(k + 0.1, events=["saturated"]))
-    for k in range(2 * MOST_MARKS):
+    for k in range(2 * MAX_MARKS):
         overview.add(note(0.01 * k, events=[f"electrode:{k}"]))
     ((head, _),) = unpacked(overview.message(done=False))
     assert [text for _, text in head["events"]].count("saturated") == 100
-    assert len(head["events"]) == MOST_MARKS
+    assert len(head["events"]) == MAX_MARKS
     assert [(row["t"], row["losses"]["corrupt"]) for row in head["rows"] if row["losses"]["corrupt"]] == [
         (pytest.approx(50.0, abs=0.2), 5)
     ]
@@ -117,7 +117,7 @@ def test_parts_are_kept_within_bounds_and_computed_again(path, monkeypatch):
     monkeypatch.setattr(parts_module, "PART_S", 0.02)
     film = Film(path, TINY)
     assert film.part(0) is film.part(0)
-    monkeypatch.setattr(parts_module, "MOST_BYTES", 1)
+    monkeypatch.setattr(parts_module, "MAX_CACHED_BYTES", 1)
     film = Film(path, TINY)
     first = film.part(0)
     assert film.parts > 1

@@ -8,7 +8,7 @@ from eitskin_tools.view import board as board_module
 from eitskin_tools.view import server as server_module
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.messages import packed, status_message, unpacked
-from eitskin_tools.view.server import PortTaken, ViewServer, host_allowed, is_loopback, page_address, pages
+from eitskin_tools.view.server import PortUnavailable, ViewServer, host_allowed, is_loopback, page_address, pages
 
 
 class Remembering:
@@ -131,7 +131,7 @@ def test_without_a_token_only_this_machine_is_served():
 
 def test_a_port_in_use_is_told_in_one_line(serve):
     port = serve().port
-    with pytest.raises(PortTaken, match=f"port {port} of 127.0.0.1 is in use.*--port"):
+    with pytest.raises(PortUnavailable, match=f"port {port} of 127.0.0.1 is in use.*--port"):
         ViewServer("127.0.0.1", port, Board())
 
 
@@ -158,7 +158,7 @@ def test_a_head_that_is_too_long_or_never_ends_is_left(serve, monkeypatch):
 
 
 def test_more_connections_than_there_may_be_are_sent_away_and_room_comes_back(serve, monkeypatch):
-    monkeypatch.setattr(server_module, "MOST", 2)
+    monkeypatch.setattr(server_module, "MAX_CONNECTIONS", 2)
     server = serve()
     lines = [socket.create_connection(("127.0.0.1", server.port), 60) for _ in range(2)]
     for line in lines:  # each is taken: it answers
@@ -204,7 +204,7 @@ def test_a_page_gets_the_newest_of_each_kind_and_then_what_is_newer(serve):
 
 
 def test_only_so_many_pages_look_on_at_once(serve, monkeypatch):
-    monkeypatch.setattr(board_module, "MOST_PAGES", 1)
+    monkeypatch.setattr(board_module, "MAX_PAGES", 1)
     server = serve()
     answer, connection = ask(server, "/stream")
     assert answer.status == 200

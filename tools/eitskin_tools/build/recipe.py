@@ -26,7 +26,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final, TypeVar, get_args, get_origin, get_type_hints
 
-from eitskin.model.manifest import BESIDE, GENTLE, SMALL
+from eitskin.model.manifest import EXTRA_NETWORKS, GENTLE, SMALL
 from eitskin_proto.fields import Fields
 from eitskin_proto.files.digest import id_of_values
 from eitskin_proto.files.plain import plain, quoted
@@ -147,7 +147,7 @@ class BuildRecipe:
         found = {**asdict(self), "skin": to_toml(self.skin)}
         del found["beside"]
         found["networks"] = {name: one.as_dict() for name, one in self.networks.items()}
-        for name in ("presses", *BESIDE, "missing_electrodes", "networks"):
+        for name in ("presses", *EXTRA_NETWORKS, "missing_electrodes", "networks"):
             if not found[name]:
                 del found[name]
         for leg in found["training"]:
@@ -176,7 +176,7 @@ class BuildRecipe:
             MissingFileError: There is no such file.
             ValueError: One is no recipe, has another network besides itself, or is of another skin or other labels.
         """
-        named = {name: getattr(self, name) for name in BESIDE if getattr(self, name)}
+        named = {name: getattr(self, name) for name in EXTRA_NETWORKS if getattr(self, name)}
         found = {name: self._other(name, recipe) for name, recipe in named.items()}
         return found | self.networks
 
@@ -185,7 +185,7 @@ class BuildRecipe:
 
         own = self.beside / recipe
         found = load(str(own) if own.is_file() else recipe)
-        if more := [one for one in BESIDE if getattr(found, one)]:
+        if more := [one for one in EXTRA_NETWORKS if getattr(found, one)]:
             raise ValueError(f"{name} is {quoted(recipe)}, which has {more[0]} itself; expected one without")
         for what, one, other in (
             ("skin", found.skin.digest, self.skin.digest),
@@ -241,7 +241,7 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
     head = Fields(content, "")
     head.check_format(FORMAT, VERSION, "a bundle's recipe")
     texts = {key: head.text(key, longest=LONGEST_NAME) for key in ("name", "skin", "network")}
-    networks = {key: head.text(key, "", longest=LONGEST_NAME) for key in BESIDE}
+    networks = {key: head.text(key, "", longest=LONGEST_NAME) for key in EXTRA_NETWORKS}
     network = network_named(texts["network"])
     sets, legs = head.table("data"), head.entries("training", least=1, of="tables [[training]]")
     gate, card = head.table("gate", "[gate]"), head.table("card", "[card]")

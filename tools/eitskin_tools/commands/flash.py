@@ -100,7 +100,7 @@ def _written(
         )
     except KeyboardInterrupt:
         end_of_bar = "\n" if sys.stderr.isatty() else ""
-        left = procedure.LEFT_BY[begun]
+        left = procedure.STATE_AFTER[begun]
         print(f"{end_of_bar}eitskin flash: interrupted; {left}; see 'eitskin flash show'", file=sys.stderr)
         raise
 

@@ -64,11 +64,11 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     from eitskin.messaging.streams.subscription import subscribe_streams
     from eitskin.messaging.subscription import subscribe
-    from eitskin_tools.recording.recorder import Intake, Recorder, RecorderOptions
-    from eitskin_tools.recording.writer import Series, others
+    from eitskin_tools.recording.recorder import Recorder, RecorderOptions, SubscriptionQueue
+    from eitskin_tools.recording.writer import Series, later_files
 
     keys = client_keys(arguments)
-    if (there := others(arguments.out)) and not arguments.quiet:
+    if (there := later_files(arguments.out)) and not arguments.quiet:
         some = f"{there[0]} is" if len(there) == 1 else f"{there[0]} and {len(there) - 1} more are"
         print(f"eitskin record: {some} there already and stay: numbers go on behind what is taken", file=sys.stderr)
     stopped = _Stop()
@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
     kept = RecorderOptions(arguments.maps, arguments.every or 1, 0.0 if arguments.wire_only else pictures_hz)
     recorder = Recorder(opener, kept)
     with contextlib.ExitStack() as stack:
-        intake = Intake(sources)
+        intake = SubscriptionQueue(sources)
         stack.callback(recorder.close)
         stack.callback(intake.close)
         full = _go_on(arguments, recorder, intake, stopped)

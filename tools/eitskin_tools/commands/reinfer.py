@@ -48,14 +48,14 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from eitskin_tools.console.terminal import StatusLine
-    from eitskin_tools.recording.reinfer import others, reinfer
+    from eitskin_tools.recording.reinfer import comparison_solver, reinfer
     from eitskin_tools.recording.script import Script
 
     script = Script(arguments.file)
     if script.ending:
         print(f"eitskin reinfer: {script.path}{script.ending}", file=sys.stderr)
     recorded = _recorded(script, arguments)
-    other = others(script, recorded, arguments.bundle, arguments.solver, {"verified": _verified})
+    other = comparison_solver(script, recorded, arguments.bundle, arguments.solver, {"verified": _verified})
     line = StatusLine(sys.stderr)
 
     def progress(done: int, of: int) -> None:

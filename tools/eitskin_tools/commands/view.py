@@ -96,10 +96,10 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def _recorded(arguments: argparse.Namespace, where: dict[str, Any], stack: contextlib.ExitStack) -> tuple[str, str]:
     """Serve a recording; return what and where."""
-    from eitskin_tools.view.film import Film, Projector
+    from eitskin_tools.view.film import Film, FilmServer
 
     film = Film(arguments.file, arguments.bundle)
-    page = stack.enter_context(Projector(film, **where))
+    page = stack.enter_context(FilmServer(film, **where))
     return str(arguments.file), page.address
 
 

@@ -17,19 +17,19 @@ from typing import Final, Literal, TextIO
 
 from eitskin_tools.console.terminal import StatusLine, goes_to_journal, prefix, takes_more
 
-LOUD: Final = ("warning", "error", "ready")
+UNQUIETED_EVENTS: Final = ("warning", "error", "ready")
 """Events that are said even when quiet."""
 
 FORMATS: Final = ("text", "json")
 """What ``--log-format`` takes."""
 
-ROOM_S: Final = 0.2
+WRITE_TIMEOUT_S: Final = 0.2
 """How long a line waits for room."""
 
 
 def end_unread(kind: type[BaseException] | None, *_: object) -> None:
     """End the process here if it failed and nobody reads why: the line that says so would wait for ever."""
-    if kind is not None and not takes_more(sys.stderr, ROOM_S):
+    if kind is not None and not takes_more(sys.stderr, WRITE_TIMEOUT_S):
         os._exit(1)
 
 
@@ -86,7 +86,7 @@ class RunLog:
             text: For people, in a line.
             fields: The same for programs.
         """
-        if not self._quiet or kind in LOUD:
+        if not self._quiet or kind in UNQUIETED_EVENTS:
             self._put(kind, text, fields)
 
     def end(self) -> None:
@@ -101,5 +101,5 @@ class RunLog:
 
     def _write(self, way: Callable[..., None], *text: str) -> None:
         with self._lock, suppress(OSError):
-            if takes_more(self._stream, ROOM_S):
+            if takes_more(self._stream, WRITE_TIMEOUT_S):
                 way(*text)

@@ -26,8 +26,8 @@ SILENT_S: Final = 60.0
 END_S: Final = 0.2
 """How long the last line may take at the end: who should read it may have stopped."""
 
-WATCHED: Final = ("lost", "corrupt", "withheld_by_reason", "electrodes", "recoveries", "trouble", "resets", "overruns",
-           "level")  # fmt: skip
+REPORTED_COUNTERS: Final = ("lost", "corrupt", "withheld_by_reason", "electrodes", "recoveries", "trouble", "resets",
+                            "overruns", "level")  # fmt: skip
 """Fields of ``Skin.status()`` of which any change is worth a line."""
 
 
@@ -44,7 +44,7 @@ class Status:
 
     def fields(self) -> dict[str, object]:
         """Return what a log line holds as plain values."""
-        shown = ("frames", "published", *WATCHED, "cloud", "idle", "drift", "verifier")
+        shown = ("frames", "published", *REPORTED_COUNTERS, "cloud", "idle", "drift", "verifier")
         return {
             "rate_hz": round(self.rate_hz, 1),
             "touched": self.touched,
@@ -148,7 +148,7 @@ class RunStatus(PeriodicThread):
         touched = counters["touched"] > before["touched"] if "touched" in counters else None
         status = Status(rate_hz, touched, counters)
         self._tell(status.text())
-        changed = any(counters.get(name) != self._said.get(name) for name in WATCHED)
+        changed = any(counters.get(name) != self._said.get(name) for name in REPORTED_COUNTERS)
         states = [(one.get("verifier") or {}).get("state") for one in (counters, self._said)]
         changed |= states[0] != states[1]
         if self._log.live or changed or now_s - self._said_s >= SILENT_S:
@@ -181,7 +181,7 @@ def report(skin: Any, log: RunLog) -> None:
     log.say(f"bundle: {bundle.path.name} {bundle.id}, labels {bundle.labels}, touches {bundle.touch_kind}; {solvers}")
     rows, columns = skin.description.grid.shape
     log.say(f"skin: {skin.description.name} {skin.description.digest}, map of {rows} x {columns} pixels")
-    for line in doubts(bundle, skin.description):
+    for line in bundle_doubts(bundle, skin.description):
         log.warn(line)
     if not hello.skin_digest and skin.description.grid_id != PAPER.grid_id:
         log.warn(
@@ -194,7 +194,7 @@ def report(skin: Any, log: RunLog) -> None:
     log.say(f"gate: false-alarm rate {stated}" if gate else "gate: none in this bundle")
 
 
-def doubts(bundle: "Bundle", description: "Skin") -> list[str]:
+def bundle_doubts(bundle: "Bundle", description: "Skin") -> list[str]:
     """Return what is odd about a skin in use and its bundle, and stops nobody."""
     from eitskin_proto.skin.touch_kind import knows
 

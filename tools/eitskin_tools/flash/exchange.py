@@ -24,7 +24,7 @@ KNOWN_TYPES: Final = frozenset(int(kind) for kind in MessageType)
 ATTEMPTS: Final = 4
 """How often a request is sent before the device counts as silent."""
 
-EVENTS_KEPT: Final = 64
+MAX_EVENTS: Final = 64
 """The newest; a device may report without end."""
 
 
@@ -63,7 +63,7 @@ class Exchange:
         self._deframer = framing.Deframer()
         self.late = 0
         """Answers that came late or twice, and were dropped."""
-        self.events: deque[messages.Event] = deque(maxlen=EVENTS_KEPT)
+        self.events: deque[messages.Event] = deque(maxlen=MAX_EVENTS)
         """What the device reported by itself, lately."""
 
     def replace(self, transport: Transport) -> None:

@@ -128,10 +128,10 @@ BOOT_TIMEOUT_S: Final = 10.0
 BOOT_TRIES: Final = 200
 """One in 0.05 s; a device that talks without end would else be asked as fast as it answers."""
 
-KEPT: Final = "the device keeps its old configuration"
-LEFT_BY: Final = {
-    **dict.fromkeys(("begin", "write", "verify"), KEPT),
-    **dict.fromkeys(("commit", "restart"), f"{KEPT}, or tries the new one when it boots and goes back by itself"),
+UNCHANGED: Final = "the device keeps its old configuration"
+STATE_AFTER: Final = {
+    **dict.fromkeys(("begin", "write", "verify"), UNCHANGED),
+    **dict.fromkeys(("commit", "restart"), f"{UNCHANGED}, or tries the new one when it boots and goes back by itself"),
     "boot": "the device goes back to its old configuration by itself, 30 s after its restart",
     "confirm": "the device goes back to its old configuration by itself within 30 s, if it did not confirm the new one",
     "done": "the device runs the new configuration",
@@ -223,7 +223,7 @@ def write(
             exchange.command(messages.ConfigAbort, token=token)
         if isinstance(error, KeyboardInterrupt):
             raise
-        raise FlashError(f"{error}; {KEPT}") from error
+        raise FlashError(f"{error}; {UNCHANGED}") from error
     progress("restart", total - 3, total)
     try:
         restart(exchange, token)

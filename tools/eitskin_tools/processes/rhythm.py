@@ -12,16 +12,16 @@ Stamps of another machine tell nothing of it; then one rests a little longer tha
 import time
 from typing import Final
 
-SHARE: Final = 0.4
+PHASE: Final = 0.4
 """Of the time between two frames, after which the first is through: 2 ms at 200 frames/s."""
 
-SHORTEST_NS: Final = 2_500_000
+MIN_PERIOD_NS: Final = 2_500_000
 """Between two frames; where they come faster there is no time in between."""
 
-LONGEST_NS: Final = 100_000_000
+MAX_PERIOD_NS: Final = 100_000_000
 """Between two frames; nobody waits longer for a good moment."""
 
-SMOOTH: Final = 0.1
+SMOOTHING: Final = 0.1
 """Weight of the newest two frames in the time between two."""
 
 
@@ -42,9 +42,9 @@ class Rhythm:
             read_ns: When its last byte was in hand, on ``perf_counter_ns``.
         """
         count, span_ns = number - self._number, read_ns - self._at_ns
-        if count > 0 and 0 < span_ns <= count * LONGEST_NS:
+        if count > 0 and 0 < span_ns <= count * MAX_PERIOD_NS:
             apart_ns = span_ns / count
-            self._apart_ns += (apart_ns - self._apart_ns) * (SMOOTH if self._apart_ns else 1.0)
+            self._apart_ns += (apart_ns - self._apart_ns) * (SMOOTHING if self._apart_ns else 1.0)
         else:
             self._apart_ns = 0.0
         self._number, self._at_ns = number, read_ns
@@ -52,8 +52,8 @@ class Rhythm:
     def rest_s(self, least_s: float) -> float:
         """Return how long to rest from now on: at least so long, and then up to a moment when a frame is through."""
         apart_ns = self._apart_ns
-        if apart_ns < SHORTEST_NS:
+        if apart_ns < MIN_PERIOD_NS:
             return least_s
         least_ns = least_s * 1e9
-        since_ns = time.perf_counter_ns() + least_ns - self._at_ns - SHARE * apart_ns
+        since_ns = time.perf_counter_ns() + least_ns - self._at_ns - PHASE * apart_ns
         return (least_ns + -since_ns % apart_ns) * 1e-9

@@ -23,7 +23,7 @@ from eitskin_tools.recording.layout import RecordingError
 DIGEST_BYTES: Final = 8
 """Of a map: two maps of a recording of a year are alike by chance once in 10^9."""
 
-LARGEST_SIDE: Final = 4096
+MAX_SIDE_PX: Final = 4096
 """Pixels; a bound on what is read."""
 
 
@@ -52,7 +52,7 @@ def unpack_map(data: bytes) -> tuple[int, npt.NDArray[np.float32]]:
     try:
         fields = msgpack.unpackb(data, strict_map_key=True)
         rows, columns = (int(side) for side in fields["shape"])
-        if not (0 < rows <= LARGEST_SIDE and 0 < columns <= LARGEST_SIDE):
+        if not (0 < rows <= MAX_SIDE_PX and 0 < columns <= MAX_SIDE_PX):
             raise ValueError(f"its shape is {rows}, {columns}")
         return int(fields["seq"]), np.frombuffer(fields["map"], dtype="<f4").reshape(rows, columns)
     except Exception as error:  # msgpack's exceptions have no common base

@@ -43,10 +43,10 @@ from eitskin_tools.recording.layout import CLOUD, MAP, STATE, WIRE, RecordingErr
 from eitskin_tools.recording.reader import Entry
 from eitskin_tools.recording.script import Script, reference_of
 
-MOST_FRAMES: Final = 2_000_000
+MAX_FRAMES: Final = 2_000_000
 """In memory: nearly three hours at 200 frames/s, 1.7 GB."""
 
-NUMBERS: Final = (1 << 32) - 1
+NUMBER_MASK: Final = (1 << 32) - 1
 """Of published frames are kept beside maps modulo one more."""
 
 COLUMNS: Final[dict[str, Any]] = {
@@ -115,10 +115,8 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
         if view.drives != ALL_DRIVES or frame.seq is None:
             left_out += 1
             continue
-        if len(volts) >= MOST_FRAMES:
-            raise RecordingError(
-                f"{script.path} has more than {MOST_FRAMES} frames: choose a part with --from and --to"
-            )
+        if len(volts) >= MAX_FRAMES:
+            raise RecordingError(f"{script.path} has more than {MAX_FRAMES} frames: choose a part with --from and --to")
         normaliser.load(view.counts)
         volts.append(normaliser.voltages().copy())
         later.append(held != first)
@@ -198,7 +196,7 @@ def _maps(script: Script, numbers: list[int], columns: dict[str, npt.NDArray[Any
         if solver == "none" and sequence >= 0:
             maps[row] = 0.0
             continue
-        at = bisect_right(first, number & NUMBERS)
+        at = bisect_right(first, number & NUMBER_MASK)
         for known, values in found[max(at - 1, 0) : at + 1]:  # the frame that had it first may not have been received
             if known == sequence:
                 maps[row] = values

@@ -35,16 +35,16 @@ LARGEST_CHUNK: Final = 8 << 20
 LATEST_NS: Final = (1 << 63) - 1
 """The year 2262: what arrays of times can hold."""
 
-MOST_ATTACHED: Final = 1000
+MAX_ATTACHED: Final = 1000
 """References that are kept."""
 
-RECORD: Final = struct.Struct("<BQ")
+RECORD_HEAD: Final = struct.Struct("<BQ")
 """Opcode and length, before each record."""
 
-SPAN: Final = struct.Struct("<QQ")
+CHUNK_TIMES: Final = struct.Struct("<QQ")
 """How a chunk begins: log times of its first and its last message."""
 
-INDEX: Final = struct.Struct("<HI")
+INDEX_HEAD: Final = struct.Struct("<HI")
 """How an index begins: its channel, and the bytes of its entries."""
 
 UNREADABLE: Final = (McapError, struct.error, ValueError, IndexError, OverflowError, zstandard.ZstdError, RuntimeError)
@@ -114,18 +114,18 @@ class Recording:
 
     def _scan(self, stream: BinaryIO, size: int) -> None:
         """Read the heads of the file's records: a file of hours is known in a fraction of a second."""
-        while len(head := stream.read(RECORD.size)) == RECORD.size:
-            opcode, length = RECORD.unpack(head)
+        while len(head := stream.read(RECORD_HEAD.size)) == RECORD_HEAD.size:
+            opcode, length = RECORD_HEAD.unpack(head)
             at = stream.tell()
             if length > LARGEST_RECORD or at + length > size:
                 return
             if opcode == Opcode.FOOTER:
                 self.cut = False
                 return
-            if opcode == Opcode.CHUNK and length >= SPAN.size:
-                self.chunks.append(ChunkPlace(at, length, *SPAN.unpack(stream.read(SPAN.size))))
-            elif opcode == Opcode.MESSAGE_INDEX and length >= INDEX.size and self.chunks:
-                channel, entries = INDEX.unpack(stream.read(INDEX.size))
+            if opcode == Opcode.CHUNK and length >= CHUNK_TIMES.size:
+                self.chunks.append(ChunkPlace(at, length, *CHUNK_TIMES.unpack(stream.read(CHUNK_TIMES.size))))
+            elif opcode == Opcode.MESSAGE_INDEX and length >= INDEX_HEAD.size and self.chunks:
+                channel, entries = INDEX_HEAD.unpack(stream.read(INDEX_HEAD.size))
                 if entries:
                     self._having.setdefault(channel, []).append(len(self.chunks) - 1)
             elif opcode in (Opcode.METADATA, Opcode.ATTACHMENT, Opcode.CHANNEL):
@@ -141,7 +141,7 @@ class Recording:
                 self.head = metadata.metadata
         elif opcode == Opcode.ATTACHMENT:
             attachment = Attachment.read(record)
-            if attachment.name.startswith(REFERENCE) and len(self.attached) < MOST_ATTACHED:
+            if attachment.name.startswith(REFERENCE) and len(self.attached) < MAX_ATTACHED:
                 self.attached[attachment.name] = attachment.data
         else:
             channel = Channel.read(record)

@@ -3,9 +3,9 @@
 The recorder is a process of its own: to pack a chunk and to force it onto the disk takes milliseconds, which the frame
 loop must not wait for. :class:`Recorder` knows no socket; it is given one value after the other.
 
-:class:`Intake` has a thread for each subscription that only takes messages from its socket, since the disk may hold up
-the writer. The threads rest between frames and then take what has come: each waking takes time from the frame loop
-where cores are few.
+:class:`SubscriptionQueue` has a thread for each subscription that only takes messages from its socket, since the disk
+may hold up the writer. The threads rest between frames and then take what has come: each waking takes time from the
+frame loop where cores are few.
 """
 
 import threading
@@ -44,14 +44,14 @@ from eitskin_tools.recording.layout import (
 )
 from eitskin_tools.recording.writer import Series
 
-MOST_WAITING: Final = 20_000
+MAX_QUEUED: Final = 20_000
 """Messages that wait for the disk: half a minute at 200 frames/s; more would be memory without end."""
 
-REST_S: Final = 0.02
+POLL_S: Final = 0.02
 """How long threads rest, at least, where they have taken what there was: 4 frames come meanwhile at 200 frames/s."""
 
 
-def heard(rhythm: Rhythm, found: object) -> None:
+def add_frame(rhythm: Rhythm, found: object) -> None:
     """Have a rhythm take note of a frame, whatever stream it is of."""
     match found:
         case Frame():
@@ -60,7 +60,7 @@ def heard(rhythm: Rhythm, found: object) -> None:
             rhythm.heard(found.n, found.read_ns)
 
 
-class Intake:
+class SubscriptionQueue:
     """Takes from subscriptions until it is closed.
 
     Args:
@@ -96,14 +96,14 @@ class Intake:
                 try:
                     for found in subscription:
                         self.silent = self.unusable = None
-                        if self._queue.qsize() < MOST_WAITING:
+                        if self._queue.qsize() < MAX_QUEUED:
                             self._queue.put(found)
                         else:
                             self.dropped += 1
-                        heard(rhythm, found)
+                        add_frame(rhythm, found)
                         if not subscription.waits:
                             self._rhythm = rhythm
-                            self._closing.wait(rhythm.rest_s(REST_S))
+                            self._closing.wait(rhythm.rest_s(POLL_S))
                         if self._closing.is_set():
                             return
                 except NoFrame as error:
@@ -122,7 +122,7 @@ class Intake:
             SkinError: A subscription failed.
         """
         if self._queue.empty():
-            time.sleep(min(self._rhythm.rest_s(REST_S), timeout_s))
+            time.sleep(min(self._rhythm.rest_s(POLL_S), timeout_s))
         with suppress(Empty):
             found = self._queue.get(timeout=timeout_s)
             if isinstance(found, Exception):
@@ -137,10 +137,10 @@ class Intake:
             thread.join(5.0)
 
 
-MOST_EARLY: Final = 4000
+MAX_EARLY: Final = 4000
 """Values that wait until the skin has said what it is: 10 s of a stream of 400 a second."""
 
-RESTING_NS: Final = 1_000_000_000
+REPEAT_NS: Final = 1_000_000_000
 """Between two pictures while nothing changes in them."""
 
 
@@ -156,7 +156,7 @@ class RecorderOptions:
     """Pictures for Foxglove a second, at most; 0 for none."""
 
 
-Opener = Callable[[dict[str, str]], Series]
+SeriesFactory = Callable[[dict[str, str]], Series]
 """Makes the files, given their head."""
 
 NO_CLOUD: Final = np.zeros((3, 0, 0), dtype=np.float32)
@@ -183,7 +183,7 @@ class Recorder:
         kept: What of the stream is kept.
     """
 
-    def __init__(self, opener: Opener, kept: RecorderOptions) -> None:
+    def __init__(self, opener: SeriesFactory, kept: RecorderOptions) -> None:
         self._opener, self._kept = opener, kept
         self._pixel_mm: tuple[float, float] | None = None
         self.series: Series | None = None
@@ -240,7 +240,7 @@ class Recorder:
         if run == self._run and self.series is not None:
             write(found)
             return
-        if len(self._early) >= MOST_EARLY:
+        if len(self._early) >= MAX_EARLY:
             raise RecordingError(
                 "the runtime sends frames but does not say what skin they are of; update it to this release"
             )
@@ -317,7 +317,7 @@ class Recorder:
         if not self._kept.pictures_hz or self._pixel_mm is None or values.shape != self._cloud.shape[1:]:
             return
         since_ns = wall_ns - self._picture_ns
-        if since_ns < 1e9 / self._kept.pictures_hz or (sequence == self._picture_sequence and since_ns < RESTING_NS):
+        if since_ns < 1e9 / self._kept.pictures_hz or (sequence == self._picture_sequence and since_ns < REPEAT_NS):
             return
         self._picture_ns, self._picture_sequence = wall_ns, sequence
         series = self._series_in_hand

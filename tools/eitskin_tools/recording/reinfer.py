@@ -85,7 +85,7 @@ class Verdicts:
         }
 
 
-NOTHING: Final = "none"
+NO_SOLVER: Final = "none"
 """The solver of a map that is 0."""
 
 ALL_SOLVERS_NS: Final = 1 << 62
@@ -93,7 +93,7 @@ ALL_SOLVERS_NS: Final = 1 << 62
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Computed:
+class ComputedFrame:
     """What became of one frame."""
 
     map: npt.NDArray[np.float32]
@@ -132,7 +132,7 @@ class Rerun:
         self._pipeline = Pipeline(bundle, script.hello, ALL_SOLVERS_NS, health=self._health)
         self._graph = GeometryGraph(bundle)
         self._pipeline.start_with(self._graph.geometry(None, None, 0))
-        self._solvers = {NOTHING, *(engine.name for engine in self._pipeline.engines)}
+        self._solvers = {NO_SOLVER, *(engine.name for engine in self._pipeline.engines)}
         if solver is not None:
             self._check(solver)
         self._solver = solver if solver is not None or self.as_recorded else default_solver(bundle)
@@ -157,7 +157,7 @@ class Rerun:
         nothing = np.zeros(self._pipeline.buffers.change.size, dtype=np.bool_)
         return nothing if self._health is None else self._health.electrodes.missing
 
-    def compute(self, step: Step, *, every: bool = True) -> Computed | None:
+    def compute(self, step: Step, *, every: bool = True) -> ComputedFrame | None:
         """Compute a frame; None where the recording does not say what it is held against, or it was withheld.
 
         Args:
@@ -173,19 +173,19 @@ class Rerun:
         if not self._ready or not step.known or frame.withheld or frame.seq is None:
             return None
         if not pipeline.load_recorded(frame.payload, frame.seq):  # of the idle mode: there is no map
-            return Computed(self._nothing, frame.touched, NOTHING)
+            return ComputedFrame(self._nothing, frame.touched, NO_SOLVER)
         decided.touched = frame.touched if self.as_recorded or pipeline.gate is None else None
         decided.inferred_untouched = decided.keeps_map = False
         decided.solver = self._solver or frame.solver
         self._check(decided.solver)
-        wanted = decided.solver != NOTHING and (every or frame.map_seq == frame.seq)  # else nobody asked for the map
+        wanted = decided.solver != NO_SOLVER and (every or frame.map_seq == frame.seq)  # else nobody asked for the map
         if not pipeline.compute(wanted):
-            return Computed(self._nothing, False, NOTHING)
+            return ComputedFrame(self._nothing, False, NO_SOLVER)
         logit = None if pipeline.gate is None else record.gate_logit
-        if not record.touched or decided.solver == NOTHING:
-            return Computed(self._nothing, record.touched, NOTHING, logit)
+        if not record.touched or decided.solver == NO_SOLVER:
+            return ComputedFrame(self._nothing, record.touched, NO_SOLVER, logit)
         found = self._map() if wanted else self._nothing
-        return Computed(found, True, decided.solver, logit, is_whole=self._regions == self._whole)
+        return ComputedFrame(found, True, decided.solver, logit, is_whole=self._regions == self._whole)
 
     def _map(self) -> npt.NDArray[np.float32]:
         """Return a copy of the map of the frame in hand, as far as the runtime computed it then."""
@@ -220,17 +220,17 @@ class Rerun:
                 pipeline.gate.threshold = conditions.gate_threshold
 
 
-REMEMBERED: Final = 256
+MAX_DIGESTS: Final = 256
 """Digests of maps that a later frame may have been published with: a map is made anew every 100 frames at least."""
 
-UNKNOWN: Final = {
+UNKNOWN_REASONS: Final = {
     "no_conditions": "came before the file says what they were held against",
     "frame_missing": "have a map of a frame that the file lacks, or says nothing of",
     "region": "differ in a last bit at most: an earlier release computed some rectangles of them alone",
 }
 """Why it cannot be told of a published map whether it is equal; and what people read."""
 
-BOTH: Final = 0.5
+TOUCHED_LEVEL: Final = 0.5
 """A pixel above it is touched."""
 
 
@@ -242,7 +242,7 @@ class Equality:
     """Frames that were published, with a digest."""
     equal: int = 0
     unknown_why: Counter[str] = field(default_factory=Counter)
-    """Of which it cannot be told, by a key of ``UNKNOWN``."""
+    """Of which it cannot be told, by a key of ``UNKNOWN_REASONS``."""
     differing: Counter[str] = field(default_factory=Counter)
     """Why the others are not equal: ``gate``, its value is another one; ``map``."""
     first_differing: int | None = None
@@ -255,14 +255,14 @@ class Equality:
         """Frames of which it cannot be told."""
         return self.unknown_why.total()
 
-    def computed(self, sequence: int, found: Computed) -> None:
+    def computed(self, sequence: int, found: ComputedFrame) -> None:
         """Take what a frame came to."""
         self._know_zero(found)
-        self._digests[sequence] = self._zero if found.solver == NOTHING else digest_of(found.map)
-        if len(self._digests) > REMEMBERED:
+        self._digests[sequence] = self._zero if found.solver == NO_SOLVER else digest_of(found.map)
+        if len(self._digests) > MAX_DIGESTS:
             self._digests.popitem(last=False)
 
-    def published_as(self, frame: WireFrame, digest: str, found: Computed | None) -> None:
+    def published_as(self, frame: WireFrame, digest: str, found: ComputedFrame | None) -> None:
         """Hold a published frame's digest against what was computed.
 
         Args:
@@ -274,7 +274,9 @@ class Equality:
         if found is not None:
             self._know_zero(found)
         ours = (
-            self._zero if frame.solver == NOTHING else self._digests.get(-1 if frame.map_seq is None else frame.map_seq)
+            self._zero
+            if frame.solver == NO_SOLVER
+            else self._digests.get(-1 if frame.map_seq is None else frame.map_seq)
         )
         if found is None or ours is None:
             self.unknown_why["no_conditions" if found is None else "frame_missing"] += 1
@@ -287,7 +289,7 @@ class Equality:
         else:
             self._differs("map", frame)
 
-    def _know_zero(self, found: Computed) -> None:
+    def _know_zero(self, found: ComputedFrame) -> None:
         self._zero = self._zero or digest_of(np.zeros_like(found.map))
 
     def _differs(self, why: str, frame: WireFrame) -> None:
@@ -315,7 +317,7 @@ def unknown_clause(found: Mapping[str, Any]) -> str:
     """
     if not found["unknown"]:
         return ""
-    why = ", ".join(f"{count} {UNKNOWN[name]}" for name, count in found["unknown_why"].items())
+    why = ", ".join(f"{count} {UNKNOWN_REASONS[name]}" for name, count in found["unknown_why"].items())
     return f"; {found['unknown']} cannot be told: {why}"
 
 
@@ -334,7 +336,7 @@ class Agreement:
     centres_mm: list[float] = field(default_factory=list)
     """Between the centres of what is above one half, where both have some."""
 
-    def add(self, one: Computed, other: Computed) -> None:
+    def add(self, one: ComputedFrame, other: ComputedFrame) -> None:
         """Take one frame."""
         self.frames += 1
         self.same_touched += one.touched == other.touched
@@ -367,7 +369,7 @@ def centre_mm(values: npt.NDArray[np.float32], pixel_mm: tuple[float, float]) ->
         values: (rows, columns).
         pixel_mm: Width and height of a pixel.
     """
-    weights = np.where(values > BOTH, values, 0.0).astype(np.float64)
+    weights = np.where(values > TOUCHED_LEVEL, values, 0.0).astype(np.float64)
     total = float(weights.sum())
     if not total:
         return None
@@ -380,20 +382,20 @@ def _quantile(values: list[float], share: float) -> float | None:
     return float(np.quantile(values, share)) if values else None
 
 
-class Solving(Protocol):
+class FrameSolver(Protocol):
     """What makes a map of each frame."""
 
-    def compute(self, step: Step) -> Computed | None:
+    def compute(self, step: Step) -> ComputedFrame | None:
         """Return what becomes of a frame; None if it cannot be told."""
 
 
-Makers = Mapping[str, Callable[[Script, Bundle], Solving]]
+Makers = Mapping[str, Callable[[Script, Bundle], FrameSolver]]
 """What makes solvers that neither a bundle nor the simulation has, by their names."""
 
 
-def others(
+def comparison_solver(
     script: Script, recorded: Bundle, named: Path | None, solver: str | None, makers: Makers = MappingProxyType({})
-) -> Solving | None:
+) -> FrameSolver | None:
     """Return what to compare with what was running; None where that itself is asked for.
 
     Args:
@@ -448,7 +450,7 @@ class SimulatedSolver:
         self._sheet: Any = None
         self._flat_V: Any = None
 
-    def compute(self, step: Step) -> Computed | None:
+    def compute(self, step: Step) -> ComputedFrame | None:
         """Compute a frame; None where the recording does not say what it is held against, or it was withheld."""
         from eitskin_sim.evaluation.harness import Case, Sheet
         from eitskin_sim.surface.predict import flat_voltages
@@ -462,13 +464,13 @@ class SimulatedSolver:
             return None
         self._view.load(step.frame.payload)
         if not step.frame.touched or self._view.drives != ALL_DRIVES:
-            return Computed(self._nothing, step.frame.touched, "none")
+            return ComputedFrame(self._nothing, step.frame.touched, "none")
         self._normaliser.load(self._view.counts)
         held = self._sheet.predicted() * self._flat_V / flat_voltages(skin)
         labels: Any = "units" if self._bundle.labels == "units" else "area"
         lowering = self._bundle.touch_kind == "lower"
         case = Case(self._normaliser.voltages(), held, self._flat_V, self._sheet, labels, lowering=lowering)
-        return Computed(np.asarray(self._solve(case), dtype=np.float32), True, self._name)
+        return ComputedFrame(np.asarray(self._solve(case), dtype=np.float32), True, self._name)
 
 
 Progress = Callable[[int, int], None]
@@ -486,7 +488,7 @@ class Maps:
     log_ns: list[int] = field(default_factory=list)
     judged: list[FrameVerdict | None] = field(default_factory=list)
 
-    def add(self, step: Step, found: Computed) -> None:
+    def add(self, step: Step, found: ComputedFrame) -> None:
         """Keep a copy of a frame's map.
 
         Raises:
@@ -558,7 +560,7 @@ def digests(script: Script) -> dict[int, str]:
 def reinfer(
     script: Script,
     bundle: Bundle,
-    solver: Solving | None = None,
+    solver: FrameSolver | None = None,
     *,
     from_s: float | None = None,
     to_s: float | None = None,
@@ -594,7 +596,7 @@ def reinfer(
     for step in script.steps(from_s, to_s):
         first_ns, last_ns = first_ns or step.log_ns, step.log_ns
         found = rerun.compute(step, every=keep > 0 or solver is not None)
-        before = _together(before, step)
+        before = _merged(before, step)
         other = None
         if solver is not None and count % every == 0:
             other, before = solver.compute(before), None
@@ -603,7 +605,7 @@ def reinfer(
         if progress is not None and count % 200 == 0:
             progress(count, script.frames)
         if equality is not None:
-            _hold(equality, step, found, published)
+            _compare_published(equality, step, found, published)
         if agreement is not None and found is not None and other is not None:
             agreement.add(found, other)
         shown = found if solver is None else other
@@ -616,7 +618,7 @@ def reinfer(
     return Reinferred(count, elapsed_s, cpu_s, recorded_s, withheld, equality, agreement, maps, others, verdicts)
 
 
-def _together(before: Step | None, step: Step) -> Step:
+def _merged(before: Step | None, step: Step) -> Step:
     """Return a frame with all that changed at those before it, which were left out."""
     if before is None:
         return step
@@ -629,7 +631,7 @@ def _together(before: Step | None, step: Step) -> Step:
     )
 
 
-def _hold(equality: Equality, step: Step, found: Computed | None, published: dict[int, str]) -> None:
+def _compare_published(equality: Equality, step: Step, found: ComputedFrame | None, published: dict[int, str]) -> None:
     """Hold one frame against what was published of it."""
     frame = step.frame
     if found is not None and frame.seq is not None and frame.map_seq == frame.seq:
@@ -647,7 +649,7 @@ def write(path: Path, found: Reinferred) -> None:
         RecordingError: No maps were kept.
         OSError: The file cannot be written.
     """
-    maps = _kept(found)
+    maps = _maps_of(found)
     arrays = {
         "seq": np.array(maps.sequence, dtype=np.int64),
         "touched": np.array(maps.touched, dtype=np.bool_),
@@ -678,7 +680,7 @@ def draw(path: Path, found: Reinferred, most: int) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    maps = _kept(found)
+    maps = _maps_of(found)
     touched = [index for index, values in enumerate(maps.maps) if values.any()]
     if not touched:
         raise RecordingError("nothing was touched in this part of the recording: there is nothing to draw")
@@ -696,7 +698,7 @@ def draw(path: Path, found: Reinferred, most: int) -> None:
     save(figure, path, dpi=120)
 
 
-def _kept(found: Reinferred) -> Maps:
+def _maps_of(found: Reinferred) -> Maps:
     if found.maps is None or not found.maps.maps:
         raise RecordingError("no map came out of this part of the recording")
     return found.maps

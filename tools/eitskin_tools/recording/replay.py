@@ -42,7 +42,7 @@ _SEQUENCE: Final = struct.Struct("<II")
 _AT: Final = 8
 """Where sequence and device_us stand in a frame's payload."""
 
-LEAST_GAP_US: Final = 1000
+MIN_GAP_US: Final = 1000
 """Between the last frame of one round and the first of the next, where one frame is all that there is."""
 
 
@@ -138,7 +138,7 @@ class RecordedLine:
         self.rounds += 1
         if self._loop and self._first is not None:
             first, last = self._first, self._last
-            gap_us = max((last[1] - first[1]) // max(last[0] - first[0], 1), LEAST_GAP_US)
+            gap_us = max((last[1] - first[1]) // max(last[0] - first[0], 1), MIN_GAP_US)
             self._ahead = self._ahead[0] + last[0] + 1 - first[0], self._ahead[1] + last[1] + gap_us - first[1]
             self._start_ns = 0
             self._steps = self._make()
@@ -218,15 +218,15 @@ class RecordedLine:
         self._wakes.put(None)
 
 
-OF_HEALTH: Final = ("electrode", "drift")
+HEALTH_EVENTS: Final = ("electrode", "drift")
 """What events of electrodes and drift begin with."""
 
-OVERRULED: Final = "gate_overruled"
+GATE_OVERRULED: Final = "gate_overruled"
 """The event of a frame whose map showed a touch that the gate did not see."""
 
-UNKNOWN: Final = (math.nan, math.nan, math.nan)
+UNKNOWN_DISTANCE: Final = (math.nan, math.nan, math.nan)
 
-LARGEST: Final = 10**6
+MAX_PERCENT: Final = 10**6
 """Percent; beyond it, and where it is no number, a distance is unknown."""
 
 NEVER_S = 1e8
@@ -351,7 +351,7 @@ class Player:
         if by_hand or self.skin.loop.reference is not self._held_against or frame.withheld or frame.seq is None:
             decided.clear()
             return
-        overruled = OVERRULED in notes.events
+        overruled = GATE_OVERRULED in notes.events
         decided.touched = frame.touched and not overruled
         decided.inferred_untouched = overruled or "map:untouched" in notes.skipped
         decided.keeps_map = None if frame.map_seq is None or frame.solver == "none" else frame.map_seq != frame.seq
@@ -411,7 +411,7 @@ class FrameNotes:
     @property
     def of_health(self) -> tuple[str, ...]:
         """Events of electrodes and drift."""
-        return tuple(text for text in self.events if text.startswith(OF_HEALTH))
+        return tuple(text for text in self.events if text.startswith(HEALTH_EVENTS))
 
 
 class PublishedNotes:
@@ -455,7 +455,7 @@ class PublishedNotes:
 
     def _distance_at(self, log_ns: int) -> Distance:
         index = bisect_right(self._states, log_ns, key=lambda one: one[0])
-        return self._states[max(index - 1, 0)][1] if self._states else UNKNOWN
+        return self._states[max(index - 1, 0)][1] if self._states else UNKNOWN_DISTANCE
 
 
 def _notes(script: Script, begin_ns: int) -> Iterator[dict[str, Any]]:
@@ -476,12 +476,12 @@ def _drift_of(state: dict[str, Any]) -> Distance:
     status = state.get("status")
     drift = status.get("drift") if isinstance(status, dict) else None
     if not isinstance(drift, dict):
-        return UNKNOWN
+        return UNKNOWN_DISTANCE
     return _numbers(drift.get(name) for name in ("percent", "sd_percent", "uneven_percent"))
 
 
 def _numbers(values: Iterator[Any]) -> Distance:
     one, two, three = (
-        float(value) if isinstance(value, int | float) and abs(value) <= LARGEST else math.nan for value in values
+        float(value) if isinstance(value, int | float) and abs(value) <= MAX_PERCENT else math.nan for value in values
     )
     return one, two, three

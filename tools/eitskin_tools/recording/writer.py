@@ -29,10 +29,10 @@ from eitskin_tools.recording.layout import CHANNELS, FORMAT, HEAD, VERSION, WIRE
 RESERVE_BYTES: Final = 8 << 20
 """Room for the last chunk, and for the summary of a file of a day."""
 
-FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+DISK_FULL_ERRNOS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """What the system says when there is no room."""
 
-NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW
+CREATE_FLAGS: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW
 
 
 class Reserve:
@@ -53,7 +53,7 @@ class Reserve:
             os.posix_fallocate(self._file.fileno(), 0, size)
         except OSError as error:
             self.give_up()
-            if error.errno in FULL:
+            if error.errno in DISK_FULL_ERRNOS:
                 raise RecordingError(
                     f"{folder} has less than {size >> 20} MB left; free some, or name another place"
                 ) from error
@@ -92,7 +92,7 @@ class Sink:
         """Written so far."""
         self._reserve = reserve
         try:
-            self._handle = self._with_room(lambda: os.open(self.path, NEW, 0o666))
+            self._handle = self._with_room(lambda: os.open(self.path, CREATE_FLAGS, 0o666))
         except FileExistsError:
             raise RecordingError(f"{self.path} exists already; name another file, or move it away") from None
         _sync_folder(self.path.parent)
@@ -103,7 +103,7 @@ class Sink:
             try:
                 return write()
             except OSError as error:
-                if error.errno not in FULL or not self._reserve.held:
+                if error.errno not in DISK_FULL_ERRNOS or not self._reserve.held:
                     raise
             self.full = True
             self._reserve.give_up()
@@ -290,7 +290,7 @@ def path_of(first: Path, number: int) -> Path:
     return first if number == 1 else first.with_name(f"{first.stem}.{number:04d}{first.suffix}")
 
 
-def others(first: Path) -> list[Path]:
+def later_files(first: Path) -> list[Path]:
     """Return the files that are there already and are called like the second or a later one of a series."""
     name = re.compile(rf"{re.escape(first.stem)}\.[0-9]{{4,}}{re.escape(first.suffix)}")
     with suppress(OSError):  # a folder that may be written to and not read

@@ -11,15 +11,15 @@ from typing import IO, Any, Final
 from eitskin.robot.config import SkinSettings
 from eitskin.robot.described import ProcessState
 from eitskin_tools.processes.children import Backoff, ChildProcess, die_with_parent, how_it_ended
-from eitskin_tools.service.supervisor import ADDRESS, HANG, INTERVAL, WHOM
+from eitskin_tools.service.supervisor import ADDRESS_VARIABLE, HANG_VARIABLE, INTERVAL_VARIABLE, PID_VARIABLE
 
 BAD_USAGE: Final = 2
 """Exit status that another start cannot change."""
 
-READ: Final = 1 << 16
-LONGEST_LINE: Final = 1 << 20
+READ_BYTES: Final = 1 << 16
+MAX_LINE_BYTES: Final = 1 << 20
 
-NOT_OURS: Final = (ADDRESS, INTERVAL, WHOM, "JOURNAL_STREAM")
+SUPERVISOR_VARIABLES: Final = (ADDRESS_VARIABLE, INTERVAL_VARIABLE, PID_VARIABLE, "JOURNAL_STREAM")
 """Of the environment: what is meant for the supervising process alone."""
 
 HANG_S: Final = 10.0
@@ -42,7 +42,7 @@ class Lines:
         """Yield the whole lines that have come; at the end of the stream also what is left."""
         while True:
             try:
-                data = os.read(self.stream.fileno(), READ)
+                data = os.read(self.stream.fileno(), READ_BYTES)
             except BlockingIOError:
                 return
             if not data:
@@ -52,7 +52,7 @@ class Lines:
                     yield last.decode(errors="replace")
                 return
             *whole, self._rest = (self._rest + data).split(b"\n")
-            self._rest = self._rest[-LONGEST_LINE:]
+            self._rest = self._rest[-MAX_LINE_BYTES:]
             yield from (line.decode(errors="replace") for line in whole)
 
 
@@ -113,8 +113,8 @@ class SkinProcess:
             OSError: There are too few processes, descriptors or memory.
         """
         environment = {"PYTHONFAULTHANDLER": "1"}  # a child that SIGABRT ends shows its stacks
-        environment |= {name: value for name, value in os.environ.items() if name not in NOT_OURS}
-        environment[HANG] = str(self._hang_s)
+        environment |= {name: value for name, value in os.environ.items() if name not in SUPERVISOR_VARIABLES}
+        environment[HANG_VARIABLE] = str(self._hang_s)
         process = self._child.start(
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -19,7 +19,7 @@ from eitskin_tools.errors import UsageError
 if TYPE_CHECKING:
     from eitskin.robot.config import Robot, SkinSettings
 
-SHARED: Final = ("config", "check", "seconds", "log_format", "quiet", "json")
+CONFIG_OPTIONS: Final = ("config", "check", "seconds", "log_format", "quiet", "json")
 """Options that go with ``--config``; all others are stated for each skin in the file."""
 
 
@@ -37,7 +37,7 @@ def run_all(arguments: argparse.Namespace, add_arguments: Callable[[argparse.Arg
     parser = Parser()
     add_arguments(parser)
     for name, default in vars(parser.parse_args([])).items():
-        if name not in SHARED and getattr(arguments, name) != default:
+        if name not in CONFIG_OPTIONS and getattr(arguments, name) != default:
             raise UsageError(
                 f"--{name.replace('_', '-')} is of one skin, and --config of all; state it in {arguments.config}"
             )
@@ -45,7 +45,7 @@ def run_all(arguments: argparse.Namespace, add_arguments: Callable[[argparse.Arg
     from eitskin.robot.config import load_robot
     from eitskin_tools.processes.children import Backoff
     from eitskin_tools.robot.child import SkinProcess
-    from eitskin_tools.robot.supervise import Family, RobotLog
+    from eitskin_tools.robot.supervise import RobotLog, SkinSupervisor
     from eitskin_tools.service.supervisor import Supervisor
 
     robot = load_robot(Path(arguments.config))
@@ -65,7 +65,7 @@ def run_all(arguments: argparse.Namespace, add_arguments: Callable[[argparse.Arg
         whole = tuple(replace(one, restart="on-failure") if one.restart == "always" else one for one in whole)
     skins = [SkinProcess(one, Backoff(), more) for one in whole]
     try:
-        status = Family(robot.folder, skins, log, supervisor).run()
+        status = SkinSupervisor(robot.folder, skins, log, supervisor).run()
     finally:
         supervisor.close()
     if arguments.json:
@@ -127,7 +127,7 @@ def _check_skin(settings: "SkinSettings") -> list[str]:
     from eitskin.model.skin_in_use import bundle_and_skin
     from eitskin.reference import captured
     from eitskin_proto.skin import toml
-    from eitskin_tools.console.run_status import doubts
+    from eitskin_tools.console.run_status import bundle_doubts
 
     bundle_path = _there("bundle", settings.bundle, files.BUNDLE)
     description_path = _there("skin", settings.description, files.SKIN)
@@ -138,7 +138,7 @@ def _check_skin(settings: "SkinSettings") -> list[str]:
     captured.taken(settings.reference, used)
     if settings.curve_keys is not None:
         load_server_keys(settings.curve_keys)
-    return doubts(chosen, used)
+    return bundle_doubts(chosen, used)
 
 
 def _there(key: str, given: Path | None, kind: files.Kind) -> Path | None:

@@ -26,7 +26,7 @@ GRACE_S: Final = 6.0
 """How long a skin may take to end once it was told to: it ends by itself within 5 s, whatever hangs (the watchdog of
 ``eitskin run``), and mostly within some tens of milliseconds."""
 
-LONGEST_WAIT_S: Final = 60.0
+MAX_WAIT_S: Final = 60.0
 
 
 class RobotLog:
@@ -70,7 +70,7 @@ def _event_text(kind: str, fields: Mapping[str, Any]) -> str:
     return f"{fields.get('text', '')}{more}"
 
 
-class Family:
+class SkinSupervisor:
     """The processes of a robot's skins.
 
     Args:
@@ -154,14 +154,14 @@ class Family:
         due = [one.due_s for one in self.skins if one.due_s is not None and not one.runs]
         due += [] if self._kill_s is None else [self._kill_s]
         due += [] if self._sign_s is None else [self._next_sign_s]
-        return max(0.0, min([at_s - time.monotonic() for at_s in due] + [LONGEST_WAIT_S]))
+        return max(0.0, min([at_s - time.monotonic() for at_s in due] + [MAX_WAIT_S]))
 
     def _start(self, one: SkinProcess) -> None:
         first = one.due_s == 0.0 and not one.seen
         try:
             one.start() if first else one.restart()
         except OSError as error:  # too few processes or descriptors: another time
-            one.put_off(time.monotonic() + LONGEST_WAIT_S, f"cannot be started: {error.strerror or error}")
+            one.put_off(time.monotonic() + MAX_WAIT_S, f"cannot be started: {error.strerror or error}")
             self._log.warn(one.settings.name, one.why)
             return
         assert one.errors is not None

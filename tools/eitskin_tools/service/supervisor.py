@@ -16,11 +16,11 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Final, Self
 
-ADDRESS: Final = "NOTIFY_SOCKET"
-INTERVAL: Final = "WATCHDOG_USEC"
-WHOM: Final = "WATCHDOG_PID"
+ADDRESS_VARIABLE: Final = "NOTIFY_SOCKET"
+INTERVAL_VARIABLE: Final = "WATCHDOG_USEC"
+PID_VARIABLE: Final = "WATCHDOG_PID"
 
-HANG: Final = "EITSKIN_HANG_S"
+HANG_VARIABLE: Final = "EITSKIN_HANG_S"
 """Seconds without a sign of life after which the process shows what each thread is doing, and ends."""
 
 
@@ -45,11 +45,11 @@ class Supervisor:
     def of(cls, environment: Mapping[str, str]) -> Self:
         """Return who started us, by what systemd puts into the environment."""
         interval_s = None
-        text, whom = environment.get(INTERVAL, ""), environment.get(WHOM, "")
+        text, whom = environment.get(INTERVAL_VARIABLE, ""), environment.get(PID_VARIABLE, "")
         if text.isdecimal() and int(text) > 0 and whom in ("", str(os.getpid())):
             interval_s = int(text) * 1e-6
-        hang = environment.get(HANG)
-        return cls(environment.get(ADDRESS, ""), interval_s, None if hang is None else float(hang))
+        hang = environment.get(HANG_VARIABLE)
+        return cls(environment.get(ADDRESS_VARIABLE, ""), interval_s, None if hang is None else float(hang))
 
     @property
     def listens(self) -> bool:

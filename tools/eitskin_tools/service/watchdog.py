@@ -21,10 +21,10 @@ from eitskin.acquisition.transport import Transport, WrappedTransport
 from eitskin_tools.processes.periodic_thread import PeriodicThread
 from eitskin_tools.service.supervisor import Supervisor
 
-LOOK_S: Final = 0.25
+POLL_S: Final = 0.25
 """Between two looks, at most."""
 
-SHORTEST_LOOK_S: Final = 0.01
+MIN_POLL_S: Final = 0.01
 
 SIGN_S: Final = 1.0
 """Between two signs of life, where the supervisor does not say how often it wants one."""
@@ -38,7 +38,7 @@ END_S: Final = 5.0
 LAST_WORDS_S: Final = 1.0
 """How long saying why may take: nobody may be reading."""
 
-STOOD_STILL: Final = 70
+EXIT_STATUS: Final = 70
 """Exit status, which systemd calls SOFTWARE."""
 
 
@@ -97,7 +97,7 @@ class Watchdog(PeriodicThread):
     ) -> None:
         self._say, self._supervisor, self._end = say, supervisor, end
         interval_s = supervisor.interval_s
-        self._look_s = LOOK_S if interval_s is None else min(LOOK_S, max(SHORTEST_LOOK_S, interval_s / 4.0))
+        self._look_s = POLL_S if interval_s is None else min(POLL_S, max(MIN_POLL_S, interval_s / 4.0))
         super().__init__("eitskin-watchdog", self._look_s)
         self._sign_s = SIGN_S if interval_s is None else interval_s / 2.0
         self._since_sign_s = 0.0
@@ -141,7 +141,7 @@ class Watchdog(PeriodicThread):
         """Say why, take the sockets' files away, and end; nothing is waited for that may stand still as well."""
         text = (
             f"{self._what} has stood still for {self._limit_s:g} s; what each thread is doing follows; this ends with "
-            f"status {STOOD_STILL}, so that its supervisor starts it again"
+            f"status {EXIT_STATUS}, so that its supervisor starts it again"
         )
         words = threading.Thread(target=self._say, args=(text, stacks()), daemon=True)
         words.start()
@@ -149,7 +149,7 @@ class Watchdog(PeriodicThread):
         for path in self.sockets:
             with suppress(OSError):
                 path.unlink()
-        self._end(STOOD_STILL)
+        self._end(EXIT_STATUS)
 
 
 def stacks() -> str:

@@ -14,7 +14,7 @@ from eitskin_sim.verification.verdict import Verdict as Found
 from eitskin_tools.evaluation.verified.solver import MapVerifier, noise_shown
 from eitskin_tools.verifier.letters import Array, FrameLetter, RestLetter, Setup
 
-UNLIKE_ITS_SCAN: Final = (
+SCAN_MISMATCH: Final = (
     "untouched, the sheet does not read as its cloud and reference say; send its cloud, or take a reference anew"
 )
 
@@ -73,7 +73,7 @@ class Checker:
         if not self._usable.all():
             return ""  # a sheet is known by all its rows
         known = self._verifier.shapes.rest(self._reference_V * (1.0 + letter.change), letter.frames)
-        return "" if known else UNLIKE_ITS_SCAN
+        return "" if known else SCAN_MISMATCH
 
     def _message_of(self, one: UnitTouch | ShapeTouch) -> VerifiedTouch:
         if isinstance(one, UnitTouch):

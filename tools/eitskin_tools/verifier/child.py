@@ -16,10 +16,10 @@ from eitskin_tools.processes.children import Backoff, ChildProcess, how_it_ended
 from eitskin_tools.processes.periodic_thread import PeriodicThread
 from eitskin_tools.verifier.letters import LARGEST_PACKET
 
-LOOK_S: Final = 0.1
+POLL_S: Final = 0.1
 """Between two looks."""
 
-LEAVES_S: Final = 0.2
+EXIT_TIMEOUT_S: Final = 0.2
 """How long leaving waits for its end. It needs a core to end as well, which it may not get for seconds at the lowest
 priority; a killed verifier keeps nothing, and the kernel sees to the rest."""
 
@@ -31,7 +31,7 @@ LAST_WORDS_BYTES: Final = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class Placement:
     """Where the verifier runs, and how."""
 
     nice: int = 10
@@ -52,8 +52,8 @@ class VerifierProcess(PeriodicThread):
         max_failures: In a row, after which it is given up.
     """
 
-    def __init__(self, place: Place, backoff: Backoff | None = None, max_failures: int = MAX_FAILURES) -> None:
-        super().__init__("verifier-process", LOOK_S)
+    def __init__(self, place: Placement, backoff: Backoff | None = None, max_failures: int = MAX_FAILURES) -> None:
+        super().__init__("verifier-process", POLL_S)
         self.place = place
         self._child = ChildProcess(place.program, backoff)
         self._max_failures = max_failures
@@ -149,7 +149,7 @@ class VerifierProcess(PeriodicThread):
         process = self._child.process
         if process is not None:
             process.kill()  # also if it is stopped; it keeps nothing
-            if self._child.wait(LEAVES_S) is None:
+            if self._child.wait(EXIT_TIMEOUT_S) is None:
                 threading.Thread(target=process.wait, name="verifier-leaves", daemon=True).start()
             self._child.process = None
             self._close()

@@ -31,13 +31,13 @@ REPEAT_NS: Final = 1_000_000_000
 RECEIVE_NS: Final = 50_000_000
 """Between two looks for what a verifier says of itself, while no verdict is waited for."""
 
-REMEMBERED: Final = 2000
+MAX_DURATIONS: Final = 2000
 """Verdicts whose times are kept."""
 
 LATE_NS: Final = 1_000_000_000
 """A frame that takes so much more than its budget is reported as late."""
 
-LATE: Final = "what it computes takes longer than it may; if it hangs it is ended, and started anew"
+LATE_REASON: Final = "what it computes takes longer than it may; if it hangs it is ended, and started anew"
 """Said meanwhile."""
 
 
@@ -79,7 +79,7 @@ class VerifierFeed:
         self._reported_ns = self._receive_ns = self._number = 0
         self._is_wanted = False
         self.counts = {"checked": 0, "flagged": 0, "skipped": 0}
-        self._spent_ms: deque[float] = deque(maxlen=REMEMBERED)
+        self._spent_ms: deque[float] = deque(maxlen=MAX_DURATIONS)
         self._setup_ms = 0.0
 
     @property
@@ -88,7 +88,7 @@ class VerifierFeed:
         process = self._process
         if process.state in (WAITING, FAILED):
             return process.state, process.why
-        return (self._verifier[0], LATE) if self._is_late else self._verifier
+        return (self._verifier[0], LATE_REASON) if self._is_late else self._verifier
 
     def after_frame(self, record: FrameRecord) -> None:
         """Take the frame that has just gone out."""

@@ -108,12 +108,12 @@ def verifying(
     if arguments.verify == "off":
         yield None
         return
-    from eitskin_tools.verifier.child import Place, VerifierProcess
+    from eitskin_tools.verifier.child import Placement, VerifierProcess
     from eitskin_tools.verifier.feed import VerifierFeed
     from eitskin_tools.verifier.letters import BUDGET_S
 
     nice = NICE if arguments.verify_nice is None else arguments.verify_nice
-    place = Place(nice, arguments.verify_cpus, idle=arguments.verify == "idle")
+    place = Placement(nice, arguments.verify_cpus, idle=arguments.verify == "idle")
     with VerifierProcess(place) as process:
         budget_s = BUDGET_S if arguments.verify_budget_ms is None else arguments.verify_budget_ms * 1e-3
         feed = VerifierFeed(skin, publisher, process, arguments.verify, budget_s)

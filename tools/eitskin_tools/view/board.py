@@ -12,7 +12,7 @@ from typing import Final
 KINDS: Final = ("skin", "overview", "surface", "frame", "state", "status")
 """In the order in which a page takes them."""
 
-MOST_PAGES: Final = 16
+MAX_PAGES: Final = 16
 """At once."""
 
 
@@ -53,7 +53,7 @@ class Board:
     def page(self) -> Iterator[bool]:
         """Count a page for as long as it looks on; give False where there are enough already."""
         with self._changed:
-            room = self._pages < MOST_PAGES and not self._closed
+            room = self._pages < MAX_PAGES and not self._closed
             self._pages += room
             self._changed.notify_all()
         try:

@@ -30,13 +30,13 @@ from eitskin_tools.view.source import Source
 REFRESH_HZ: Final = 30.0
 """Pictures a second of a skin, at most."""
 
-TOGETHER_HZ: Final = 120.0
+MAX_TOTAL_HZ: Final = 120.0
 """Of all skins together: a page has to take them in."""
 
 SILENCE_S: Final = 1.0
 """After so long without a frame the page is told why."""
 
-LINGER_S: Final = 3.0
+IDLE_S: Final = 3.0
 """How long to go on when the last page has gone: one that is loaded anew is back at once."""
 
 STATUS_S: Final = 1.0
@@ -45,7 +45,7 @@ STATUS_S: Final = 1.0
 
 def refresh_hz(skins: int) -> float:
     """Return how many pictures a second each of so many skins may have."""
-    return min(REFRESH_HZ, TOGETHER_HZ / skins)
+    return min(REFRESH_HZ, MAX_TOTAL_HZ / skins)
 
 
 class Feed:
@@ -119,7 +119,7 @@ class Feed:
                 now_s = time.monotonic()
                 if self._board.pages:
                     seen_s = now_s
-                elif now_s - seen_s > LINGER_S:
+                elif now_s - seen_s > IDLE_S:
                     return
                 self._left.wait(rhythm.rest_s(max(0.0, due_s - now_s)))
 
@@ -138,7 +138,7 @@ class Feed:
         self._board.post("status", status_message(state, text, self._of, **self._more()), self._of)
 
 
-NOWHERE: Final = (0.0, 0.0, 0.0)
+UNKNOWN_NORMAL: Final = (0.0, 0.0, 0.0)
 """The normal of a touch whose surface is not known yet: who draws it places it on the surface that is drawn."""
 
 
@@ -179,7 +179,7 @@ class TouchLister:
         raw, events, more = self._watch.update(values, (frame.solver, frame.map_sequence), surface, frame.device_us)
         found = unpack_touches(raw, LAYOUT.size, events, more)
         if known is None and frame.cloud:
-            found = replace(found, touches=tuple(replace(one, normal=NOWHERE) for one in found.touches))
+            found = replace(found, touches=tuple(replace(one, normal=UNKNOWN_NORMAL) for one in found.touches))
         return replace(frame, touch_list=found)
 
 

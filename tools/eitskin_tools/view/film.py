@@ -32,7 +32,7 @@ from eitskin_proto.errors import SkinError
 from eitskin_tools.recording.codec import unpack_json
 from eitskin_tools.recording.layout import FRAME, WIRE, RecordingError
 from eitskin_tools.recording.reader import Entry, Recording
-from eitskin_tools.recording.reinfer import NOTHING, Computed, Rerun
+from eitskin_tools.recording.reinfer import NO_SOLVER, ComputedFrame, Rerun
 from eitskin_tools.recording.script import SeekableRecording, Step, bundle_of
 from eitskin_tools.view.messages import frame_message, packed, skin_message, status_message, surface_message
 from eitskin_tools.view.server import PageServer
@@ -40,10 +40,10 @@ from eitskin_tools.view.server import PageServer
 PART_S: Final = 1.0
 """Of a recording, in one answer."""
 
-MOST_BYTES: Final = 32 << 20
+MAX_CACHED_BYTES: Final = 32 << 20
 """Parts that are kept for other pages, and for one that goes back."""
 
-MOST_WATCHES: Final = 8
+MAX_WATCHES: Final = 8
 """Ends of parts at which touches are known, so that the part behind goes on with their numbers."""
 
 
@@ -91,7 +91,7 @@ class Film:
         with self._lock:
             if number not in self._made:
                 self._made[number] = self._make(number)
-                while len(self._made) > 1 and sum(map(len, self._made.values())) > MOST_BYTES:
+                while len(self._made) > 1 and sum(map(len, self._made.values())) > MAX_CACHED_BYTES:
                     self._made.popitem(last=False)
             self._made.move_to_end(number)
             return self._made[number]
@@ -111,7 +111,7 @@ class Film:
             found = self._rerun.compute(step, every=not stands)
             if found is None or frame.seq is None:
                 continue
-            has_map = found.touched and found.solver != NOTHING
+            has_map = found.touched and found.solver != NO_SOLVER
             if has_map and not stands:  # it stays while frames go out without one: a later one may have it
                 kept, shown = found.map, frame.seq if frame.map_seq is None else frame.map_seq
             values = kept if has_map else self._nothing
@@ -125,22 +125,22 @@ class Film:
                 frame_message(replace(self._blank, **told, map=values, cloud=cloud, touch_list=touches), 0, Pose())
             )
         self._watches[number] = watch
-        while len(self._watches) > MOST_WATCHES:
+        while len(self._watches) > MAX_WATCHES:
             self._watches.popitem(last=False)
         return b"".join(messages)
 
     def _asked(self, step: Step) -> Step:
         """Return a frame as it would be had somebody asked for its map: a recorder alone need not."""
         frame = step.frame
-        if not frame.touched or frame.solver != NOTHING:
+        if not frame.touched or frame.solver != NO_SOLVER:
             return step
         return replace(step, frame=replace(frame, solver=self._solver, map_seq=frame.seq))
 
 
-LONGEST: Final = 10**300
+MAX_NUMBER: Final = 10**300
 """Of a number: a whole one may be larger than any that a page understands."""
 
-LARGEST: Final = 1 << 53
+MAX_COUNT: Final = 1 << 53
 """Of a count that a page understands."""
 
 
@@ -160,7 +160,7 @@ def blank(told: SeekableRecording, nothing: npt.NDArray[np.float32]) -> Frame:
     )  # fmt: skip
 
 
-def published(step: Step, note: Mapping[str, Any], found: Computed, first_ns: int) -> dict[str, Any]:
+def published(step: Step, note: Mapping[str, Any], found: ComputedFrame, first_ns: int) -> dict[str, Any]:
     """Return the fields of a frame.
 
     Args:
@@ -195,12 +195,12 @@ def published(step: Step, note: Mapping[str, Any], found: Computed, first_ns: in
 
 def count(value: Any) -> int:
     """Return a count; 0 for what is none."""
-    return value if type(value) is int and 0 <= value <= LARGEST else 0
+    return value if type(value) is int and 0 <= value <= MAX_COUNT else 0
 
 
 def number(value: Any) -> float | None:
     """Return a finite number; None for what is none."""
-    return float(value) if isinstance(value, int | float) and abs(value) <= LONGEST else None
+    return float(value) if isinstance(value, int | float) and abs(value) <= MAX_NUMBER else None
 
 
 def texts(value: Any) -> tuple[str, ...]:
@@ -209,7 +209,7 @@ def texts(value: Any) -> tuple[str, ...]:
     return tuple(text[:MAX_TEXT] for text in found[:MAX_TEXTS] if isinstance(text, str))
 
 
-class Projector(PageServer):
+class FilmServer(PageServer):
     """Serves the page of a recording.
 
     Args:
@@ -245,16 +245,16 @@ class Projector(PageServer):
 ROWS: Final = 600
 """Spans of a recording: some pixels each."""
 
-APART_S: Final = 0.5
+MIN_GAP_S: Final = 0.5
 """Touches that are nearer to each other are one mark; the same event again within it is none."""
 
-MOST_MARKS: Final = 2000
+MAX_MARKS: Final = 2000
 """Of a kind, that a page is sent."""
 
-TELL_S: Final = 0.5
+REPORT_S: Final = 0.5
 """Between two messages while it is being made."""
 
-NOT_MARKED: Final = ("lost", "overrun", "cloud")
+UNMARKED_EVENTS: Final = ("lost", "overrun", "cloud")
 """Events that are counted, or seen on the surface."""
 
 Row = dict[str, Any]
@@ -300,9 +300,9 @@ class Overview:
         row = self._row(at_s)
         row["frames"] += 1
         if frame.touched:
-            if self._touched and at_s - self._touched[-1][1] < APART_S:
+            if self._touched and at_s - self._touched[-1][1] < MIN_GAP_S:
                 self._touched[-1][1] = at_s
-            elif len(self._touched) < MOST_MARKS:
+            elif len(self._touched) < MAX_MARKS:
                 self._touched.append([at_s, at_s])
         if frame.seq is not None:
             if self._sequence is not None and frame.seq > self._sequence + 1:
@@ -327,11 +327,11 @@ class Overview:
                     self._count(row, name, more)
                 self._before[name] = now
         for code in texts(note.get("events")):
-            if code not in NOT_MARKED:
+            if code not in UNMARKED_EVENTS:
                 self._event(at_s, code)
 
     def _event(self, at_s: float, code: str) -> None:
-        if at_s - self._last.get(code, -APART_S) >= APART_S and len(self._events) < MOST_MARKS:
+        if at_s - self._last.get(code, -MIN_GAP_S) >= MIN_GAP_S and len(self._events) < MAX_MARKS:
             self._events.append((round(at_s, 3), code))
         self._last[code] = at_s
 
@@ -384,7 +384,7 @@ class OverviewThread:
                 self._overview.add(entry)
                 if self._left.is_set():
                     return
-                if (now_s := time.monotonic()) - told_s > TELL_S:
+                if (now_s := time.monotonic()) - told_s > REPORT_S:
                     told_s = now_s
                     self._tell(self._overview.message(done=False))
         except (OSError, SkinError):

@@ -1,6 +1,6 @@
 """The server of the page: the standard library's, with everything bounded.
 
-A request is of a listed path, and has no body. At most ``MOST`` connections are open at a time; one that neither sends
+A request is of a listed path, and has no body. At most ``MAX_CONNECTIONS`` are open at a time; one that neither sends
 nor reads for ``STALL_S`` is left. ``/stream`` is one answer without end, in chunks, of which each has the newest
 message of each kind; a line reports a page that does not read it. ``/part/N`` is a second of a recording.
 """
@@ -22,7 +22,7 @@ from eitskin.errors import SkinError
 from eitskin_tools.console.terminal import say
 from eitskin_tools.view.board import Board
 
-MOST: Final = 64
+MAX_CONNECTIONS: Final = 64
 """Connections at a time."""
 
 STALL_S: Final = 5.0
@@ -38,7 +38,7 @@ ACTIONS: Final = ("/record/start", "/record/stop")
 """What a page may ask for, by POST without a body."""
 
 
-class PortTaken(SkinError):  # noqa: N818 -- named as the runtime's own are
+class PortUnavailable(SkinError):  # noqa: N818 -- named as the runtime's own are
     """The server cannot be bound; the text says why, and what to do."""
 
 
@@ -54,7 +54,7 @@ class ViewServer(ThreadingHTTPServer):
         film: A :class:`~eitskin_tools.view.film.Film`, of which pages ask for parts.
 
     Raises:
-        PortTaken: The address cannot be bound.
+        PortUnavailable: The address cannot be bound.
         ValueError: It can be reached from other machines, and there is no token.
     """
 
@@ -78,11 +78,11 @@ class ViewServer(ThreadingHTTPServer):
         self.host, self.board, self.token = host, board, token
         self.recorder, self.film = recorder, film
         self.pages = pages()
-        self._room = threading.BoundedSemaphore(MOST)
+        self._room = threading.BoundedSemaphore(MAX_CONNECTIONS)
         try:
             super().__init__((host, port), _Request)
         except OSError as error:
-            raise PortTaken(why_not_bound(host, port, error)) from error
+            raise PortUnavailable(why_not_bound(host, port, error)) from error
         self.port: int = self.server_address[1]
 
     @property
@@ -180,7 +180,7 @@ class _Request(BaseHTTPRequestHandler):
         host = self.headers.get("Host", "")
         if not host_allowed(host, self.server.host, self.server.port):
             self._refuse(HTTPStatus.MISDIRECTED_REQUEST, f"this is {self.server.address.partition('#')[0]}")
-        elif self.headers.get("Sec-Fetch-Site", "") not in FROM_HERE:
+        elif self.headers.get("Sec-Fetch-Site", "") not in OWN_FETCH_SITES:
             self._refuse(HTTPStatus.FORBIDDEN, "only the page itself may ask for this")
         elif self.headers.get("Content-Length", "0") != "0" or "Transfer-Encoding" in self.headers:
             self.close_connection = True
@@ -256,7 +256,7 @@ class _Request(BaseHTTPRequestHandler):
         """Keep no log."""
 
 
-FROM_HERE: Final = ("same-origin", "none", "")
+OWN_FETCH_SITES: Final = ("same-origin", "none", "")
 """Sec-Fetch-Site of our own page, of an address that somebody typed, and of a browser that does not say."""
 
 
@@ -387,7 +387,7 @@ class PageServer:
         """Bind the address.
 
         Raises:
-            PortTaken: It cannot be bound.
+            PortUnavailable: It cannot be bound.
             ValueError: It can be reached from other machines, and there is no token.
         """
         self.server = ViewServer(host, port, self.board, token, **more)

@@ -3,7 +3,7 @@
 The first scan begins with START, and with a change of mode, and takes as long as the front end needs; each one after it
 ends a period later, however late the one before it was, so the rate does not drift. A
 scan that the process could not make in time is made late, with the device time at which it was due; what is more than
-``LATEST_NS`` behind is skipped and counted as dropped by the device. The loop waits in ``select`` and nowhere else.
+``MAX_DELAY_NS`` behind is skipped and counted as dropped by the device. The loop waits in ``select`` and nowhere else.
 
 ``wire_ns[sequence % len(wire_ns)]`` takes the host clock just before the one system call that puts a frame's bytes on
 the wire: the moment from which latency is counted. The call itself (about 10 us for a pseudo-terminal) is therefore
@@ -61,13 +61,13 @@ class Port(Protocol):
         """Send bytes that may not be dropped, waiting for room."""
 
 
-LATEST_NS: Final = 200_000_000
+MAX_DELAY_NS: Final = 200_000_000
 """Scans that are due for longer than this are skipped."""
 
 ANSWER_TIMEOUT_S: Final = 0.5
 """How long an answer waits for a host that does not read."""
 
-LOOK_S: Final = 0.5
+MAX_WAIT_S: Final = 0.5
 """How long it waits at most: a signal that comes just before a wait does not end that one."""
 
 Log = Callable[[dict[str, Any]], None]
@@ -147,7 +147,7 @@ class SkinServer:
 
     def _wait(self, until_ns: int | None) -> None:
         moments = [moment for moment in (until_ns, self.next_ns()) if moment]
-        timeout_s = min(max(min(moments) - self._clock(), 0) * 1e-9, LOOK_S) if moments else LOOK_S
+        timeout_s = min(max(min(moments) - self._clock(), 0) * 1e-9, MAX_WAIT_S) if moments else MAX_WAIT_S
         ports = [self.port.fileno()] if self.port.plugged else []
         select.select([*ports, self._wake], ports if self.port.unsent else [], [], timeout_s)
 
@@ -166,7 +166,7 @@ class SkinServer:
         if device.next_ns and now >= device.next_ns:
             self._poll(now)
         while device.streaming and self._deadline_ns <= now and self._resume_ns <= now:
-            behind = int((now - self._deadline_ns - LATEST_NS) // device.period_ns)
+            behind = int((now - self._deadline_ns - MAX_DELAY_NS) // device.period_ns)
             if behind > 0:
                 device.skip(behind)
                 self._deadline_ns += behind * device.period_ns

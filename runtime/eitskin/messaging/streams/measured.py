@@ -13,7 +13,7 @@ import msgpack  # type: ignore[import-untyped]
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.messaging.regions import MOST, MOST_PIXELS, Region, Regions
+from eitskin.messaging.regions import MAX_REGIONS, MOST_PIXELS, Region, Regions
 from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, WIRE
 from eitskin.messaging.unpacking import fields_of, require
 from eitskin_proto.fields import Fields
@@ -229,7 +229,7 @@ class Conditions:
         """
         fields = fields_of(body, f"stream {CONDITIONS}")
         require(fields, "regions", "electrodes", "missing_rows")
-        rectangles = fields.entries("regions", least=1, most=MOST, of="rectangles")
+        rectangles = fields.entries("regions", least=1, most=MAX_REGIONS, of="rectangles")
         findings = fields.entries("electrodes", most=N_ELECTRODES, of="findings")
         try:
             regions = tuple(Region(*rectangles.wholes(place, least=4, most=4)) for place in rectangles)

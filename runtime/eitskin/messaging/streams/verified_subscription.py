@@ -18,7 +18,7 @@ from eitskin.messaging.subscriber import Subscriber
 QUEUE: Final = 2000
 """Messages that wait on this side."""
 
-REMEMBERED: Final = 512
+MAX_WAITING_FRAMES: Final = 512
 """Frames that wait for their verdict: 2.5 s at 200 frames/s, 3 MB."""
 
 START: Final = "start it as 'eitskin run --verify always'"
@@ -87,7 +87,7 @@ class VerifiedSubscription(Subscriber[VerifiedFrame]):
         if message[:1] == FRAME_BYTE:  # it is kept for its verdict
             frame = unpack_frame(message, self._heard_ns)
             self._frames[frame.run, frame.sequence] = frame
-            while len(self._frames) > REMEMBERED:
+            while len(self._frames) > MAX_WAITING_FRAMES:
                 self._frames.popitem(last=False)
             return None
         if message[:1] != FIRST_BYTE:

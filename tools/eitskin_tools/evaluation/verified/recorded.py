@@ -17,7 +17,7 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.evaluation.harness import Case, Run, Sheet
 from eitskin_tools.evaluation.verified.solver import VerifiedNetwork, noise_shown
 from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES, UntouchedBaseline
-from eitskin_tools.recording.reinfer import NOTHING, Computed, FrameVerdict, Rerun, Verdicts
+from eitskin_tools.recording.reinfer import NO_SOLVER, ComputedFrame, FrameVerdict, Rerun, Verdicts
 from eitskin_tools.recording.script import Script, Step, reference_of
 
 NETWORK: Final = "vd2t"
@@ -50,7 +50,7 @@ class VerifiedSolver:
         self._baseline = UntouchedBaseline()
         self._at_rest_V: npt.NDArray[np.float64] | None = None
 
-    def compute(self, step: Step) -> Computed | None:
+    def compute(self, step: Step) -> ComputedFrame | None:
         """Compute a frame; None where the recording does not say what it is held against, or nothing verifies it."""
         skin = self._bundle.skin
         if step.reference is not None:
@@ -62,7 +62,7 @@ class VerifiedSolver:
         found = self._rerun.compute(step)
         if found is None or self._reference is None or self._sheet is None:
             return None
-        if found.solver == NOTHING:
+        if found.solver == NO_SOLVER:
             self._rest(found, self._reference)
             return found
         self._baseline.reset()
@@ -80,7 +80,7 @@ class VerifiedSolver:
         missing[reference.weak] = True
         return missing
 
-    def _rest(self, found: Computed, reference: Reference) -> None:
+    def _rest(self, found: ComputedFrame, reference: Reference) -> None:
         """Take an untouched frame, and tell physics what the sheet reads then, where that is news."""
         if found.touched:
             self._baseline.reset()
@@ -94,7 +94,7 @@ class VerifiedSolver:
         if self._at_rest_V is not None and self._verified is not None:
             self._verified.rest(self._at_rest_V, BASELINE_FRAMES)
 
-    def _checked(self, found: Computed, reference: Reference, sheet: Sheet) -> Computed | None:
+    def _checked(self, found: ComputedFrame, reference: Reference, sheet: Sheet) -> ComputedFrame | None:
         """Return the network's map as physics leaves it; None, and counted, where there is no verdict."""
         if self._verified is None:
             self._verified, self._fits, self._unfit = self._of(reference), False, ""
@@ -122,7 +122,7 @@ class VerifiedSolver:
             return None
         judged = FrameVerdict(checked.verdict.p_value, bool(checked.verdict.flagged), checked.extra_ms)
         self.verdicts.add(judged)
-        return Computed(np.asarray(image, dtype=np.float32), True, "verified", found.gate_logit, judged)
+        return ComputedFrame(np.asarray(image, dtype=np.float32), True, "verified", found.gate_logit, judged)
 
     def _left_out(self, why: str) -> None:
         self.verdicts.not_verified[why] += 1
