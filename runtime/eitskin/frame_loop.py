@@ -332,7 +332,7 @@ class FrameSource:
                 continue
             for stale in newest:
                 self._pipeline.intake.discard(stale)
-                self._tell_of(stale, self._device.read_ns)
+                self._report_withheld(stale, self._device.read_ns)
             newest = [payload]
         return newest
 
@@ -343,12 +343,12 @@ class FrameSource:
         if accepted and first.is_old(self._pipeline.record.scanned_ns, read_ns):
             accepted = self._pipeline.intake.give_up("stale")
         if not accepted:
-            self._tell_of(payload, read_ns)
+            self._report_withheld(payload, read_ns)
             return False
         self.payload = payload
         return True
 
-    def _tell_of(self, withheld: bytes, read_ns: int) -> None:
+    def _report_withheld(self, withheld: bytes, read_ns: int) -> None:
         if self.on_withheld is not None:
             self.on_withheld(withheld, read_ns)
 

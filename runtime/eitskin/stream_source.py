@@ -137,11 +137,11 @@ class StreamSource:
         if streams.state:
             self._events.extend((record.sequence, text) for text in record.events)
         joined, repeat = streams.joined, self._is_time(now_ns)
-        self._tell_conditions(repeat=repeat or joined)
+        self._publish_conditions(repeat=repeat or joined)
         if streams.cloud and (repeat or self._pipeline.buffers.geometry is not self._geometry):
-            self._tell_cloud()
+            self._publish_cloud()
         if streams.state:
-            self._tell_state(now_ns, repeat=repeat)
+            self._publish_state(now_ns, repeat=repeat)
         if streams.wire:
             published = number is not None
             found = WireFrame(
@@ -173,7 +173,7 @@ class StreamSource:
         if len(self._waiting) >= MOST_WAITING:
             self._send_waiting()
         if streams.state and read_ns - self._state_ns >= REPEAT_NS:
-            self._tell_state(read_ns, repeat=True)
+            self._publish_state(read_ns, repeat=True)
 
     def _send_waiting(self) -> None:
         if self._waiting:
@@ -201,7 +201,7 @@ class StreamSource:
             self._file = b"" if found is None else stored(found)
             self._digest = "" if found is None else hashlib.sha256(self._file).hexdigest()
 
-    def _tell_conditions(self, *, repeat: bool) -> None:
+    def _publish_conditions(self, *, repeat: bool) -> None:
         """Tell what decides the map of the frame in hand besides its voltages, if that has changed."""
         pipeline = self._pipeline
         record, health, gate = pipeline.record, pipeline.health, pipeline.gate
@@ -233,7 +233,7 @@ class StreamSource:
         if self._streams.conditions and self._conditions is not None:
             self._streams.send(CONDITIONS, self._conditions.body())
 
-    def _tell_cloud(self) -> None:
+    def _publish_cloud(self) -> None:
         pipeline = self._pipeline
         self._geometry = found = pipeline.buffers.geometry
         if found is None:
@@ -252,7 +252,7 @@ class StreamSource:
         )
         self._streams.send(CLOUD, told.body())
 
-    def _tell_state(self, now_ns: int, *, repeat: bool) -> None:
+    def _publish_state(self, now_ns: int, *, repeat: bool) -> None:
         device, pipeline, loop = self._device, self._pipeline, self._loop
         record = pipeline.record
         key = device.hello, loop.reference, record.electrodes, record.cloud, record.idle, pipeline.budget.level

@@ -66,7 +66,7 @@ class NotingServer(server.SkinServer):
     def _scan(self, due_ns):
         sequence = self.device.sequence
         super()._scan(due_ns)
-        self._note(sequence, self._clock())
+        self._record_wire_time(sequence, self._clock())
 
 
 def main(options):

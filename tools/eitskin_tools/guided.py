@@ -50,11 +50,11 @@ class FrameWindow:
         self._frames.append(np.array(voltages_V))
         del self._frames[:-WINDOW]
 
-    def begin(self) -> None:
+    def clear(self) -> None:
         """Forget the frames so far: something else is looked at from now on."""
         self._frames.clear()
 
-    def refer(self, mean_V: Array, noise_V: Array) -> None:
+    def set_reference(self, mean_V: Array, noise_V: Array) -> None:
         """Hold frames against a reference from now on.
 
         Args:
@@ -131,7 +131,7 @@ class GuideError(SkinError):
 class Dialogue(Protocol):
     """A person at a terminal."""
 
-    def tell(self, text: str) -> None:
+    def say(self, text: str) -> None:
         """Say what to do."""
 
     def show(self, text: str) -> None:
@@ -141,7 +141,7 @@ class Dialogue(Protocol):
         """Return a line that was typed, without waiting; None where there is none."""
 
     @property
-    def left(self) -> bool:
+    def ended(self) -> bool:
         """Whether nothing will be typed any more."""
 
 
@@ -207,41 +207,41 @@ class Guide:
             if word == QUIT:
                 raise GuideError("stopped on request; nothing was written; the same command begins anew")
             if word == SKIP and at:
-                self._leave_out(at - 1)
+                self._discard(at - 1)
             at = max(at - 1, 0) if word == BACK else at + (1 if word != SKIP or at else 0)
         return self._arrays()
 
-    def _leave_out(self, number: int) -> None:
+    def _discard(self, number: int) -> None:
         """Forget what came of a step that was gone back to, of those after the reference."""
         bends, found = self._plan.bends, self._found
         gone = found.bents.pop(number, None) if number < bends else found.presses.pop(number - bends, None)
         if gone is not None:
-            self._talk.tell("what was recorded of it before is left out")
+            self._talk.say("what was recorded of it before is left out")
 
     def _reference(self) -> str | None:
         how = "Lay the sheet flat" if self._plan.lying_mm is None else "Leave the sheet as it was scanned"
-        self._talk.tell(f"{how} and take your hands off. ({ANSWERS})")
+        self._talk.say(f"{how} and take your hands off. ({ANSWERS})")
         self._watch = FrameWindow()
-        frames, word = self._taken(self._plan.reference_frames, lambda: True)
+        frames, word = self._steady_frames(self._plan.reference_frames, lambda: True)
         if word == SKIP:
-            self._talk.tell("the reference cannot be skipped: everything is held against it")
+            self._talk.say("the reference cannot be skipped: everything is held against it")
         if word is None:
             self._found.reference = frames.mean(axis=0)
             noise = step_noise(frames)
-            self._watch.refer(self._found.reference, noise)
-            self._talk.tell(f"reference: mean of {len(frames)} frames of {frames.shape[1]} rows")
+            self._watch.set_reference(self._found.reference, noise)
+            self._talk.say(f"reference: mean of {len(frames)} frames of {frames.shape[1]} rows")
         return word
 
     def _bend(self, number: int) -> str | None:
         of = f"Bend {number + 1} of {self._plan.bends}"
-        self._talk.tell(f"{of}: bend the sheet without touching its surface, hold it still, and scan it. ({ANSWERS})")
-        word = self._until(lambda: self._watch.steady and self._watch.away > self._watch.floor)
+        self._talk.say(f"{of}: bend the sheet without touching its surface, hold it still, and scan it. ({ANSWERS})")
+        word = self._wait_until(lambda: self._watch.steady and self._watch.away > self._watch.floor)
         if word:
             return word
-        self._talk.tell("it is bent and at rest. Name the scan's file (eitskin surface ... --out FILE):")
+        self._talk.say("it is bent and at rest. Name the scan's file (eitskin surface ... --out FILE):")
         while True:
             typed: list[str] = []
-            word = self._until(lambda: self._talk.left, typed)
+            word = self._wait_until(lambda: self._talk.ended, typed)
             if word:
                 return word
             if not typed:
@@ -253,38 +253,38 @@ class Guide:
                 cloud = self._load_scan(typed[0])
                 break
             except (SkinError, OSError) as error:
-                self._talk.tell(f"{error}; name another file")
-        frames, word = self._taken(self._plan.frames, lambda: self._watch.away > self._watch.floor)
+                self._talk.say(f"{error}; name another file")
+        frames, word = self._steady_frames(self._plan.frames, lambda: self._watch.away > self._watch.floor)
         if word is None:
             self._found.bents[number] = (frames.mean(axis=0), cloud)
-            self._talk.tell(f"bend {number + 1}: mean of {len(frames)} frames")
+            self._talk.say(f"bend {number + 1}: mean of {len(frames)} frames")
         return word
 
     def _press(self, number: int) -> str | None:
         x, y = self._plan.places_mm[number]
         of = f"Press {number + 1} of {len(self._plan.places_mm)}"
         how = "flat" if self._plan.lying_mm is None else "as it was scanned first,"
-        self._talk.tell(f"{of}: the sheet {how} and free. ({ANSWERS})")
-        word = self._until(lambda: self._watch.steady and self._watch.away <= self._watch.floor)
+        self._talk.say(f"{of}: the sheet {how} and free. ({ANSWERS})")
+        word = self._wait_until(lambda: self._watch.steady and self._watch.away <= self._watch.floor)
         if word:
             return word
-        self._talk.tell(f"press the {self._plan.stamp} at ({x:g}, {y:g}) mm, and hold it")
-        frames, word = self._taken(self._plan.frames, lambda: self._watch.away > self._watch.floor)
+        self._talk.say(f"press the {self._plan.stamp} at ({x:g}, {y:g}) mm, and hold it")
+        frames, word = self._steady_frames(self._plan.frames, lambda: self._watch.away > self._watch.floor)
         if word:
             return word
         size = self._watch.away
-        self._talk.tell(f"press {number + 1}: changed by {size:.1%}. Let go")
-        word = self._until(
+        self._talk.say(f"press {number + 1}: changed by {size:.1%}. Let go")
+        word = self._wait_until(
             lambda: self._watch.full and self._watch.away <= max(self._watch.floor, MAX_RESIDUAL * size), new=True
         )
         if word is None:
             self._found.presses[number] = frames.mean(axis=0)
         return word
 
-    def _taken(self, count: int, holds: Callable[[], bool]) -> tuple[Array, str | None]:
+    def _steady_frames(self, count: int, holds: Callable[[], bool]) -> tuple[Array, str | None]:
         """Return (count, rows) V of a sheet at rest for which something holds all the while; or a word."""
         while True:
-            word = self._until(lambda: self._watch.steady and holds())
+            word = self._wait_until(lambda: self._watch.steady and holds())
             if word:
                 return np.zeros((0, 0)), word
             frames: list[Array] = []
@@ -293,14 +293,16 @@ class Guide:
                 frames.append(self._watch.last)
                 return len(frames) == count or not (self._watch.steady and holds())
 
-            word = self._until(over)
+            word = self._wait_until(over)
             if word:
                 return np.zeros((0, 0)), word
             if len(frames) == count and self._watch.steady and holds():
                 return np.array(frames), None
             self._talk.show("it moved; hold it still")
 
-    def _until(self, reached: Callable[[], bool], typed: list[str] | None = None, *, new: bool = False) -> str | None:
+    def _wait_until(
+        self, reached: Callable[[], bool], typed: list[str] | None = None, *, new: bool = False
+    ) -> str | None:
         """Take frames until something is reached, or a word was typed, which is returned.
 
         Args:
@@ -309,19 +311,19 @@ class Guide:
             new: Look at frames from now on alone.
         """
         if new:
-            self._watch.begin()
+            self._watch.clear()
         for voltages in self._frames:
             self._watch.add(voltages)
             line = self._talk.answer()
             word = (line or "").strip()
             if word in (SKIP, BACK, QUIT):
-                self._watch.begin()
+                self._watch.clear()
                 return word
             if word and typed is not None:
                 typed.append(word)
                 return None
             if word:
-                self._talk.tell(f"{word!r} is no answer here: {ANSWERS}")
+                self._talk.say(f"{word!r} is no answer here: {ANSWERS}")
             if reached():
                 return None
         raise GuideError("no more frames come from the skin; nothing was written; look at it with 'eitskin doctor'")
@@ -359,7 +361,7 @@ class Terminal:
         self._typed = b""
         self._open = True
 
-    def tell(self, text: str) -> None:
+    def say(self, text: str) -> None:
         """Print a line."""
         self._line.above(plain(text))
 
@@ -380,7 +382,7 @@ class Terminal:
         return line.decode(errors="replace").strip()
 
     @property
-    def left(self) -> bool:
+    def ended(self) -> bool:
         """Whether nothing will be typed any more: standard input is at its end, and every line was taken."""
         return not self._open and not self._typed
 

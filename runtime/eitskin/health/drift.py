@@ -134,7 +134,7 @@ class Drift:
         """(104,) what 1 + dV is multiplied with, a copy; None if nothing is taken out."""
         return self._factor.copy() if self.active else None
 
-    def hold(self, factors: npt.NDArray[np.float32] | None) -> None:
+    def set_factors(self, factors: npt.NDArray[np.float32] | None) -> None:
         """Take out of the frames, from the next one on, what was found before, whatever they say.
 
         Args:

@@ -180,10 +180,12 @@ class Health:
             self._weigh(raw, predicted)
         self._hold_reciprocal()
         if electrodes.texts != before:
-            self._tell(tuple(f"electrode:{text}" for text in electrodes.texts if text not in before))
-            self._tell(tuple(f"electrode:{text.split(':')[0]}:back" for text in before if text not in electrodes.texts))
+            self._add_events(tuple(f"electrode:{text}" for text in electrodes.texts if text not in before))
+            self._add_events(
+                tuple(f"electrode:{text.split(':')[0]}:back" for text in before if text not in electrodes.texts)
+            )
         if electrodes.unclear and not self._unclear:
-            self._tell(("electrodes:unclear",))
+            self._add_events(("electrodes:unclear",))
         self._unclear = electrodes.unclear
         if electrodes.missing is self._rows_before:
             if self.gate_without_rows is not None:
@@ -230,7 +232,7 @@ class Health:
         if end + MAX_BATCH <= DRIFT_TOGETHER:
             return
         touched, self._following, self._touched = 2 * self._touched > end, 0, 0
-        self._tell(self.drift.update(self._followed[:end], predicted, touched=touched))
+        self._add_events(self.drift.update(self._followed[:end], predicted, touched=touched))
 
     def projection(self, matrix: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return the bundle's projection without the rows that are missing."""
@@ -241,7 +243,7 @@ class Health:
         events, self._events = self._events, ()
         return events
 
-    def _tell(self, events: tuple[str, ...]) -> None:
+    def _add_events(self, events: tuple[str, ...]) -> None:
         self._events += tuple(event for event in events if event not in self._events)
 
 

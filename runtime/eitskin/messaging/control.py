@@ -134,7 +134,7 @@ class ControlServer:
         parts = [frame.bytes for frame in frames]
         asker = sender_of(frames[-1])
         if asker is not None:
-            self._listener.keep(asker, served=False)
+            self._listener.mark_used(asker, served=False)
         if b"" not in parts[1:MOST_PARTS]:
             route, body = [parts[0], b""], None
         else:
@@ -150,7 +150,7 @@ class ControlServer:
             if slow:
                 self._slow.start(route, perform, asker)
                 if asker is not None:
-                    self._listener.keep(asker, served=True)
+                    self._listener.mark_used(asker, served=True)
                 return
         except ControlError as error:
             self._send(route, False, refusal(str(error)))
@@ -169,7 +169,7 @@ class ControlServer:
             return False
         self._send(*found)
         if self._slow.asker is not None:
-            self._listener.keep(self._slow.asker, served=False)
+            self._listener.mark_used(self._slow.asker, served=False)
         return True
 
     def _say_farewell(self) -> None:

@@ -235,7 +235,7 @@ class Listener:
                 with suppress(zmq.ZMQError):
                     self._socket.unbind(endpoint)
 
-    def keep(self, descriptor: int, *, served: bool) -> None:
+    def mark_used(self, descriptor: int, *, served: bool) -> None:
         """Take note that a connection asked for something.
 
         Args:

@@ -144,7 +144,7 @@ class Publisher:
         sender = sender_of(message)
         if kind == b"\x01":
             if sender is not None:
-                self._listener.keep(sender, served=True)
+                self._listener.mark_used(sender, served=True)
             self._asked_s = time.monotonic()
             if len(self._topics) < MOST_TOPICS:
                 self._topics.add(topic)

@@ -248,12 +248,12 @@ class ChangeDetector:
             touched: What the gate says of the frame by itself.
         """
         if self.held:
-            return self._hold(response, touched)
+            return self._judge_touched(response, touched)
         ratio = self._compare(response, self._recent)
         found = self.seen >= MIN_UNTOUCHED and ratio > NEW_TOUCH_LEVEL * self._filters.limit
         if not (found or touched):
             self._learn(response)
-            found = self._looked == CHECK_FRAMES and self._look()
+            found = self._looked == CHECK_FRAMES and self._check_recent()
             if not found:
                 return False
         elif self.seen < MIN_UNTOUCHED:
@@ -264,7 +264,7 @@ class ChangeDetector:
         self.held, self._missed, self._peak = True, 0, self.strength
         return found
 
-    def _hold(self, response: Array, touched: bool) -> bool:
+    def _judge_touched(self, response: Array, touched: bool) -> bool:
         """Judge a frame while a touch is known."""
         there = self._compare(response, self._base) > HELD_TOUCH_LEVEL * self._filters.limit
         stays = there and self.strength > MAX_RESIDUAL * self._peak
@@ -292,7 +292,7 @@ class ChangeDetector:
         else:
             self._looked += 1
 
-    def _look(self) -> bool:
+    def _check_recent(self) -> bool:
         """Hold ``recent`` against ``base``, and return whether that shows a touch; else ``base`` follows."""
         self._looked = 0
         ratio = self._compare(self._recent, self._base, MEAN, ends=True)

@@ -430,7 +430,7 @@ class Pipeline:
         elif not record.touched or not wanted:
             self.maps.show_nothing()
             record.skipped = NO_SUBSCRIBER if record.touched else MAP_UNTOUCHED if record.inferred else UNTOUCHED
-        elif self.maps.keep(decided.keeps_map):
+        elif self.maps.reuse_map(decided.keeps_map):
             record.skipped = UNCHANGED
         elif not self.maps.infer(decided.solver):
             return self.intake.give_up("implausible")

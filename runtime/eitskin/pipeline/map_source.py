@@ -157,7 +157,7 @@ class MapSource:
             self.stillness.keep(self._change)
         return True
 
-    def keep(self, decided: bool | None = None) -> bool:
+    def reuse_map(self, decided: bool | None = None) -> bool:
         """Let the frame in hand have the map that is held, and return True, if nothing but noise changed since.
 
         Args:

@@ -87,7 +87,7 @@ class RecordedHealth(Health):
             drift: (104,) what 1 + dV is multiplied with; None for nothing.
             electrodes: Number, state and partner of each that has failed or is excluded.
         """
-        self.drift.hold(drift)
+        self.drift.set_factors(drift)
         findings = tuple(Finding(*finding) for finding in electrodes)
         if (by_hand := self.by_hand) is not None:
             recorded = (one for one in findings if one.state != "excluded" and one.electrode not in by_hand)
@@ -105,5 +105,5 @@ class RecordedHealth(Health):
 
     def report(self, events: tuple[str, ...], distance: Distance) -> None:
         """Put recorded events and drift into the next frame."""
-        self._tell(events)
+        self._add_events(events)
         self.drift.distance = distance

@@ -23,11 +23,11 @@ class Sheet:
 
     def __init__(self, answers=(), drift=0.0):
         self.told, self.shown, self.answers = [], [], list(answers)
-        self.left = False
+        self.ended = False
         self.state, self.before, self.since, self.drift = FLAT, FLAT, 0, drift
         self.rng = np.random.default_rng(1)
 
-    def tell(self, text):
+    def say(self, text):
         self.told.append(text)
         before = self.state
         if found := re.search(r"press the .* at \((\d+), (\d+)\)", text):

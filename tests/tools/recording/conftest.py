@@ -118,7 +118,7 @@ def recorded(path: Path, items: list[Any], kept: RecorderOptions = RecorderOptio
     """Write items into a file, and return what wrote them."""
     recorder = Recorder(lambda head: Series(path, head, **options), kept)
     for item in items:
-        recorder.take(item)
+        recorder.record(item)
     recorder.close()
     return recorder
 
@@ -162,6 +162,6 @@ def recorded_off(path: Path, items: list[Any]) -> int:
         if item is touched:
             recorder._when_known(item.run, recorder._frame, _Off(item))
         else:
-            recorder.take(item)
+            recorder.record(item)
     recorder.close()
     return touched.sequence

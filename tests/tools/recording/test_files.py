@@ -188,7 +188,7 @@ def test_where_the_disk_is_full_the_file_is_ended_whole(tmp_path: Path, monkeypa
         clock.now += 0.02
         writer.add(WIRE, contents[-1], len(contents), len(contents))
     writer.close()
-    held.give_up()
+    held.release()
     assert disk.used <= disk.room
     found = Recording(path)
     assert [entry.data for entry in found.entries()] == contents

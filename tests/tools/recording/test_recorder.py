@@ -232,7 +232,7 @@ def test_messages_that_make_no_sense_are_counted_and_the_rest_is_read(tmp_path: 
 
     recorder = Recorder(lambda head: Broken(tmp_path / "a.mcap", head), RecorderOptions())
     for item in items:
-        recorder.take(item)
+        recorder.record(item)
     recorder.close()
     script = Script(tmp_path / "a.mcap")
     assert script.malformed == 1

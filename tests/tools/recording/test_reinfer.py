@@ -41,7 +41,7 @@ def test_why_a_map_cannot_be_told_is_said_by_its_cause(file: Path) -> None:
     first, seq = steps[0], steps[0].seq or 0
 
     def came(after: int, map_seq: int, found: ComputedFrame | None) -> None:
-        equality.published_as(replace(first, seq=seq + after, map_seq=map_seq, solver="vd2t"), "", found)
+        equality.compare(replace(first, seq=seq + after, map_seq=map_seq, solver="vd2t"), "", found)
 
     touched = ComputedFrame(nothing, True, "vd2t")
     came(0, seq, None)

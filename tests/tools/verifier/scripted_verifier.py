@@ -21,7 +21,7 @@ class Checker:
             raise ValueError("the cloud folds in its own plane")
         setup.described()
 
-    def rest(self, letter):
+    def learn_baseline(self, letter):
         with (FOLDER / "rested").open("a") as file:
             print(letter.frames, float(abs(letter.change).max()), file=file)
         return "it has slipped" if (FOLDER / "slipped").exists() else ""

@@ -15,7 +15,7 @@ from eitskin_sim.verification.network_map import map_of
 from eitskin_sim.verification.sheet_model import model_of_cloud
 from eitskin_tools.verifier.checkers import CannotVerifyError, Checker
 from eitskin_tools.verifier.child import Placement, VerifierProcess
-from eitskin_tools.verifier.letters import LARGEST_PACKET, STATE, FrameLetter, RestLetter, Setup, unpack
+from eitskin_tools.verifier.letters import LARGEST_PACKET, STATE, BaselineLetter, FrameLetter, Setup, unpack
 
 pytestmark = [pytest.mark.slow, pytest.mark.heavy]
 
@@ -111,8 +111,8 @@ def test_a_sheet_seen_at_rest_is_known_and_one_that_is_not_its_scans_is_said(mod
     for labels in ("area", "units"):
         checker = Checker(setup_of(PAPER, labels, 1e-3 * model.flat_V))
         off = 0.05 * np.sin(np.arange(104.0))
-        assert checker.rest(RestLetter(1, 50, np.full(104, 0.02))) == ""
-        assert "send its cloud" in checker.rest(RestLetter(1, 50, off + 2.0 * np.abs(off)))
+        assert checker.learn_baseline(BaselineLetter(1, 50, np.full(104, 0.02))) == ""
+        assert "send its cloud" in checker.learn_baseline(BaselineLetter(1, 50, off + 2.0 * np.abs(off)))
 
 
 @pytest.mark.process

@@ -154,12 +154,12 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
         return open_line(arguments.port, arguments.baud or DEFAULT_BAUD)
 
     talk = Terminal()
-    with scanning_all_rows(opened, talk.tell) if arguments.full_scan else nullcontext():
+    with scanning_all_rows(opened, talk.say) if arguments.full_scan else nullcontext():
         line = opened()
         try:
             device = Device(line, skin)
             if device.hello.rows == N_ROWS:
-                talk.tell(f"the device scans {N_ROWS} rows: --full-scan would tell more of its front end")
+                talk.say(f"the device scans {N_ROWS} rows: --full-scan would tell more of its front end")
             device.start()
             guide = Guide(plan, frames_of(device), talk, lambda name: np.array(load_surface(name, skin).cloud_mm))
             arrays = guide.run()

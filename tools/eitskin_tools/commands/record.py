@@ -129,7 +129,7 @@ def _go_on(arguments: argparse.Namespace, recorder: Any, intake: Any, stopped: _
             now_s = time.monotonic()
             if found is not None:
                 heard_s = now_s
-                recorder.take(found)
+                recorder.record(found)
             elif recorder.series is not None:
                 recorder.series.sync()
             if recorder.full:

@@ -88,14 +88,14 @@ class Stages:
             columns = (SpinnerColumn("line"), TextColumn("{task.description}"), TimeElapsedColumn())
             self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
             self._bar.start()
-        return self._tell
+        return self._show_step
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._end("stopped after " if kind else "")
         if self._bar is not None:
             self._bar.stop()
 
-    def _tell(self, name: str) -> None:
+    def _show_step(self, name: str) -> None:
         self._end("")
         self._name, self._began = name, monotonic()
         if self._bar is not None:

@@ -78,7 +78,7 @@ class Exchange:
             Silent: No answer.
             MismatchError: It measures something else.
         """
-        answer = self._ask(lambda tag: messages.HelloRequest(tag=tag), "HELLO_REQUEST", attempts)
+        answer = self._request(lambda tag: messages.HelloRequest(tag=tag), "HELLO_REQUEST", attempts)
         if not isinstance(answer, messages.Hello):
             raise ProtocolError(f"the device answered HELLO_REQUEST with {type(answer).__name__}, expected Hello")
         answer.check()
@@ -95,7 +95,7 @@ class Exchange:
             Refused: The ACK carries an error.
             Silent: No answer.
         """
-        answer = self._ask(lambda tag: kind(tag=tag, **fields), kind.LAYOUT.type.name)
+        answer = self._request(lambda tag: kind(tag=tag, **fields), kind.LAYOUT.type.name)
         if not isinstance(answer, messages.Ack):
             raise ProtocolError(f"the device answered {kind.LAYOUT.type.name} with {type(answer).__name__}")
         return answer
@@ -108,7 +108,7 @@ class Exchange:
             Silent: No answer.
             ProtocolError: The answer is not of this piece.
         """
-        answer = self._ask(
+        answer = self._request(
             lambda tag: messages.ConfigRead(tag=tag, slot=slot, offset=offset, length=length), "CONFIG_READ"
         )
         if not isinstance(answer, messages.ConfigData):
@@ -124,7 +124,7 @@ class Exchange:
                 )
         return answer
 
-    def _ask(self, make: Any, name: str, attempts: int | None = None) -> messages.Message:
+    def _request(self, make: Any, name: str, attempts: int | None = None) -> messages.Message:
         self._tag = self._tag % 255 + 1
         packet = framing.encode(make(self._tag).pack())
         tried = self._attempts if attempts is None else attempts

@@ -34,7 +34,7 @@ class Rhythm:
         self._number = self._at_ns = 0
         self._apart_ns = 0.0
 
-    def heard(self, number: int, read_ns: int) -> None:
+    def add(self, number: int, read_ns: int) -> None:
         """Take note of a frame.
 
         Args:
@@ -49,7 +49,7 @@ class Rhythm:
             self._apart_ns = 0.0
         self._number, self._at_ns = number, read_ns
 
-    def rest_s(self, least_s: float) -> float:
+    def pause_s(self, least_s: float) -> float:
         """Return how long to rest from now on: at least so long, and then up to a moment when a frame is through."""
         apart_ns = self._apart_ns
         if apart_ns < MIN_PERIOD_NS:

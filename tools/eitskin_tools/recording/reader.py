@@ -130,10 +130,10 @@ class Recording:
                     self._having.setdefault(channel, []).append(len(self.chunks) - 1)
             elif opcode in (Opcode.METADATA, Opcode.ATTACHMENT, Opcode.CHANNEL):
                 with suppress(*UNREADABLE):
-                    self._keep(opcode, ReadDataStream(BytesIO(stream.read(length))))
+                    self._read_metadata(opcode, ReadDataStream(BytesIO(stream.read(length))))
             stream.seek(at + length)
 
-    def _keep(self, opcode: int, record: ReadDataStream) -> None:
+    def _read_metadata(self, opcode: int, record: ReadDataStream) -> None:
         """Keep the head, a reference, or the name of a channel."""
         if opcode == Opcode.METADATA:
             metadata = Metadata.read(record)

@@ -55,9 +55,9 @@ def add_frame(rhythm: Rhythm, found: object) -> None:
     """Have a rhythm take note of a frame, whatever stream it is of."""
     match found:
         case Frame():
-            rhythm.heard(found.number, found.host_ns["read"])
+            rhythm.add(found.number, found.host_ns["read"])
         case WireFrame():
-            rhythm.heard(found.n, found.read_ns)
+            rhythm.add(found.n, found.read_ns)
 
 
 class SubscriptionQueue:
@@ -78,13 +78,13 @@ class SubscriptionQueue:
         self.unusable: SkinError | None = None
         """The same of a source to which something comes that it cannot use: of another version, say."""
         self._threads = [
-            threading.Thread(target=self._take, args=(source,), name=f"record-{number}", daemon=True)
+            threading.Thread(target=self._receive, args=(source,), name=f"record-{number}", daemon=True)
             for number, source in enumerate(sources)
         ]
         for thread in self._threads:
             thread.start()
 
-    def _take(self, source: Callable[[], Any]) -> None:
+    def _receive(self, source: Callable[[], Any]) -> None:
         try:
             subscription = source()
         except Exception as error:
@@ -103,7 +103,7 @@ class SubscriptionQueue:
                         add_frame(rhythm, found)
                         if not subscription.waits:
                             self._rhythm = rhythm
-                            self._closing.wait(rhythm.rest_s(POLL_S))
+                            self._closing.wait(rhythm.pause_s(POLL_S))
                         if self._closing.is_set():
                             return
                 except NoFrame as error:
@@ -122,7 +122,7 @@ class SubscriptionQueue:
             SkinError: A subscription failed.
         """
         if self._queue.empty():
-            time.sleep(min(self._rhythm.rest_s(POLL_S), timeout_s))
+            time.sleep(min(self._rhythm.pause_s(POLL_S), timeout_s))
         with suppress(Empty):
             found = self._queue.get(timeout=timeout_s)
             if isinstance(found, Exception):
@@ -216,8 +216,8 @@ class Recorder:
         """Whether the disk is full: the recording must be ended now."""
         return self.series is not None and self.series.full
 
-    def take(self, found: object) -> None:
-        """Take whatever a stream carries.
+    def record(self, found: object) -> None:
+        """Write whatever a stream carries.
 
         Raises:
             OSError: It cannot be written, for another reason than a full disk.
@@ -227,7 +227,7 @@ class Recorder:
             case WireFrame():
                 self._when_known(found.run, self._wire, found)
             case CloudInUse():
-                self._when_known(found.run, self._take_cloud, found)
+                self._when_known(found.run, self._cloud_in_use, found)
             case Conditions():
                 self._when_known(found.run, self._conditions, found)
             case Frame():
@@ -279,7 +279,7 @@ class Recorder:
         self._now_ns = found.read_ns + self._offset_ns
         self._series_in_hand.add(WIRE, found.body(), self._now_ns, found.n)
 
-    def _take_cloud(self, found: CloudInUse) -> None:
+    def _cloud_in_use(self, found: CloudInUse) -> None:
         """Write a cloud once, however often it is told; by the clock of the frames, since the wall clock may jump."""
         if found.revision == self._cloud_revision:
             return

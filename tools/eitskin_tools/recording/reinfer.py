@@ -255,14 +255,14 @@ class Equality:
         """Frames of which it cannot be told."""
         return self.unknown_why.total()
 
-    def computed(self, sequence: int, found: ComputedFrame) -> None:
+    def add_computed(self, sequence: int, found: ComputedFrame) -> None:
         """Take what a frame came to."""
-        self._know_zero(found)
+        self._set_zero_digest(found)
         self._digests[sequence] = self._zero if found.solver == NO_SOLVER else digest_of(found.map)
         if len(self._digests) > MAX_DIGESTS:
             self._digests.popitem(last=False)
 
-    def published_as(self, frame: WireFrame, digest: str, found: ComputedFrame | None) -> None:
+    def compare(self, frame: WireFrame, digest: str, found: ComputedFrame | None) -> None:
         """Hold a published frame's digest against what was computed.
 
         Args:
@@ -272,7 +272,7 @@ class Equality:
         """
         self.published += 1
         if found is not None:
-            self._know_zero(found)
+            self._set_zero_digest(found)
         ours = (
             self._zero
             if frame.solver == NO_SOLVER
@@ -289,7 +289,7 @@ class Equality:
         else:
             self._differs("map", frame)
 
-    def _know_zero(self, found: ComputedFrame) -> None:
+    def _set_zero_digest(self, found: ComputedFrame) -> None:
         self._zero = self._zero or digest_of(np.zeros_like(found.map))
 
     def _differs(self, why: str, frame: WireFrame) -> None:
@@ -635,9 +635,9 @@ def _compare_published(equality: Equality, step: Step, found: ComputedFrame | No
     """Hold one frame against what was published of it."""
     frame = step.frame
     if found is not None and frame.seq is not None and frame.map_seq == frame.seq:
-        equality.computed(frame.seq, found)
+        equality.add_computed(frame.seq, found)
     if frame.frame is not None and frame.frame in published:
-        equality.published_as(frame, published[frame.frame], found)
+        equality.compare(frame, published[frame.frame], found)
 
 
 def write(path: Path, found: Reinferred) -> None:

@@ -306,7 +306,7 @@ class Player:
         self._reference = began.reference
         if self._health is not None:
             self.skin.pipeline.health = self._health
-        self._use(reference)
+        self._use_reference(reference)
         self.line.before = self._before
         self.line.ended = self.skin.stop
 
@@ -319,7 +319,7 @@ class Player:
         if step.reference is not None and step.conditions.reference != self._reference:
             self._reference = step.conditions.reference
             try:
-                self._use(reference_of(self._script, step.reference, self.skin.bundle.skin))
+                self._use_reference(reference_of(self._script, step.reference, self.skin.bundle.skin))
             except SkinError as error:
                 self._warn(f"a reference of the recording is left out: {error}")
         self._use_conditions(step.conditions)
@@ -334,7 +334,7 @@ class Player:
             except (SkinError, ValueError) as error:
                 self._warn(f"cloud {step.cloud.revision} of the recording is left out: {error}")
 
-    def _use(self, reference: Reference) -> None:
+    def _use_reference(self, reference: Reference) -> None:
         """Hold frames against a recorded reference."""
         self.skin.loop.use_reference(reference)
         self._held_against = self.skin.loop.reference

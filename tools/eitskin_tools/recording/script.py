@@ -187,7 +187,7 @@ class SeekableRecording:
                         frame = WireFrame.of(entry.data, n=entry.sequence)
                     except FrameError:
                         continue
-                    now = self._held(self._conditions, frame.conditions, number)
+                    now = self._lookup(self._conditions, frame.conditions, number)
                     step = self._step(frame, entry.log_ns, now, before, number)
                     yield step
                     before = now if step.known else before
@@ -210,13 +210,13 @@ class SeekableRecording:
             return Step(frame, log_ns)
         new_cloud = before is None or before.cloud != now.cloud
         new_reference = before is None or before.reference != now.reference
-        cloud = self._held(self._clouds, now.cloud, number) if new_cloud else None
+        cloud = self._lookup(self._clouds, now.cloud, number) if new_cloud else None
         reference = self._references.get(now.reference) if new_reference else None
         if (new_cloud and cloud is None) or (new_reference and reference is None):
             return Step(frame, log_ns, known=False)
         return Step(frame, log_ns, now, cloud, reference)
 
-    def _held(self, cache: "_ByRevision", revision: int, number: int) -> Any:
+    def _lookup(self, cache: "_ByRevision", revision: int, number: int) -> Any:
         """Return what had a revision when a chunk was written; None where it is not near that chunk."""
         if (found := cache.get(revision)) is not None or revision in cache.missing:
             return found

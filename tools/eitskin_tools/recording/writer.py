@@ -52,7 +52,7 @@ class Reserve:
         try:
             os.posix_fallocate(self._file.fileno(), 0, size)
         except OSError as error:
-            self.give_up()
+            self.release()
             if error.errno in DISK_FULL_ERRNOS:
                 raise RecordingError(
                     f"{folder} has less than {size >> 20} MB left; free some, or name another place"
@@ -64,7 +64,7 @@ class Reserve:
         """Whether it has not been given up yet."""
         return self._file is not None
 
-    def give_up(self) -> None:
+    def release(self) -> None:
         """Free it; twice is fine."""
         found, self._file = self._file, None
         if found is not None:
@@ -106,7 +106,7 @@ class Sink:
                 if error.errno not in DISK_FULL_ERRNOS or not self._reserve.held:
                     raise
             self.full = True
-            self._reserve.give_up()
+            self._reserve.release()
 
     def write(self, data: bytes) -> int:
         """Write all of ``data``, if need be into the room of the reserve.
@@ -336,7 +336,7 @@ class Series:
         try:
             self._writer = self._begin(first)
         except BaseException:
-            self._reserve.give_up()
+            self._reserve.release()
             raise
 
     @property
@@ -442,4 +442,4 @@ class Series:
         try:
             self._writer.close()
         finally:
-            self._reserve.give_up()
+            self._reserve.release()

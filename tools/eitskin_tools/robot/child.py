@@ -80,7 +80,7 @@ class SkinProcess:
         self.state, self.why, self.status = "starting", "", 0
         self.due_s: float | None = 0.0
         """When to start next; None while it runs, or if it never is to."""
-        self.seen = False
+        self.reported = False
         """Whether it was ready or has ended since the very first start."""
         self.summary: object = None
         self._hang_s = hang_s
@@ -142,12 +142,12 @@ class SkinProcess:
                 continue
             event = _event(line)
             if event["event"] == "ready":
-                self.state, self._ready_s, self.seen = "ready", now_s, True
+                self.state, self._ready_s, self.reported = "ready", now_s, True
             elif event["event"] in ("error", "warning"):
                 self._said = str(event.get("text", ""))
             yield event
 
-    def hear_summary(self) -> None:
+    def read_summary(self) -> None:
         """Keep the one object that it prints at its end."""
         for line in self.outputs.read() if self.outputs is not None else ():
             try:
@@ -170,7 +170,7 @@ class SkinProcess:
                 lines.stream.close()
         os.close(self.ended)
         self._child.process = self.errors = self.outputs = None
-        self.ended, self.seen = -1, True
+        self.ended, self.reported = -1, True
         failed = self.status != 0
         if ending:
             self.why = ""
@@ -185,9 +185,9 @@ class SkinProcess:
             return
         self.state, self.due_s = "waiting", now_s + self._child.next_pause_s()
 
-    def put_off(self, due_s: float, why: str) -> None:
+    def postpone(self, due_s: float, why: str) -> None:
         """Take note that it could not be started, and when to try again."""
-        self.state, self.why, self.due_s, self.seen = "waiting", why, due_s, True
+        self.state, self.why, self.due_s, self.reported = "waiting", why, due_s, True
 
     def restart(self) -> None:
         """Start it once more."""

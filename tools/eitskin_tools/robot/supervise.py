@@ -93,7 +93,7 @@ class SkinSupervisor:
         self._grace_s = grace_s
         self._ending = False
         self._kill_s: float | None = None
-        self._told_ready = False
+        self._reported_ready = False
         self._sign_s = None if supervisor.interval_s is None else supervisor.interval_s / 2.0
         self._next_sign_s = 0.0
         self._selector = selectors.DefaultSelector()
@@ -108,13 +108,13 @@ class SkinSupervisor:
             stack.callback(self._selector.close)
             who = "another 'eitskin run --config' runs skins there"
             stack.enter_context(held(self._folder, who, "stop it, or state another folder"))
-            stack.callback(self._forget)
-            self._hear_signals(stack)
+            stack.callback(self._remove_states)
+            self._watch_signals(stack)
             stack.callback(self._end_all)
             for one in self.skins:
                 self._start(one)
             self._write()
-            self._tell()
+            self._report()
             while any(one.runs or one.due_s is not None for one in self.skins):
                 self._turn()
         failed = [one for one in self.skins if one.state == "failed"]
@@ -157,29 +157,29 @@ class SkinSupervisor:
         return max(0.0, min([at_s - time.monotonic() for at_s in due] + [MAX_WAIT_S]))
 
     def _start(self, one: SkinProcess) -> None:
-        first = one.due_s == 0.0 and not one.seen
+        first = one.due_s == 0.0 and not one.reported
         try:
             one.start() if first else one.restart()
         except OSError as error:  # too few processes or descriptors: another time
-            one.put_off(time.monotonic() + MAX_WAIT_S, f"cannot be started: {error.strerror or error}")
+            one.postpone(time.monotonic() + MAX_WAIT_S, f"cannot be started: {error.strerror or error}")
             self._log.warn(one.settings.name, one.why)
             return
         assert one.errors is not None
         assert one.outputs is not None
-        self._selector.register(one.errors.stream, selectors.EVENT_READ, lambda _: self._hear(one))
-        self._selector.register(one.outputs.stream, selectors.EVENT_READ, lambda _: self._hear(one))
+        self._selector.register(one.errors.stream, selectors.EVENT_READ, lambda _: self._read_output(one))
+        self._selector.register(one.outputs.stream, selectors.EVENT_READ, lambda _: self._read_output(one))
         self._selector.register(one.ended, selectors.EVENT_READ, lambda _: self._ended(one))
 
-    def _hear(self, one: SkinProcess) -> None:
+    def _read_output(self, one: SkinProcess) -> None:
         if not one.runs:
             return
-        one.hear_summary()
+        one.read_summary()
         for event in one.events(time.monotonic()):
             if event["event"] == "ready":
                 self._write()  # before the line is printed, so that its reader finds the file
             self._log.event(one.settings.name, event)
             if event["event"] == "ready":
-                self._tell()
+                self._report()
         for lines in (one.errors, one.outputs):  # at its end a stream would be readable for ever
             if lines is not None and lines.ended:
                 with suppress(KeyError):
@@ -188,7 +188,7 @@ class SkinSupervisor:
     def _ended(self, one: SkinProcess) -> None:
         if not one.runs:
             return
-        self._hear(one)
+        self._read_output(one)
         self._selector.unregister(one.ended)
         for lines in (one.errors, one.outputs):
             with suppress(KeyError):
@@ -200,7 +200,7 @@ class SkinSupervisor:
             next_s = "" if one.due_s is None else f"; starts again in {one.due_s - now_s:.3g} s"
             others = sum(other.runs for other in self.skins)
             self._log.failed(one.settings.name, f"{one.why}{next_s}; {others} of {len(self.skins)} skins run on")
-        self._tell()
+        self._report()
 
     def _write(self) -> None:
         """Write down how the skins are; a full disk stops no skin."""
@@ -209,7 +209,7 @@ class SkinSupervisor:
         except OSError as error:
             self._log.warn("all", f"{self._folder / FILE} cannot be written: {error.strerror or error}")
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         """Tell systemd how the skins are, and once that all were ready or have failed."""
         ready = [one.settings.name for one in self.skins if one.state == "ready"]
         text = f"{len(ready)} of {len(self.skins)} skins publish"
@@ -217,12 +217,12 @@ class SkinSupervisor:
             if one.state in ("failed", "waiting", "ended"):
                 text += f"; {one.settings.name} {one.state}: {one.why}"
         self._supervisor.status(text)
-        if not self._told_ready and not self._ending and all(one.seen for one in self.skins):
-            self._told_ready = True
+        if not self._reported_ready and not self._ending and all(one.reported for one in self.skins):
+            self._reported_ready = True
             self._log.ready(self._folder, ready, len(self.skins))
             self._supervisor.ready()
 
-    def _hear_signals(self, stack: ExitStack) -> None:
+    def _watch_signals(self, stack: ExitStack) -> None:
         """Have SIGTERM, SIGINT and SIGHUP end the waiting, and ask for the end."""
         woken, waker = socket.socketpair()
         for end in (woken, waker):
@@ -249,6 +249,6 @@ class SkinSupervisor:
                 one.signal(signal.SIGKILL)
                 one.wait(self._grace_s)
 
-    def _forget(self) -> None:
+    def _remove_states(self) -> None:
         with suppress(OSError):
             (self._folder / FILE).unlink()

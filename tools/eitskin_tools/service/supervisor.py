@@ -58,23 +58,23 @@ class Supervisor:
 
     def ready(self) -> None:
         """Say that the service is up."""
-        self._tell("READY=1")
+        self._send("READY=1")
 
     def stopping(self) -> None:
         """Say that the service ends, as it was asked to."""
-        self._tell("STOPPING=1")
+        self._send("STOPPING=1")
 
     def alive(self) -> None:
         """Give the sign of life."""
-        self._tell("WATCHDOG=1")
+        self._send("WATCHDOG=1")
         if self._hang_s is not None:
             faulthandler.dump_traceback_later(self._hang_s, exit=True)
 
     def status(self, text: str) -> None:
         """Say in a line how it is."""
-        self._tell("STATUS=" + " ".join(text.split()))
+        self._send("STATUS=" + " ".join(text.split()))
 
-    def _tell(self, line: str) -> None:
+    def _send(self, line: str) -> None:
         if self._socket is not None:
             with suppress(OSError):
                 self._socket.sendto(line.encode(), self._address)

@@ -12,7 +12,7 @@ from eitskin_sim.verification.shape_verdict import ShapeTouch
 from eitskin_sim.verification.snapped_units import UnitTouch
 from eitskin_sim.verification.verdict import Verdict as Found
 from eitskin_tools.evaluation.verified.solver import MapVerifier, noise_shown
-from eitskin_tools.verifier.letters import Array, FrameLetter, RestLetter, Setup
+from eitskin_tools.verifier.letters import Array, BaselineLetter, FrameLetter, Setup
 
 SCAN_MISMATCH: Final = (
     "untouched, the sheet does not read as its cloud and reference say; send its cloud, or take a reference anew"
@@ -68,7 +68,7 @@ class Checker:
         told = verdict.chi_squared, verdict.degrees_of_freedom, verdict.p_value, verdict.flagged
         return told, touches, reason_of(verdict)
 
-    def rest(self, letter: RestLetter) -> str:
+    def learn_baseline(self, letter: BaselineLetter) -> str:
         """Learn from what the untouched sheet reads; return what is wrong with it, nothing where nothing is."""
         if not self._usable.all():
             return ""  # a sheet is known by all its rows

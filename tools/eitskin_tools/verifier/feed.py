@@ -23,7 +23,16 @@ from eitskin.skin import Skin
 from eitskin_proto.skin.toml import to_toml
 from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES, UntouchedBaseline
 from eitskin_tools.verifier.child import VerifierProcess
-from eitskin_tools.verifier.letters import BUDGET_S, LARGEST_PACKET, STATE, FrameLetter, RestLetter, Rows, Setup, unpack
+from eitskin_tools.verifier.letters import (
+    BUDGET_S,
+    LARGEST_PACKET,
+    STATE,
+    BaselineLetter,
+    FrameLetter,
+    Rows,
+    Setup,
+    unpack,
+)
 
 REPEAT_NS: Final = 1_000_000_000
 """After which it is said again how the verifier is."""
@@ -126,7 +135,7 @@ class VerifierFeed:
         if not record.touched or record.map_is_zero:
             self._withdraw()
             if not (record.touched or record.idle):  # an idle frame leaves dV as the last whole one had it
-                self._rest()
+                self._send_baseline()
                 return
         elif record.inferred and not self._is_known():
             self._stillness.keep(self._pipeline.buffers.change[0])
@@ -137,12 +146,12 @@ class VerifierFeed:
             self._is_due = True
         self._baseline.reset()
 
-    def _rest(self) -> None:
+    def _send_baseline(self) -> None:
         """Tell what the untouched sheet reads, once it has been still for a while and that is news."""
         if not self._setup or self._setup_packet or self._missing.any():
             return
         if (mean := self._baseline.add(self._pipeline.buffers.change[0])) is not None:
-            self._send(RestLetter(self._setup, BASELINE_FRAMES, mean).packed())
+            self._send(BaselineLetter(self._setup, BASELINE_FRAMES, mean).packed())
 
     def _is_known(self) -> bool:
         """Return whether the frame in hand is the one that was handed over last, but for noise, however long ago."""

@@ -2,7 +2,7 @@
 
 ::
 
-    runtime  -> SETUP, number, fields | FRAME, fields | REST, fields
+    runtime  -> SETUP, number, fields | FRAME, fields | BASELINE, fields
     verifier -> STATE, state, setup, why, setup_ms | VERDICT, message, flagged, spent_ms
 
 A frame is sent only while the verifier has none, so the newest is verified and nothing queues up.
@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 Values = npt.NDArray[np.float32]
 Rows = npt.NDArray[np.bool_]
 
-SETUP, FRAME, REST, STATE, VERDICT = range(5)
+SETUP, FRAME, BASELINE, STATE, VERDICT = range(5)
 """Kinds of packets: the first item of each."""
 
 BUDGET_S: Final = 0.2
@@ -108,7 +108,7 @@ class FrameLetter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RestLetter:
+class BaselineLetter:
     """What the sheet reads while nothing touches it."""
 
     setup: int
@@ -120,7 +120,7 @@ class RestLetter:
 
     def packed(self) -> bytes:
         """Return its packet."""
-        return pack(REST, self.setup, self.frames, self.change.astype("<f8").tobytes())
+        return pack(BASELINE, self.setup, self.frames, self.change.astype("<f8").tobytes())
 
     @classmethod
     def of(cls, setup: int, frames: int, change: bytes) -> Self:

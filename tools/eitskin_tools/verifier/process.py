@@ -75,9 +75,9 @@ class Worker:
 
     def run(self) -> None:
         """Answer until the other side is gone."""
-        from eitskin_tools.verifier.letters import FRAME, LARGEST_PACKET, REST, SETUP, unpack
+        from eitskin_tools.verifier.letters import BASELINE, FRAME, LARGEST_PACKET, SETUP, unpack
 
-        handlers = {SETUP: self._prepare, REST: self._rest, FRAME: self._verify}
+        handlers = {SETUP: self._prepare, BASELINE: self._learn_baseline, FRAME: self._verify}
         with suppress(BrokenPipeError, ConnectionResetError):
             while packet := self._line.recv(LARGEST_PACKET):
                 kind, *items = unpack(packet)
@@ -101,16 +101,16 @@ class Worker:
             return
         self._line.send(state_answer(READY, number, setup_ms=1e3 * (time.perf_counter() - begin)))
 
-    def _rest(self, *items: Any) -> None:
+    def _learn_baseline(self, *items: Any) -> None:
         from eitskin.messaging.streams.verified import READY
-        from eitskin_tools.verifier.letters import RestLetter, state_answer
+        from eitskin_tools.verifier.letters import BaselineLetter, state_answer
 
-        rest = RestLetter.of(*items)
+        rest = BaselineLetter.of(*items)
         if self._checker is None or rest.setup != self._setup:
             return
         try:
             with within(MODEL_S):
-                why = self._checker.rest(rest)
+                why = self._checker.learn_baseline(rest)
         except Exception as error:  # what the untouched sheet reads helps, and is not needed
             why = reason(error)
         self._line.send(state_answer(READY, self._setup, why))

@@ -110,7 +110,7 @@ class Feed:
                 except NoFrame as error:
                     self._post_status("silent", str(error))
                 else:
-                    rhythm.heard(frame.number, frame.host_ns["read"])
+                    rhythm.add(frame.number, frame.host_ns["read"])
                     self._board.post("frame", frame_message(frame, self._of, self._source.pose), self._of)
                     self.taken += 1
                     if due_s - status_s >= STATUS_S:
@@ -121,7 +121,7 @@ class Feed:
                     seen_s = now_s
                 elif now_s - seen_s > IDLE_S:
                     return
-                self._left.wait(rhythm.rest_s(max(0.0, due_s - now_s)))
+                self._left.wait(rhythm.pause_s(max(0.0, due_s - now_s)))
 
     def _mismatch(self, shape: tuple[int, ...]) -> str:
         """Return what is wrong with the sheet that is drawn; nothing if nothing is."""

@@ -102,7 +102,7 @@ class Film:
         messages: list[bytes] = []
         surface, cloud = self._flat, 0
         kept, shown = self._nothing, -1
-        for step in map(self._asked, span.steps):
+        for step in map(self._with_map, span.steps):
             frame = step.frame
             if step.cloud is not None:
                 cloud, surface = step.cloud.revision, Surface(step.cloud.cloud, self.skin.grid)
@@ -129,7 +129,7 @@ class Film:
             self._watches.popitem(last=False)
         return b"".join(messages)
 
-    def _asked(self, step: Step) -> Step:
+    def _with_map(self, step: Step) -> Step:
         """Return a frame as it would be had somebody asked for its map: a recorder alone need not."""
         frame = step.frame
         if not frame.touched or frame.solver != NO_SOLVER:

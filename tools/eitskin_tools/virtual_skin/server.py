@@ -118,7 +118,7 @@ class SkinServer:
 
     def run(self, until_ns: int | None = None) -> None:
         """Serve until the clock shows ``until_ns``, or for ever."""
-        self._tell("boot", self._clock())
+        self._log_event("boot", self._clock())
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         try:
             while not self._stopped:
@@ -157,7 +157,7 @@ class SkinServer:
         if self._replug_ns and now >= self._replug_ns:
             self._replug_ns = 0
             self.port.plug()
-            self._tell("plug", now)
+            self._log_event("plug", now)
         if self.port.unsent:
             self.port.flush()
         while self._late and now >= self._late[0][0]:
@@ -176,7 +176,7 @@ class SkinServer:
             now = self._clock()
             self._listen(now)
         for injected in self.player.injected[self._logged :]:
-            self._tell("fault", now, kind=injected.kind, time_s=round(injected.time_s, 6), detail=injected.detail)
+            self._log_event("fault", now, kind=injected.kind, time_s=round(injected.time_s, 6), detail=injected.detail)
         self._logged = len(self.player.injected)
 
     def _listen(self, now: int) -> None:
@@ -194,7 +194,7 @@ class SkinServer:
         if device.streaming and (not streaming or device.rate_mHz != rate):
             self._deadline_ns = now + device.scan_ns
             if first:
-                self._tell("start", now, script_time_s=0.0)
+                self._log_event("start", now, script_time_s=0.0)
 
     def _poll(self, now: int) -> None:
         """Let the device report what nobody asked for, and restart if it is time to."""
@@ -215,14 +215,14 @@ class SkinServer:
         if not packet:
             return
         before_ns = self._clock()
-        self._note(sequence, before_ns)  # first: a receiver finds its time, even if this process ends at once
+        self._record_wire_time(sequence, before_ns)  # first: a receiver finds it, even if this process ends at once
         if self.port.write(packet):
             self.sent += 1
         else:
-            self._note(sequence, -before_ns)
+            self._record_wire_time(sequence, -before_ns)
             device.drop()
 
-    def _note(self, sequence: int, wire_ns: int) -> None:
+    def _record_wire_time(self, sequence: int, wire_ns: int) -> None:
         if self._wire_ns is not None:
             self._wire_ns[sequence % len(self._wire_ns)] = wire_ns
 
@@ -250,7 +250,7 @@ class SkinServer:
 
     def _booted(self, now: int) -> None:
         self._boots = self.device.boots
-        self._tell("boot", now)
+        self._log_event("boot", now)
         if self.port.restart_s and self.port.plugged:
             self.port.unplug()
             self._replug_ns = now + int(self.port.restart_s * 1e9)
@@ -259,5 +259,5 @@ class SkinServer:
         start = self.device.script_start_ns
         return 0.0 if start is None else (now_ns - start) * 1e-9
 
-    def _tell(self, event: str, now: int, **more: object) -> None:
+    def _log_event(self, event: str, now: int, **more: object) -> None:
         self._log({"event": event, "host_ns": now, "device_us": self.device.device_us(now), **more})

@@ -132,7 +132,7 @@ class ConfigurationStore:
             return Code.DOWNGRADE, active.revision
         if self.on_trial or self.revoked:  # the other slot is what boots next, and the only one that is confirmed
             return Code.NOT_CONFIRMED, self.generation
-        refused = self._take(request.token, now_ns)
+        refused = self._lock_refusal(request.token, now_ns)
         if refused is not None:
             return refused
         self._session = _Session(request.token, now_ns, request)
@@ -141,7 +141,7 @@ class ConfigurationStore:
 
     def write(self, request: messages.ConfigWrite, now_ns: int) -> Answer:
         """Append a piece to the slot that does not run; the last piece may come again."""
-        session, refused = self._hold(request.token, now_ns)
+        session, refused = self._open_session(request.token, now_ns)
         if session is None:
             return refused
         slot, end = self._slots[self._other()], request.offset + len(request.data)
@@ -156,7 +156,7 @@ class ConfigurationStore:
 
     def verify(self, request: messages.ConfigVerify, now_ns: int) -> Answer:
         """Read the written slot back; the detail is the digest that it has."""
-        session, refused = self._hold(request.token, now_ns)
+        session, refused = self._open_session(request.token, now_ns)
         return refused if session is None else self._verified(session)
 
     def _verified(self, session: _Session) -> Answer:
@@ -172,7 +172,7 @@ class ConfigurationStore:
 
     def commit(self, request: messages.ConfigCommit, now_ns: int) -> Answer:
         """Make the written slot the newest; it runs on trial from the next boot. Asked again, it answers the same."""
-        session, refused = self._hold(request.token, now_ns)
+        session, refused = self._open_session(request.token, now_ns)
         if session is None:
             return refused
         assert session.begin is not None
@@ -203,7 +203,7 @@ class ConfigurationStore:
         """Revoke the running generation, so that the next boot runs the slot before."""
         if request.generation != self.generation:
             return Code.WRONG_GENERATION, self.generation
-        refused = self._take(request.token, now_ns)
+        refused = self._lock_refusal(request.token, now_ns)
         if refused is not None:
             return refused
         self._session = _Session(request.token, now_ns)
@@ -216,7 +216,7 @@ class ConfigurationStore:
 
     def abort(self, request: messages.ConfigAbort, now_ns: int) -> Answer:
         """Give the lock back; what was written and not committed counts for nothing."""
-        session, refused = self._hold(request.token, now_ns)
+        session, refused = self._open_session(request.token, now_ns)
         if session is None:
             return refused
         self._session = None
@@ -241,7 +241,7 @@ class ConfigurationStore:
             return 0
         return 1 + (LOCK_NS - silent_ns) // 1_000_000
 
-    def _take(self, token: int, now_ns: int) -> Answer | None:
+    def _lock_refusal(self, token: int, now_ns: int) -> Answer | None:
         """Return why this token cannot have the lock; None if it can."""
         left_ms = self._left_ms(now_ns)
         if token == 0:
@@ -250,7 +250,7 @@ class ConfigurationStore:
             return Code.BUSY, left_ms
         return None
 
-    def _hold(self, token: int, now_ns: int) -> tuple[_Session | None, Answer]:
+    def _open_session(self, token: int, now_ns: int) -> tuple[_Session | None, Answer]:
         """Return the open session of this token, kept alive; or None and the answer."""
         left_ms = self._left_ms(now_ns)
         session = self._session
