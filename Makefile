@@ -21,6 +21,9 @@ PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --dist lo
 # One more than there are cores: many tests wait for the processes that they have started.
 export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell echo $$(($$(nproc) + 1)))
 
+# Bytecode is kept even where the environment says otherwise: the tests start some two hundred interpreters.
+export PYTHONDONTWRITEBYTECODE :=
+
 SECONDS_DEMO ?= 20
 OTHER_PYTHONS ?= 3.11 3.12 3.13
 

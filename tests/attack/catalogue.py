@@ -5,8 +5,6 @@ from importlib import import_module
 from .outcome import Attack
 
 ATTACKS: dict[str, str] = {
-    "firmware.requests": "requests.sequences:requests",
-    "firmware.board": "requests.sequences:board_requests",
     "firmware.flashing": "requests.flashing:flashing",
     "front-end.lies": "line.lies:lies",
     "front-end.honest": "line.lies:honest",
@@ -23,8 +21,6 @@ ATTACKS: dict[str, str] = {
     "subscribers.held": "subscribers.border:held",
     "subscribers.without-keys": "subscribers.border:without_keys",
     "subscribers.honest": "subscribers.crowds:honest_crowds",
-    "subscribers.giants": "subscribers.giants:giant_messages",
-    "numbers.denormals": "numbers.denormals:denormals",
     "files.readers": "files.attack:files",
 }
 """Name of an attack, and ``folder.module:function`` below this folder."""

@@ -9,7 +9,7 @@ from .catalogue import ATTACKS, load
 from .outcome import Effort, Outcome
 
 SLOW: Final = frozenset({
-    "subscribers.held", "subscribers.without-keys", "subscribers.honest", "subscribers.giants", "front-end.hanging",
+    "subscribers.held", "subscribers.without-keys", "subscribers.honest", "front-end.hanging",
     "files.readers", "run.terminated",
 })  # fmt: skip
 """Whose short form takes five seconds and more: ``make slow`` has them, not ``make test``."""

@@ -67,11 +67,11 @@ def built(folder, file, right, wrong):
 
 @pytest.mark.heavy
 def test_whatever_is_asked_and_cut_a_confirmed_configuration_stays_bootable(core):
-    found = search(CoreLine, 1500, SEED)
+    found = search(CoreLine, 750, SEED)
     assert (found.breaches, found.differing) == (0, 0), found.lost
-    assert found.with_confirmed > 700, "without a confirmed one there is nothing to keep"
-    assert found.cuts > 700
-    assert found.images > 100_000
+    assert found.with_confirmed > 350, "without a confirmed one there is nothing to keep"
+    assert found.cuts > 350
+    assert found.images > 50_000
 
 
 IS_VALID = "read_word(port, index, EIT_SLOT_REVOKED) == ERASED"
@@ -104,9 +104,9 @@ def test_a_mistake_in_the_core_is_found_and_told_in_few_steps(core, tmp_path, mi
 
 
 def test_the_virtual_skin_answers_the_same_sequences_as_the_specification():
-    found = search(VirtualLine, 120, SEED)
+    found = search(VirtualLine, 60, SEED)
     assert (found.breaches, found.differing) == (0, 0), found.lost
-    assert found.with_confirmed > 50
+    assert found.with_confirmed > 25
 
 
 @pytest.mark.process

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.process
 ENDLESS = Path(__file__).parent / "endless_process.py"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_nobody_computes_on(number: signal.Signals) -> None:
     with subprocess.Popen([sys.executable, str(ENDLESS)], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None

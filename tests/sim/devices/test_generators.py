@@ -33,7 +33,7 @@ SETS = {
 TOUCHES = gather([np.array(pieces) for pieces in SETS.values()])
 
 
-@pytest.fixture(scope="module", params=["patch", "edge"])
+@pytest.fixture(scope="module", params=["patch", pytest.param("edge", marks=pytest.mark.slow)])
 def skin(request: pytest.FixtureRequest) -> Skin:
     lab = named("lab")
     if request.param == "patch":

@@ -102,6 +102,7 @@ def test_two_electrodes_in_one_corner_are_refused() -> None:
         shared_mesh(skin=close)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("set_name", ["free", "units"])
 def test_a_data_set_of_random_devices_takes_contacts_on_the_edge(set_name: str) -> None:
     lab = named("lab")

@@ -93,7 +93,7 @@ SHAPES: dict[str, Piece] = {
 
 # Elements of 3.5 mm against meshes of the touches' own; 1.5 % is the median, below 5 % nearly all.
 @pytest.mark.heavy
-@pytest.mark.parametrize("contrast", [0.4, 20.0])
+@pytest.mark.parametrize("contrast", [pytest.param(0.4, marks=pytest.mark.slow), 20.0])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_every_sign_border_and_shape_is_near_a_scene_on_a_mesh_of_its_own(
     sheet: InvertedSheet, shape: str, contrast: float

@@ -60,6 +60,7 @@ def test_noise_bends_the_fitted_surface_as_the_fits_of_every_point_say() -> None
     assert along_x @ along_y.T == pytest.approx(dx.T @ dy, rel=1e-6, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_the_scans_columns_are_the_scatter_of_models_of_noisy_scans(cloud: Array, model: SheetModel) -> None:
     """Scans drawn with noise, smoothed, scatter in voltages as the columns say, within a third.
 

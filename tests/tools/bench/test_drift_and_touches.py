@@ -84,6 +84,7 @@ def share_taken_out(consistency, logs, noise, looks, rng):
     return float(np.sqrt(np.mean((drift.resting.drift - before) ** 2) / np.mean(logs**2)))
 
 
+@pytest.mark.slow
 def test_a_touch_held_for_an_hour_is_not_learned_at_any_noise(touches, consistency):
     rng = np.random.default_rng(0)
     for noise, most in ((0.0032, 0.05), (0.035, 0.15)):  # 50 and 29 dB

@@ -84,7 +84,7 @@ def test_arrays_have_every_frame_and_say_of_which_no_cloud_is_known(lacking: Pat
     assert len(load_measured(lacking).voltages_V) == 150 - first_frames
 
 
-@pytest.mark.parametrize("begins", [True, False])
+@pytest.mark.parametrize("begins", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_each_command_reads_it(
     lacking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], first_frames: int, *, begins: bool
 ) -> None:

@@ -77,7 +77,7 @@ def test_it_prints_its_port_first_and_streams_the_script(tmp_path):
     assert [event["event"] for event in read_log(log)] == ["boot", "start", "stop"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)])
 def test_json_is_one_object_and_it_ends_cleanly_when_told_to(number):
     with met_by(signal.SIG_DFL, signal.SIGHUP), sim("--json", "--rate=100", "--serial-number=SKIN-7") as process:
         found = json.loads(process.stdout.readline())
