@@ -23,7 +23,7 @@ CONFIG_OPTIONS: Final = ("config", "check", "seconds", "log_format", "quiet", "j
 """Options that go with ``--config``; all others are stated for each skin in the file."""
 
 
-def run_all(arguments: argparse.Namespace, add_arguments: Callable[[argparse.ArgumentParser], None]) -> int:
+def run_all(arguments: argparse.Namespace, add_arguments: Callable[[Parser], None]) -> int:
     """Run every skin of a robot.toml until told to stop; return the exit status.
 
     Args:
