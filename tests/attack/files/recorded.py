@@ -3,11 +3,8 @@
 The name of a damaged file says which command reads it; the whole one is read by each.
 """
 
-import hashlib
 import json
 import random
-import struct
-import zlib
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -15,7 +12,7 @@ from typing import Final
 import msgpack
 import numpy as np
 
-from . import mutations, samples
+from . import mutations
 from .samples import TINY, commanded
 
 FRAMES: Final = 60
@@ -76,18 +73,16 @@ def make(folder: Path, rng: random.Random | None) -> tuple[Path, str]:
         return path, "whole"
     if rng.random() < 0.04:
         return path, f"{name}, not a file: {mutations.special(path, rng)}"
-    how = rng.choice(("bytes", "bytes", "chunk", "head", "reference", "body", "body", "body", "times"))
+    how = rng.choice(("bytes", "messages"))
     if how == "bytes":
         path.write_bytes(mutations.bent(_whole(), rng))
-    elif how == "chunk":
-        path.write_bytes(_strange_chunk(_whole(), rng))
     else:
-        _rewrite(path, how, rng)
+        _rewrite(path, rng)
     return path, f"{name}, {how}"
 
 
-def _rewrite(path: Path, how: str, rng: random.Random) -> None:
-    """Write the whole recording anew with one kind of its records changed."""
+def _rewrite(path: Path, rng: random.Random) -> None:
+    """Write the whole recording again with other contents in some of its messages."""
     import io
 
     from mcap.reader import make_reader
@@ -97,20 +92,14 @@ def _rewrite(path: Path, how: str, rng: random.Random) -> None:
     found = list(reader.iter_messages(log_time_order=False))
     channels = {channel.id: (schema, channel) for schema, channel, _ in found}
     messages = [(channel.id, message.data, message.log_time, message.sequence) for _, channel, message in found]
-    attached = {one.name: one.data for one in reader.iter_attachments()}
-    if how == "reference":
-        messages = _reference(attached, messages, rng)
-    elif how == "body":
-        _bodies(messages, rng)
-    elif how == "times":
-        _times(messages, rng)
+    _bodies(messages, rng)
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
         for one in reader.iter_metadata():
-            writer.add_metadata(one.name, _head(dict(one.metadata), rng) if how == "head" else one.metadata)
-        for name, data in attached.items():
-            writer.add_attachment(0, 0, name, "application/json", data)
+            writer.add_metadata(one.name, one.metadata)
+        for one in reader.iter_attachments():
+            writer.add_attachment(0, 0, one.name, "application/json", one.data)
         ids = {}
         for number, (schema, channel) in channels.items():
             of = 0 if schema is None else writer.register_schema(schema.name, schema.encoding, schema.data)
@@ -122,33 +111,6 @@ def _rewrite(path: Path, how: str, rng: random.Random) -> None:
 
 Message = tuple[int, bytes, int, int]
 """Channel, data, log time in ns, sequence."""
-
-
-def _head(head: dict[str, str], rng: random.Random) -> dict[str, str]:
-    for _ in range(rng.choice((1, 1, 2))):
-        key = rng.choice(list(head))
-        if key == "hello" and rng.random() < 0.8:
-            data = bytearray.fromhex(head[key])
-            data[rng.randrange(len(data))] = rng.choice((0, 1, 127, 128, 255))
-            head[key] = data.hex()
-        elif rng.random() < 0.2 and len(head) > 1:
-            head.pop(key)
-        else:
-            head[key] = rng.choice(("", "abc", "\x1b[2J", "-1", "nan", "9" * 400, "x" * 5000, "{}", "00ff", "a\nb"))
-    return head
-
-
-def _reference(attached: dict[str, bytes], messages: list[Message], rng: random.Random) -> list[Message]:
-    """Change the reference, so that the frames name the one that is there."""
-    name, data = next(iter(attached.items()))
-    if rng.random() < 0.1:
-        attached.clear()
-        return messages
-    fields = {key: value for key, value in json.loads(data).items() if key != "sha256"}
-    changed = samples.sealed(mutations.changed(fields, rng)) if rng.random() < 0.8 else mutations.bent(data, rng)
-    attached[name] = changed
-    before, after = (hashlib.sha256(one).hexdigest().encode() for one in (data, changed))
-    return [(channel, body.replace(before, after), *rest) for channel, body, *rest in messages]
 
 
 def _bodies(messages: list[Message], rng: random.Random) -> None:
@@ -197,36 +159,3 @@ def _array(data: bytes, rng: random.Random) -> bytes:
     with np.errstate(all="ignore"):
         values[rng.choice((slice(None), rng.randrange(len(values))))] = hostile
     return values.tobytes() + data[len(values) * values.itemsize :]
-
-
-def _times(messages: list[Message], rng: random.Random) -> None:
-    """Give messages other times and sequences."""
-    how, first, split = rng.randrange(4), messages[0][2], rng.randrange(len(messages))
-    moment = rng.choice((0, 1, 2**63, LARGEST_NS, first + 10**12, first + 10**15, first + 10**18, first - 10**9))
-    for at, (channel, data, log_ns, sequence) in enumerate(messages):
-        time_ns, number = log_ns, sequence
-        if how == 2 or (how == 0 and at == split):
-            time_ns = moment
-        elif how == 1 and at >= split:
-            time_ns = log_ns - first + moment
-        elif how == 3:
-            number = rng.choice((0, 2**32 - 1, sequence, sequence + 7))
-        messages[at] = channel, data, min(max(time_ns, 0), LARGEST_NS), number
-
-
-def _strange_chunk(data: bytes, rng: random.Random) -> bytes:
-    """Put a chunk of what nobody writes before the end of a recording: much of nothing, or wrong about itself."""
-    import zstandard
-
-    unit = rng.choice((bytes(9), b"\x05" + struct.pack("<Q", 22) + bytes(22), b"\x04" + struct.pack("<Q", 0)))
-    inner = unit * (rng.choice((0, 1000, 1 << 20, 64 << 20, 255 << 20)) // len(unit))
-    compression = rng.choice((b"zstd", b"zstd", b"lz4", b"", b"none"))
-    packed = zstandard.ZstdCompressor(level=1).compress(inner) if compression == b"zstd" else inner[: 1 << 20]
-    says = rng.choice((len(inner), len(inner), 0, LARGEST_NS, len(inner) + 1))
-    chunk = struct.pack("<QQQI", 0, rng.choice((0, LARGEST_NS)), says, rng.choice((0, zlib.crc32(inner))))
-    chunk += struct.pack("<I", len(compression)) + compression + struct.pack("<Q", len(packed)) + packed
-    record = b"\x06" + struct.pack("<Q", len(chunk)) + chunk
-    footer = data.rfind(b"\x02" + struct.pack("<Q", 20))
-    data_end = data.rfind(b"\x0f" + struct.pack("<Q", 4))
-    at = data_end if 0 < data_end < footer else footer
-    return data[:at] + record + data[at:]
