@@ -1,24 +1,24 @@
 """The runtime of an electronic skin: voltages in, tactile maps out.
 
-While a runtime publishes (``eitskin run``, ``eitskin demo``), a program feels by it::
+While a runtime publishes (``eitskin run``, ``eitskin demo``), a program subscribes::
 
     for frame in eitskin.subscribe():
         frame.map          # (30, 45) float32: 0 untouched, 1 touched
 
     for frame in eitskin.subscribe(maps=False, timeout_s=0.5, max_age_s=0.2):  # a robot stops where these raise
         for touch in frame.touches:
-            touch.place_mm, touch.normal  # where it is on the bent surface, and which way that faces
+            touch.place_mm, touch.normal  # its place on the bent surface, and the surface's direction there
 
 Begin with:
 
 * ``subscribe``, ``subscribe_all``: the frames of one skin, of all skins of a robot.
-* ``Frame``, ``Touch``: what they hold.
+* ``Frame``, ``Touch``: their content.
 * ``send_cloud``: how the sheet is bent now; until then it counts as flat.
-* ``request``: status, a new reference, electrodes to go on without, stop.
-* ``Skin``: a port read in this process, without ``eitskin run``.
-* ``NoFrame``, ``StaleFrame``: nothing came in time, or only something old; both are ``TimeoutError``.
+* ``request``: status, a new reference, excluded electrodes, stop.
+* ``Skin``: a skin read in this process, without ``eitskin run``.
+* ``NoFrame``, ``StaleFrame``: no frame came in time, or only an old one; both are ``TimeoutError``.
 
-What else goes wrong with a skin, a file or a line is a ``SkinError``, and says in a line what to do.
+Other failures of a skin, a file or a line raise a ``SkinError`` that says in one line what to do.
 
 Names are imported when they are first used: a subscriber loads ZeroMQ and numpy, but neither ONNX Runtime nor
 pyserial.

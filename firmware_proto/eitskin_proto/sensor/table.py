@@ -1,14 +1,14 @@
-"""The adjacent-drive protocol: which electrodes carry current, which are measured, and in what order.
+"""The adjacent-drive protocol: the electrodes that carry current, the measured pairs, and their order.
 
 Electrodes are numbered 0 to 15, counter-clockwise from the corner (0, 0). Drive k sends the current into electrode k
 and out of electrode k + 1; measure m reads V = U[m] - U[m + 1]; all indices are modulo 16. A pair that shares an
 electrode with the drive is not measured, which leaves m = k + 2 .. k + 14: 16 x 13 = 208 rows. Reciprocity makes row
-(k, m) equal to row (m, k), so the 104 rows with k < m say everything (paper sections V.A and VI.A). ::
+(k, m) equal to row (m, k), so the 104 rows with k < m have all information (paper sections V.A and VI.A). ::
 
     full table, 208 rows       (0,2) (0,3) ... (0,14) | (1,3) ... (1,15) | (2,4) ... (2,15) (2,0) | ...
     table, 104 rows            the rows of the full table with k < m, in the same order
 
-The order is that of EIDORS and pyEIT; their sign is the opposite one, which the normalisation (V - V0) / V0 cancels.
+EIDORS and pyEIT use the same order and the opposite sign, which the normalisation (V - V0) / V0 cancels.
 """
 
 from typing import Final
@@ -31,13 +31,13 @@ def _frozen(array: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
 
 
 FULL_TABLE: Final[npt.NDArray[np.uint8]] = _full_table()
-"""(208, 2) drive and measure of every row that a full scan has."""
+"""(208, 2), drive and measure of every row of a full scan."""
 
 ROW_IN_FULL: Final[npt.NDArray[np.intp]] = np.flatnonzero(FULL_TABLE[:, 0] < FULL_TABLE[:, 1])
-"""(104,) where each row of the table stands in the full table."""
+"""(104,), index of each row of ``TABLE`` in ``FULL_TABLE``."""
 
 TABLE: Final[npt.NDArray[np.uint8]] = FULL_TABLE[ROW_IN_FULL]
-"""(104, 2) drive and measure of every row of a frame."""
+"""(104, 2), drive and measure of every row of a frame."""
 
 
 def _reciprocal() -> npt.NDArray[np.intp]:
@@ -46,13 +46,13 @@ def _reciprocal() -> npt.NDArray[np.intp]:
 
 
 RECIPROCAL_IN_FULL: Final[npt.NDArray[np.intp]] = _reciprocal()
-"""(104,) where the reciprocal (m, k) of each row of the table stands in the full table."""
+"""(104,), index of the reciprocal (m, k) of each row of ``TABLE`` in ``FULL_TABLE``."""
 
 N_ROWS: Final = len(TABLE)
-"""104 independent measurements a frame (paper section V.A)."""
+"""Rows of a frame (paper section V.A)."""
 
 N_FULL_ROWS: Final = len(FULL_TABLE)
-"""208 measurements when the reciprocal half is scanned too."""
+"""Rows of a full scan, with the reciprocal half."""
 
 for _array in (FULL_TABLE, ROW_IN_FULL, TABLE, RECIPROCAL_IN_FULL):
     _frozen(_array)
@@ -61,7 +61,7 @@ for _array in (FULL_TABLE, ROW_IN_FULL, TABLE, RECIPROCAL_IN_FULL):
 def voltages_from_potentials(
     potentials: npt.NDArray[np.float64], table: npt.NDArray[np.uint8] = TABLE
 ) -> npt.NDArray[np.float64]:
-    """Return the measured voltages of every row of a table.
+    """Return the voltages of every row of a table.
 
     Args:
         potentials: (..., 16 drives, 16 electrodes) V, the electrode potentials under each drive.

@@ -1,11 +1,10 @@
-"""The measured surface: points in mm, one under each pixel's centre of a skin's map, in one agreed pose.
+"""A cloud: the place of each pixel's centre on the measured surface, in mm.
 
 A cloud is (3, rows, columns): x, y, z; rows along y; columns along x. The paper's is (3, 30, 45).
 
-A scanner sees the sheet from anywhere. Before a cloud is stored, learned from or used, it is moved rigidly onto the
-flat sheet, as close to it as least squares allow (Kabsch, "A solution for the best rotation to relate two sets of
-vectors", Acta Cryst. A32, 1976). Two clouds of the same shape give the same numbers, whatever the pose. Only proper
-rotations count: a mirrored sheet is another sheet.
+The pose of a cloud depends on the scanner. Before use it is therefore moved rigidly onto the flat sheet, by least
+squares (Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32, 1976). Clouds of the
+same shape then have the same numbers. Only proper rotations are used: a mirrored sheet is another sheet.
 """
 
 from typing import Final
@@ -17,18 +16,18 @@ from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
 
 LARGEST_MM: Final = 100_000.0
-"""No coordinate is further than this from the origin: single precision places points to 0.004 mm there."""
+"""Largest coordinate; single precision resolves 0.004 mm there."""
 
 SPREAD_MM: Final = (5.0, 500.0)
-"""Root mean square distance of the points from their middle: the paper's has 52 mm when flat, 25 mm when rolled up;
-the smallest skin has 20 mm when flat, the largest 163 mm."""
+"""Limits of the rms distance of the points from their mean: the paper's sheet has 52 mm when flat, 25 mm when rolled
+up; the smallest skin has 20 mm when flat, the largest 163 mm."""
 
 INPUT_PARTS: Final = 3
-"""A network's input is in parts of the sheet's longer side, so that it is of order one: 50 mm on the paper's."""
+"""A network's unit of length is the sheet's longer side over this number: 50 mm for the paper's."""
 
 
 def pixel_centres_mm(grid: Grid = PAPER.grid) -> npt.NDArray[np.float64]:
-    """Return the (rows, columns, 2) x and y of every pixel's centre on the flat sheet."""
+    """Return x and y of every pixel's centre on the flat sheet in mm, (rows, columns, 2)."""
     return grid.pixel_centres_mm()
 
 
@@ -38,14 +37,15 @@ def flat_cloud(grid: Grid = PAPER.grid) -> npt.NDArray[np.float64]:
 
 
 def check_cloud(cloud: npt.ArrayLike, grid: Grid = PAPER.grid) -> npt.NDArray[np.float64]:
-    """Return a cloud as float64, or say what is wrong with it.
+    """Return a cloud as float64 after checking it.
 
     Args:
         cloud: (3, rows, columns) mm.
-        grid: Of the skin.
+        grid: The skin's grid.
 
     Raises:
-        ValueError: Shape, type, a NaN or infinity, or a coordinate beyond ``LARGEST_MM``; with the value and the bound.
+        ValueError: Wrong shape or type, a value that is not finite, or a coordinate beyond ``LARGEST_MM``; with the
+            value and the bound.
     """
     expected = grid.cloud_shape
     try:
@@ -86,18 +86,17 @@ def _remedy(shape: tuple[int, ...], expected: tuple[int, ...]) -> str:
 
 
 def align_cloud(cloud: npt.ArrayLike, grid: Grid = PAPER.grid) -> npt.NDArray[np.float64]:
-    """Return a cloud in the agreed pose: moved rigidly onto the flat sheet.
+    """Return a cloud moved rigidly onto the flat sheet.
 
     Args:
         cloud: (3, rows, columns) mm, in any pose.
-        grid: Of the skin.
+        grid: The skin's grid.
 
     Returns:
         (3, rows, columns) mm.
 
     Raises:
-        ValueError: The cloud is malformed, its points lie on one line and so have no pose, or it is far too small or
-            too large.
+        ValueError: The cloud is malformed, far too small or too large, or all its points are on one line.
     """
     points = check_cloud(cloud, grid).reshape(3, -1)
     target = grid.flat_cloud_mm().reshape(3, -1)
@@ -122,10 +121,10 @@ def align_cloud(cloud: npt.ArrayLike, grid: Grid = PAPER.grid) -> npt.NDArray[np
 
 
 def network_input(cloud: npt.ArrayLike, grid: Grid = PAPER.grid) -> npt.NDArray[np.float32]:
-    """Return (3, rows, columns) float32 for a network: aligned, centred on the sheet, in thirds of its longer side.
+    """Return a network's input, (3, rows, columns) float32: the aligned cloud, centred, in thirds of the longer side.
 
     Raises:
-        ValueError: See :func:`align_cloud`.
+        ValueError: As for :func:`align_cloud`.
     """
     length, width = grid.size_mm
     centre = np.array([length / 2, width / 2, 0.0]).reshape(3, 1, 1)

@@ -1,12 +1,12 @@
-"""The file between ``eitskin surface`` and the runtime: a cloud, its prediction where there is one, and its skin.
+"""The file that ``eitskin surface`` writes: a cloud, its skin and, if requested, its prediction.
 
 ::
 
     CLOUD.npz   magic "eitskin-cloud", version 1, grid_id, skin_digest, cloud (3, rows, columns) float64 mm, laid
                 on the flat sheet
                 rotation (3, 3), translation_mm (3,): what laid it there, cloud = rotation points + translation_mm
-                predicted, predicted_flat (104,) float64 V under 1 A: only where they were asked for (--predict)
-                and how it was found, for people: size_mm, noise_mm, outline_sigma_mm, corner
+                predicted, predicted_flat (104,) float64 V under 1 A: with --predict
+                for people: size_mm, noise_mm, outline_sigma_mm, corner
 """
 
 from collections.abc import Mapping
@@ -38,7 +38,7 @@ LARGEST_FILE: Final = 1 << 20
 
 
 EXACT: Final = 1e-6
-"""What a rotation's rows may be off unit length and right angles."""
+"""Tolerance for a rotation's unit lengths and right angles."""
 
 
 class CloudFileError(SkinError):
@@ -47,22 +47,22 @@ class CloudFileError(SkinError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """A cloud and what the forward model says of it."""
+    """A cloud and its prediction."""
 
     cloud_mm: Array
-    """(3, rows, columns)"""
+    """(3, rows, columns), aligned with the flat sheet."""
     predicted_V: Array | None = None
-    """(104,) V_pred under 1 A, or None where nothing was predicted."""
+    """(104,), V_pred under 1 A; None without a prediction."""
     predicted_flat_V: Array | None = None
-    """(104,) of the same model's flat sheet; there where a prediction is."""
+    """(104,), voltages of the same model's flat sheet; None without a prediction."""
     rotation: Array | None = None
-    """(3, 3) that turned the measured points before they were moved to where ``cloud_mm`` is; None if unknown."""
+    """(3, 3), rotation from the measured points to ``cloud_mm``; None if unknown."""
     translation_mm: Array | None = None
-    """(3,) added then; there where the rotation is."""
+    """(3,), translation after the rotation; None if unknown."""
 
     @property
     def measured_mm(self) -> Array:
-        """(3, rows, columns) in the frame of the measured points; where that is unknown, ``cloud_mm`` as it is."""
+        """(3, rows, columns), the cloud in the frame of the measured points; ``cloud_mm`` if that is unknown."""
         if self.rotation is None or self.translation_mm is None:
             return self.cloud_mm
         moved = self.cloud_mm - self.translation_mm[:, None, None]
@@ -75,13 +75,13 @@ def save_surface(
     """Write a cloud file.
 
     Args:
-        path: Where.
-        surface: What.
-        about: More fields, for people.
-        skin: Whose surface it is.
+        path: The file.
+        surface: The cloud and its prediction.
+        about: Further fields, for people.
+        skin: The skin of the surface.
 
     Raises:
-        FileError: It is no regular file.
+        FileError: The path is not a regular file.
         OSError: The file cannot be written.
     """
     fields: dict[str, Any] = {
@@ -100,15 +100,15 @@ def save_surface(
 
 
 def load_surface(path: str | Path, skin: Skin = PAPER) -> Surface:
-    """Return the cloud of a file that ``eitskin surface`` wrote, and its prediction.
+    """Return cloud and prediction of a file that ``eitskin surface`` wrote.
 
     Args:
         path: The file.
-        skin: Whose surface is expected.
+        skin: The expected skin.
 
     Raises:
-        CloudFileError: The file cannot be read, or is no cloud.
-        MismatchError: The cloud was made for another skin.
+        CloudFileError: The file cannot be read, or holds no cloud.
+        MismatchError: The cloud belongs to another skin.
     """
     try:
         file = read_npz(path, LARGEST_FILE)

@@ -1,11 +1,10 @@
-"""Whether something that was made for one skin may be used with another: bundles, references, clouds, data.
+"""Checks whether a bundle, reference, cloud or data set of one skin fits another skin.
 
-What they must agree about is the sheet: its size, its map and where its electrodes are, which is what ``grid_id``
-stands for. All else that a description says is how well that sheet is known, or what it will meet: it may differ. So a
-network that learned from random devices of a sheet serves every such sheet, ideal or not.
+Both must have the same sheet: size, map and electrode places, which ``grid_id`` identifies. The rest of a description
+may differ, because it only says how well the sheet is known and what touches it. So a network trained on random devices
+of a sheet fits every such sheet.
 
-A skin that was calibrated is the one it was calibrated from, known better: it keeps that one's ``grid_id``, though its
-electrodes were found elsewhere, and takes what was made for that.
+A calibrated skin keeps the ``grid_id`` of the original, even if its electrodes moved, and accepts what was made for it.
 """
 
 from eitskin_proto.errors import MismatchError
@@ -16,17 +15,17 @@ from eitskin_proto.skin.skin import PAPER, Skin
 
 
 def check_made_for(what: str, skin: Skin, *, grid_id: object, skin_digest: object, hint: str) -> None:
-    """Refuse what was made for another skin.
+    """Refuse an artefact of another skin.
 
     Args:
-        what: What to call it: a path, mostly.
-        skin: The one in use.
-        grid_id: What it carries.
-        skin_digest: What it carries; None if it is older than that, and the paper's.
-        hint: What to do.
+        what: Name of the artefact in the message, such as its path.
+        skin: The skin in use.
+        grid_id: The artefact's ``grid_id``.
+        skin_digest: The artefact's ``skin_digest``; None for old ones of the paper's skin.
+        hint: What the user can do.
 
     Raises:
-        MismatchError: With what was found and what was expected.
+        MismatchError: The skins differ; with both ids.
     """
     if skin_digest is None and grid_id == PAPER.grid_id:
         skin_digest = PAPER.digest
@@ -41,15 +40,15 @@ def check_arrays_made_for(what: str, skin: Skin, arrays: Arrays, hint: str) -> N
     """Refuse arrays of a file whose ``protocol_id``, ``grid_id`` or ``skin_digest`` is of another release or skin.
 
     Args:
-        what: What to call them: a path, mostly.
-        skin: The one in use.
-        arrays: By name; those that it lacks are not held against anything. A digest without a ``grid_id`` must be that
-            of a description which is known to be of this sheet.
-        hint: What to do.
+        what: Name of the file in the message, such as its path.
+        skin: The skin in use.
+        arrays: Arrays by name; missing ids are not checked. A digest without a ``grid_id`` must belong to a known
+            description of this sheet.
+        hint: What the user can do.
 
     Raises:
-        MismatchError: With what was found and what was expected.
-        ValueError: One of them is no text.
+        MismatchError: An id differs; with both ids.
+        ValueError: An id is not a text.
     """
     if "protocol_id" in arrays and (found := text(arrays, "protocol_id")) != PROTOCOL_ID:
         raise MismatchError(f"{what}: protocol_id", found=stated(found), expected=PROTOCOL_ID, hint=hint)

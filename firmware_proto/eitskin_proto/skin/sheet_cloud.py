@@ -107,15 +107,15 @@ def _beyond(own: Range, paper: Range) -> Range:
 
 
 def check_sheet(cloud: npt.ArrayLike, skin: Skin = PAPER) -> tuple[Array, tuple[str, ...]]:
-    """Return a cloud as float64, and what is doubtful about it, a line each.
+    """Return a cloud as float64, and lines that say what is doubtful about it.
 
     Args:
         cloud: (3, rows, columns) mm, in any pose.
-        skin: Whose surface it is.
+        skin: The skin of the surface.
 
     Raises:
-        ValueError: It is malformed (:func:`eitskin_proto.skin.cloud.check_cloud`), or cannot be of this sheet; with
-            what was found, what was expected and what to do.
+        ValueError: The cloud is malformed (:func:`eitskin_proto.skin.cloud.check_cloud`) or does not fit this sheet;
+            with what was found, what was expected and what to do.
     """
     bounds = _bounds(skin)
     points = check_cloud(cloud, bounds.grid)

@@ -196,4 +196,4 @@ class Subscription(Subscriber[Frame]):
 
 
 subscribe = Subscription
-"""Open a subscription to a runtime's frames, to be iterated."""
+"""Open a :class:`Subscription` with these arguments: ``for frame in eitskin.subscribe(): ...``."""

@@ -108,11 +108,11 @@ def organise(points_mm: npt.ArrayLike, corner_mm: npt.ArrayLike | None = None, g
 
     Args:
         points_mm: (n, 3) unordered points, in any pose.
-        corner_mm: (3,) near the sheet's corner (0, 0), in the points' frame; where it was in the scan before will do.
-        grid: Of the skin: the sheet's size, and whose pixels the cloud has.
+        corner_mm: (3,) near the sheet's corner (0, 0), in the points' frame, such as its place in the previous scan.
+        grid: The skin's grid: size of the sheet and pixels of the cloud.
 
     Raises:
-        PointCloudError: Too few points, not the sheet, a hole that is too large, or a corner hint that decides nothing.
+        PointCloudError: Too few points, not the sheet, too large a hole, or a corner hint that fits two corners.
     """
     points = _check_points(points_mm, grid)
     try:

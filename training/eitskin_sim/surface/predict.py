@@ -128,11 +128,11 @@ def noise_roots(grid: Grid = PAPER.grid) -> tuple[Array, Array]:
 
 
 def predict(cloud_mm: npt.ArrayLike, skin: Skin = PAPER) -> Array:
-    """Return the (104,) V that the untouched sheet of a cloud reads under 1 A.
+    """Return the (104,) V that the forward model computes for an untouched sheet at a cloud, under 1 A.
 
     Args:
         cloud_mm: (3, rows, columns) mm, in any pose.
-        skin: Whose cloud it is; the model is of the skin as it is stated.
+        skin: The skin of the cloud; the model uses its stated values.
 
     Raises:
         ValueError: The cloud is malformed, or folds in its own plane.
@@ -142,7 +142,7 @@ def predict(cloud_mm: npt.ArrayLike, skin: Skin = PAPER) -> Array:
 
 
 def flat_voltages(skin: Skin = PAPER) -> Array:
-    """Return the (104,) V of the same model on the flat sheet: the partner that V_pred is to be compared with."""
+    """Return the (104,) V of the same model for the flat sheet, to compare V_pred with."""
     return _flat(skin)[0].copy()
 
 
