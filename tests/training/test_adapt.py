@@ -81,6 +81,7 @@ def test_the_clouds_half_and_the_running_means_stay(toy_data: Any) -> None:
     assert all(parameter.requires_grad for parameter in adapted.model.parameters())
 
 
+@pytest.mark.slow
 def test_maps_without_an_electrode_gain(toy_data: Any, tmp_path: Path) -> None:
     data, chosen = toy_data("units", samples=1000), tiny(epochs=6, learning_rate=5e-3, lost_electrode=0.0)
     train.train(data, chosen, tmp_path / "run")

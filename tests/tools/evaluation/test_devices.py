@@ -36,6 +36,7 @@ def test_the_command_prints_one_object(tmp_path, capsys):
 FOREARM = str(Path(__file__).parents[3] / "docs" / "examples" / "skin.toml")
 
 
+@pytest.mark.slow
 def test_devices_of_another_sheet_are_drawn_around_that(tmp_path, capsys):
     more = ("--skin", FOREARM, "--solver", "tikhonov", "--trials", "single,press04", "--json")
     assert cli.main(words(tmp_path, *more)) == 0
