@@ -17,8 +17,8 @@ from eitskin_training.network.mirror import mirrors
 from eitskin_training.recipes import recipe
 from eitskin_training.resident import (
     LostElectrodes,
+    ResidentData,
     ResidentSteps,
-    Stored,
     fits,
     lose_rows,
     needed_bytes,
@@ -111,7 +111,7 @@ def test_predictions_are_left_out_of_a_share() -> None:
 def test_a_table_names_each_sample_once_and_the_cloud_that_it_has(together: int, flips: bool, toy_data: Any) -> None:
     data = toy_data("area", samples=2000, bends=12)
     chosen = replace(QUIET, batch=32, together=together, flips=flips)
-    stored = Stored(data, chosen, CPU)
+    stored = ResidentData(data, chosen, CPU)
     table = stored.table(np.random.default_rng(0))
     samples = table.samples.flatten()
     assert len(set(samples.tolist())) == len(samples) == len(data.train) // 32 * 32

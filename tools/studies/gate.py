@@ -51,7 +51,7 @@ MEASURED_SHARES: Final = {
 
 
 @dataclass(frozen=True, slots=True)
-class Lying:
+class UntouchedDevice:
     """A device at a bend with nothing on it, as log(V / V0)."""
 
     rest: Any
@@ -147,7 +147,7 @@ def measured(bundle: Any, sheets: int, presses: int, seed: int, *, flat: bool) -
         rest = np.log(read(later, here) / reference)
         way = (rest if flat else np.log(read(later, there) / reference)) - rest
         uneven = rest if flat else np.log(read(last, here) / reference)
-        lying = Lying(rest, uneven, rest + np.linspace(0.0, 1.0, UNTOUCHED_FRAMES)[:, None] * way)
+        lying = UntouchedDevice(rest, uneven, rest + np.linspace(0.0, 1.0, UNTOUCHED_FRAMES)[:, None] * way)
         untouched = np.concatenate([lying.still, lying.walk, np.tile(lying.walk[-1], (UNTOUCHED_FRAMES, 1))])
         alarms.append(float(np.mean(judged(RememberingGate(arrays), frames(untouched)))))
         for _ in range(presses):
@@ -172,7 +172,9 @@ def measured(bundle: Any, sheets: int, presses: int, seed: int, *, flat: bool) -
     }
 
 
-def of_press(press: Any, lying: Lying, arrays: Any, frames: Callable[[Any], Any], rng: Any) -> dict[str, float]:
+def of_press(
+    press: Any, lying: UntouchedDevice, arrays: Any, frames: Callable[[Any], Any], rng: Any
+) -> dict[str, float]:
     """Return by the names of ``MEASURED_SHARES`` whether one press is seen, or how often.
 
     Args:

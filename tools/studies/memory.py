@@ -95,12 +95,12 @@ def _watch(pid: int, seconds: float, children: list[Any]) -> list[dict[str, floa
     while (elapsed := time.monotonic() - start) < seconds:
         for child in children:
             child.check()
-        samples.append({"time_s": elapsed, **look(pid)})
+        samples.append({"time_s": elapsed, **memory_of(pid)})
         time.sleep(1.0)
     return samples
 
 
-def look(pid: int) -> dict[str, float]:
+def memory_of(pid: int) -> dict[str, float]:
     """Return a process's resident memory in MB, its threads and its open files."""
     fields = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
     return {

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.table import FULL_TABLE, TABLE
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.calibration.recording import Later, Recording
+from eitskin_sim.calibration.recording import LaterReading, Recording
 from eitskin_sim.calibration.stamp import PLACE_MM, PRESS_CONTRAST_SD, places
 from eitskin_sim.devices.readings import FINE_MM, responses_of
 from eitskin_sim.evaluation.device import Device
@@ -151,7 +151,7 @@ def _adapted(bundle: Any, twin: Any, folder: Path, arguments: argparse.Namespace
         half_made.begin(place, recipe, recipe, None)
     with Stages() as tell:
         steps.make_data(recipe, place, arguments.workers, tell)
-        return steps.export_run(recipe, place, steps.train_legs(recipe, place, tell), tell)[0]
+        return steps.export_run(recipe, place, steps.train_stages(recipe, place, tell), tell)[0]
 
 
 def _tried(number: int, bundle: Any, skin: Any, arguments: argparse.Namespace, solver: str = "vd2t") -> dict[str, Any]:
@@ -197,14 +197,14 @@ def recorded(device: Device, number: int, snr_db: float, bends: int, presses: in
     bents, pressed = [], []
     for bend in draw("A", bends, SEED + number, device.skin):
         volts = read(device.scene(nominal_scene(device.skin, bend), as_it_is=True))
-        bents.append(Later(volts, FRAMES, device.cloud(bend, rng)))
+        bents.append(LaterReading(volts, FRAMES, device.cloud(bend, rng)))
     contrast, border_mm = PRESS_PROFILES[way]
     for said_mm in places(device.skin.outline.size_mm, presses):
         x_mm, y_mm = said_mm + PLACE_MM * rng.standard_normal(2)
         strength = np.exp(PRESS_CONTRAST_SD * rng.standard_normal())
         touch = Touch((Disc(x_mm, y_mm, STAMP_MM / 2.0),), contrast=contrast**strength, border_mm=border_mm)
         volts = read(replace(flat, touches=(touch,)))
-        pressed.append(Later(volts, FRAMES, xy_mm=np.array(said_mm), stamp_mm=(STAMP_MM,)))
+        pressed.append(LaterReading(volts, FRAMES, xy_mm=np.array(said_mm), stamp_mm=(STAMP_MM,)))
     return Recording(reference, FRAMES, tuple(bents), tuple(pressed))
 
 

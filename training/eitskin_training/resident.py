@@ -71,7 +71,7 @@ def fits(data: TrainingData, recipe: Recipe, device: torch.device) -> bool:
     return needed_bytes(data, recipe) < SHARE_OF_MEMORY * free
 
 
-class Stored:
+class ResidentData:
     """What batches are made of, on a device.
 
     Args:
@@ -271,7 +271,7 @@ class ResidentSteps:
     def __init__(self, run: Run, data: TrainingData, device: torch.device, steps: int) -> None:
         self._run, self._device, self._steps = run, device, steps
         recipe = run.recipe
-        self._stored = Stored(data, recipe, device)
+        self._stored = ResidentData(data, recipe, device)
         self._lost = LostElectrodes(consistency_of(data, recipe), device) if recipe.lost_electrode else None
         self._generator = torch.Generator(device)
         self._table: Table | None = None

@@ -13,7 +13,7 @@ from eitskin_sim.calibration import bends, model, session, solved, unseen
 from eitskin_sim.calibration.bends import BendError, ScanError
 from eitskin_sim.calibration.fit import CalibrationError
 from eitskin_sim.calibration.printed import table
-from eitskin_sim.calibration.recording import Later, Recording
+from eitskin_sim.calibration.recording import LaterReading, Recording
 from eitskin_sim.calibration.report import calibrate
 from eitskin_sim.calibration.session import Session
 from eitskin_sim.devices.readings import responses_of
@@ -57,7 +57,7 @@ class Skin:
 
     def press(self, xy):
         touch = Touch((Disc(*xy, DIAMETER_MM / 2.0),), contrast=CONTRAST, border_mm=4.0)
-        return Later(self.read(touches=(touch,), drift=0.005)[ROW_IN_FULL], FRAMES, None, np.array(xy), STAMP_MM)
+        return LaterReading(self.read(touches=(touch,), drift=0.005)[ROW_IN_FULL], FRAMES, None, np.array(xy), STAMP_MM)
 
 
 @pytest.fixture
@@ -78,7 +78,7 @@ def scores(found, truth):
 def test_derivatives_are_those_of_solving_again(coarse):
     skin = Skin(1, 8.0)
     bend = Bend(angle_deg=60.0, stretch_along=1.1)
-    bent = Later(skin.read(bend)[ROW_IN_FULL], FRAMES, measured_cloud(bend).astype(np.float64))
+    bent = LaterReading(skin.read(bend)[ROW_IN_FULL], FRAMES, measured_cloud(bend).astype(np.float64))
     recording = Recording(skin.read(), FRAMES, (bent,), (skin.press(PLACES[0]),), skin.cloud)
     stated = replace(STATED, layer=replace(Layer(), gauge_factor=Quantity(0.3, "normal", 1.0)))
     found = Session(stated, recording)

@@ -13,7 +13,7 @@ from eitskin_sim.calibration import bends, model, session, solved
 from eitskin_sim.calibration.bends import BendError
 from eitskin_sim.calibration.fit import CalibrationError
 from eitskin_sim.calibration.printed import table
-from eitskin_sim.calibration.recording import Later, Recording
+from eitskin_sim.calibration.recording import LaterReading, Recording
 from eitskin_sim.calibration.report import calibrate
 from eitskin_sim.devices.readings import responses_of
 from eitskin_sim.fem.solve import factorise_scene
@@ -59,14 +59,14 @@ def read(rng, bend=None, touches=(), drift=0.0, contrast=None):
 def press(rng, xy, contrast=CONTRAST, at=None):
     disc = Disc(*(xy if at is None else at), DIAMETER_MM / 2.0)
     touch = Touch((disc,), contrast=contrast, border_mm=BORDER_MM)
-    return Later(read(rng, touches=(touch,), drift=0.005), FRAMES, None, np.array(xy), STAMP_MM)
+    return LaterReading(read(rng, touches=(touch,), drift=0.005), FRAMES, None, np.array(xy), STAMP_MM)
 
 
 @pytest.fixture(scope="module")
 def recorded(coarse):
     rng = np.random.default_rng(5)
     cloud = measured_cloud(BEND).astype(np.float64)
-    bent = Later(read(rng, bend=BEND, drift=-0.005), FRAMES, cloud)
+    bent = LaterReading(read(rng, bend=BEND, drift=-0.005), FRAMES, cloud)
     return Recording(read(rng), FRAMES, (bent,), tuple(press(rng, xy) for xy in PLACES[:2]))
 
 

@@ -8,7 +8,7 @@ from eitskin_sim.tank.common import common_factor
 from eitskin_sim.tank.front_end import fit_front_end
 from eitskin_sim.tank.images import IMAGES
 from eitskin_sim.tank.model import front_end_of, tank_model
-from eitskin_sim.tank.objects import Found, angle_error_deg, find_objects, ghosts, judge
+from eitskin_sim.tank.objects import ImageObject, angle_error_deg, find_objects, ghosts, judge
 from eitskin_sim.tank.recording import Object, TankError, Unknown, load_tank
 
 from . import simulated_tank as tank
@@ -128,7 +128,7 @@ def test_what_objects_can_make_is_no_common_factor(frames, model):
 
 def test_a_factor_beyond_drift_stays(model):
     common = common_factor(model.relative, np.full(104, 3.0), NOISE)
-    assert common.told
+    assert common.is_significant
     assert not common.taken_out
 
 
@@ -143,7 +143,7 @@ def test_the_full_table_is_that_of_the_file():
 
 
 def found(angle_deg, material):
-    return Found(angle_deg, 0.6, material, 1.0)
+    return ImageObject(angle_deg, 0.6, material, 1.0)
 
 
 def test_an_object_is_right_in_its_own_sector_with_its_own_sign():

@@ -221,7 +221,7 @@ def test_a_frame_that_nothing_explains_shows_another_sheet_which_serves_the_fram
 
 
 def test_what_was_seen_at_rest_explains_what_is_touched_there(own: ShapeVerifier, sheet: TouchedSheet) -> None:
-    assert own.rest(at_rest(sheet), 50)
+    assert own.use_untouched(at_rest(sheet), 50)
     rested = own.deformation.model
     for seed in (1, 2):
         found = own.verify(of_sheet(sheet, PIECES, seed), shares_of(*PIECES), LONG)
@@ -233,7 +233,7 @@ def test_what_was_seen_at_rest_explains_what_is_touched_there(own: ShapeVerifier
 
 
 def test_a_sheet_that_has_changed_since_is_verified_by_its_scan(own: ShapeVerifier, sheet: TouchedSheet) -> None:
-    assert own.rest(at_rest(sheet), 50)
+    assert own.use_untouched(at_rest(sheet), 50)
     rested = own.deformation.model
     flat = np.random.default_rng(7).standard_normal(4) @ np.array([np.sin(k * np.arange(104.0)) for k in range(1, 5)])
     slipped = of_sheet(sheet, PIECES, 1) * (1.0 + 0.03 * flat)
@@ -244,13 +244,13 @@ def test_a_sheet_that_has_changed_since_is_verified_by_its_scan(own: ShapeVerifi
 
 def test_what_is_not_the_scanned_sheet_changes_nothing(own: ShapeVerifier, sheet: TouchedSheet) -> None:
     before = own.deformation.model
-    assert not own.rest(at_rest(sheet) * np.random.default_rng(1).uniform(0.3, 2.0, 104), 50)
+    assert not own.use_untouched(at_rest(sheet) * np.random.default_rng(1).uniform(0.3, 2.0, 104), 50)
     assert own.deformation.model is before
     odd: npt.NDArray[np.float64] = at_rest(sheet)
     odd[3] = np.nan
     with pytest.raises(ValueError, match="voltages: 1 of 104 are not finite"):
-        own.rest(odd)
+        own.use_untouched(odd)
     with pytest.raises(ValueError, match="0 frames"):
-        own.rest(at_rest(sheet), 0)
+        own.use_untouched(at_rest(sheet), 0)
     with pytest.raises(ValueError, match="no deformation"):
-        ShapeVerifier(flat_model_V(PAPER), Noise()).rest(at_rest(sheet))
+        ShapeVerifier(flat_model_V(PAPER), Noise()).use_untouched(at_rest(sheet))

@@ -13,7 +13,7 @@ from eitskin_proto.skin.toml import named, to_toml
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build import steps
 from eitskin_tools.build.making import FINAL_STAGES_S, Pace, scale, seconds
-from eitskin_tools.build.recipe import Leg, MissingElectrodesWork
+from eitskin_tools.build.recipe import MissingElectrodesWork, TrainingStage
 from eitskin_tools.build.steps import MISSING_RUN, fitted_to, plan_of
 from eitskin_tools.cli import main
 from eitskin_tools.command_line import files
@@ -49,22 +49,22 @@ def test_a_recipe_says_skin_data_and_legs():
     plans = {name: plan_of(found, replace(one, deformations=1, kept=0)) for name, one in found.data.items()}
     assert (plans["ideal"].skin.name, plans["ideal"].devices, plans["ideal"].touches) == ("lab", "ideal", "hard")
     assert (plans["raise"].skin.name, plans["raise"].devices, plans["raise"].touches) == ("lab", "random", "raise")
-    assert [leg.start_from for leg in found.training] == [None]
-    assert [leg.start_from for leg in recipes.load("press").training] == ["free"]
+    assert [stage.start_from for stage in found.training] == [None]
+    assert [stage.start_from for stage in recipes.load("press").training] == ["free"]
 
 
 NARROWED = TINY.replace('network = "tiny"', 'network = "small"').replace(
     "[[training]]", '[[training]]\nnetwork = "free"\nepochs = 1\n\n[[training]]'
 )
-"""A larger network in the first leg; the bundle's own begins as that one narrowed."""
+"""A larger network in the first stage; the bundle's own begins as that one narrowed."""
 
 
 def test_a_leg_before_the_last_may_have_a_larger_network():
     found = parsed(NARROWED)
-    first, last = (fitted_to(found, leg, found.skin).architecture for leg in found.training)
+    first, last = (fitted_to(found, stage, found.skin).architecture for stage in found.training)
     assert (first.ranks, replace(last, ranks=())) == ((), first)
     steps.check(found)
-    assert [leg.get("network") for leg in found.as_dict()["training"]] == ["free", None]
+    assert [stage.get("network") for stage in found.as_dict()["training"]] == ["free", None]
     assert "network" not in parsed(TINY).as_dict()["training"][0]
     unlike = parsed(NARROWED.replace('network = "free"', 'network = "tiny"'))
     with pytest.raises(MismatchError, match="network to start from: found widths"):
@@ -95,11 +95,11 @@ def test_a_skin_s_file_is_built_as_it_is_touched(tmp_path):
         ("epochs = 2", "epochs = 2\nnoise = 'N2'", r"noise in \[\[training\]\] 1 is 'N2', expected 'skin' or none"),
         ("epochs = 2", "epochs = 0", r"\[\[training\]\] 1 epochs is 0, expected a whole number from 1 to"),
         ("seed = 4", 'data = ["soft"]', "names data 'soft', known are presses"),
-        ("seed = 4", "[[training]]\nepochs = 1\nstart_from = 'free'", "only the first leg may"),
+        ("seed = 4", "[[training]]\nepochs = 1\nstart_from = 'free'", "only the first stage may"),
         (
             "seed = 4",
             "network = 'free'",
-            "network in .* 1 is 'free', expected one of the same labels as tiny, in a leg",
+            "network in .* 1 is 'free', expected one of the same labels as tiny, in a stage",
         ),
         ("seed = 1", "seed = -1", r"\[data.presses\] seed is -1, expected a whole number from 0 to"),
         ("version = 1", "version = 2", "version 2, expected 'eitskin-recipe' version 1"),
@@ -145,7 +145,7 @@ def test_what_would_fail_hours_later_is_refused_at_once(tmp_path, capsys):
 def test_hours_scale_deformations_and_epochs_alike():
     small = recipes.load("tiny")
     data = {"presses": replace(small.data["presses"], deformations=30, per_deformation=1000)}
-    tiny = replace(small, data=data, training=(Leg(epochs=20),))
+    tiny = replace(small, data=data, training=(TrainingStage(epochs=20),))
     pace = Pace(deformation_s=40.0, sample_s=0.02, trained_s=1e-2)
     whole = seconds(tiny, pace)
     assert scale(tiny, whole / 3600, pace) == tiny
@@ -161,7 +161,7 @@ def test_hours_scale_deformations_and_epochs_alike():
 
 
 LESSON = "\n[missing_electrodes]\nfitting_steps = 3\nsteps = 2\n"
-"""What the legs learned is taught to go on without electrodes, once."""
+"""What the stages learned is taught to go on without electrodes, once."""
 
 
 def test_the_lesson_is_part_of_what_names_a_build():
@@ -180,12 +180,12 @@ def test_the_lesson_is_part_of_what_names_a_build():
 def test_the_last_lesson_is_exported_and_not_done_twice(tmp_path):
     recipe, told = recipes.parse(tomllib.loads(TINY + LESSON)), []
     steps.make_data(recipe, tmp_path, 1, told.append)
-    run = steps.train_legs(recipe, tmp_path, told.append)
+    run = steps.train_stages(recipe, tmp_path, told.append)
     assert run == tmp_path / "runs" / MISSING_RUN
     assert (run / "gate.npz").exists()
     assert "learning to go on without electrodes" in told
     stamp = (run / "best.pt").stat().st_mtime_ns
-    assert steps.train_legs(recipe, tmp_path, told.append) == run
+    assert steps.train_stages(recipe, tmp_path, told.append) == run
     assert (run / "best.pt").stat().st_mtime_ns == stamp
     bundle, _ = steps.export_run(recipe, tmp_path, run, told.append)
     manifest = load_bundle(bundle).manifest

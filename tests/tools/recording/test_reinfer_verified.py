@@ -31,7 +31,7 @@ class Physics:
         self.cases: list[Any] = []
         self.rested: list[tuple[Any, int]] = []
 
-    def rest(self, voltages_V: Any, frames: int) -> None:
+    def use_untouched(self, voltages_V: Any, frames: int) -> None:
         self.rested.append((voltages_V, frames))
 
     def solve(self, case: Any) -> Any:
@@ -132,7 +132,7 @@ def test_what_the_sheet_read_untouched_is_told_before_its_first_touch(
         told.append("frame")
         raise ValueError("enough")
 
-    monkeypatch.setattr(VerifiedNetwork, "rest", lambda self, *words: told.append(words))
+    monkeypatch.setattr(VerifiedNetwork, "use_untouched", lambda self, *words: told.append(words))
     monkeypatch.setattr(VerifiedNetwork, "solve", solve)
     script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
     reinfer(script, bundle, VerifiedSolver(script, bundle))

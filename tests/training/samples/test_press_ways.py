@@ -9,7 +9,7 @@ import pytest
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.skin.parts import Touches
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.calibration.recording import Later, Recording
+from eitskin_sim.calibration.recording import LaterReading, Recording
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.parts import Bend
@@ -27,7 +27,7 @@ def recorded() -> Any:
     flat = inverted_sheet(Bend())
 
     def of(contrasts: Any, said: Any = PLACES) -> Recording:
-        true = [Later(flat.untouched_V, 1, None, np.array(place), (16.0,)) for place in PLACES]
+        true = [LaterReading(flat.untouched_V, 1, None, np.array(place), (16.0,)) for place in PLACES]
         table = gather([piece(one, contrast) for one, contrast in zip(true, contrasts, strict=True)])
         volts = 0.98 * set_voltages([flat], table)[0]
         later = [replace(a, voltages_V=b, xy_mm=np.array(c)) for a, b, c in zip(true, volts, said, strict=True)]

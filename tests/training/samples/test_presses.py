@@ -10,7 +10,7 @@ import pytest
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.skin.cloud import flat_cloud, network_input
-from eitskin_sim.calibration.recording import Later, Recording
+from eitskin_sim.calibration.recording import LaterReading, Recording
 from eitskin_sim.surface.predict import predicted_log
 from eitskin_training.samples import presses
 from eitskin_training.samples.joined import join, load_all
@@ -31,7 +31,7 @@ def read_at(place: Any) -> Any:
 
 def recorded(said: Any = PLACES, true: Any = PLACES, reference: Any = REFERENCE) -> Recording:
     """Return presses that were said to be at places, and were elsewhere."""
-    pressed = tuple(Later(read_at(b), 40, None, np.array(a), (16.0,)) for a, b in zip(said, true, strict=True))
+    pressed = tuple(LaterReading(read_at(b), 40, None, np.array(a), (16.0,)) for a, b in zip(said, true, strict=True))
     return Recording(reference, 100, (), pressed)
 
 
@@ -68,8 +68,8 @@ def test_presses_are_a_fifth_of_what_is_learned_and_some_are_never_learned(tmp_p
     first = len(data.voltages)
     learned = both.train[both.train >= first] - first
     assert len(learned) / len(both.train) == pytest.approx(presses.PRESS_SHARE, abs=0.05)
-    assert sorted(set(learned) | set(presses.kept(alone))) == list(range(6))
-    assert not set(learned) & set(presses.kept(alone))
+    assert sorted(set(learned) | set(presses.held_out_rows(alone))) == list(range(6))
+    assert not set(learned) & set(presses.held_out_rows(alone))
     assert not set(both.validation) - set(data.validation)
 
 

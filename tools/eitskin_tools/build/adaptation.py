@@ -8,7 +8,7 @@ from typing import Any, Final
 from eitskin.model.manifest import SMALL
 from eitskin_proto.skin.parts import Touches
 from eitskin_proto.skin.skin import Skin
-from eitskin_tools.build.recipe import SKIN, BuildRecipe, CardWork, Data, GateWork, Leg
+from eitskin_tools.build.recipe import SKIN, BuildRecipe, CardWork, Data, GateWork, TrainingStage
 
 DISCARDED_GATE_STEPS: Final = 200
 """Of a gate that is not kept."""
@@ -58,13 +58,15 @@ def adapted(
     kind = "free" if facts.get("labels") == "area" else "units"
     size = work.deformations, work.per_deformation
     data = Data(kind, touches, "random", work.seed, *size, near=_near(facts) if kind == "free" else None)
-    leg = Leg(work.epochs, learning_rate=work.learning_rate, seed=work.seed, start_from=bundle.name, noise=SKIN)
+    stage = TrainingStage(
+        work.epochs, learning_rate=work.learning_rate, seed=work.seed, start_from=bundle.name, noise=SKIN
+    )
     name, beside = f"{bundle.stem} on {skin.name}", bundle.resolve().parent
-    found = BuildRecipe(name, skin, network, {"touches": data}, (leg,), work.gate, work.card, beside)
+    found = BuildRecipe(name, skin, network, {"touches": data}, (stage,), work.gate, work.card, beside)
     smaller = _small_network(facts)
     if smaller is None:
         return found
-    other, again = replace(data, seed=data.seed + 1), replace(leg, start_from=None)
+    other, again = replace(data, seed=data.seed + 1), replace(stage, start_from=None)
     gate = GateWork(0, DISCARDED_GATE_STEPS)  # the pair has the larger one's
     small = replace(found, name=f"{name}, small", network=smaller, training=(again,), gate=gate)
     return replace(found, networks={SMALL: replace(small, data={"touches": other})})

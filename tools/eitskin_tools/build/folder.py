@@ -4,7 +4,7 @@
 
     FILE.eitskin.build/
       build.json     the recipe as it was asked for, the hours, and the recipe as it was scaled to them
-      data/NAME/     data sets          runs/N/     legs of training
+      data/NAME/     data sets          runs/N/     stages of training
       exported.json  what the export said of exported.eitskin
       small/         the same of the smaller network, where there is one; gentle/ of that for faint touches
       card/PART.json the card's parts, each with the id of the bundle that it is of
@@ -20,7 +20,7 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import stated
 from eitskin_proto.files.reading import FileError, read_json
 from eitskin_proto.files.writing import is_empty, write_bytes
-from eitskin_tools.build.recipe import BuildRecipe, Data, Leg
+from eitskin_tools.build.recipe import BuildRecipe, Data, TrainingStage
 
 LARGEST_FILE: Final = 16 << 20
 
@@ -79,10 +79,10 @@ def scaled_as_before(recipe: BuildRecipe, found: dict[str, Any]) -> BuildRecipe:
     try:
         before = found["recipe"]
         data = {name: Data(**before["data"][name]) for name in recipe.data}
-        legs = tuple(Leg(**{**one, "data": tuple(one["data"])}) for one in before["training"])
+        stages = tuple(TrainingStage(**{**one, "data": tuple(one["data"])}) for one in before["training"])
     except (KeyError, TypeError) as error:
         raise OtherBuildError(f"build.json is damaged ({error}); start in another folder with --work") from error
-    return replace(recipe, data=data, training=legs)
+    return replace(recipe, data=data, training=stages)
 
 
 def keep(path: Path, content: dict[str, Any]) -> None:

@@ -103,8 +103,8 @@ def scale(recipe: BuildRecipe, hours: float, pace: Pace, share: float = 1.0) -> 
         name: replace(one, deformations=max(MIN_DEFORMATIONS, round(factor * one.deformations)))
         for name, one in recipe.data.items()
     }
-    legs = tuple(replace(leg, epochs=max(1, round(factor * leg.epochs))) for leg in recipe.training)
-    return replace(recipe, data=data, training=legs)
+    stages = tuple(replace(stage, epochs=max(1, round(factor * stage.epochs))) for stage in recipe.training)
+    return replace(recipe, data=data, training=stages)
 
 
 def seconds(recipe: BuildRecipe, pace: Pace) -> float:
@@ -121,14 +121,14 @@ def _costs(recipe: BuildRecipe, pace: Pace) -> tuple[float, float, float]:
         counts = plan.counts
         fixed += apart * pace.deformation_s + sum(counts[one.deformations :]) * pace.sample_s
         linear += one.deformations * pace.deformation_s + sum(counts[: one.deformations]) * pace.sample_s
-    for leg in recipe.training:
-        trained = sum(sum(plan_of(recipe, recipe.data[name]).counts) for name in leg.data or recipe.data)
-        square += leg.epochs * trained * pace.trained_s
+    for stage in recipe.training:
+        trained = sum(sum(plan_of(recipe, recipe.data[name]).counts) for name in stage.data or recipe.data)
+        square += stage.epochs * trained * pace.trained_s
     return fixed, linear, square
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class BuiltBundle:
     """What was made."""
 
     recipe: BuildRecipe
@@ -183,7 +183,7 @@ class Making:
         presses: Any = None,
         larger: Path | None = None,
         beside: tuple[BuildRecipe, Path] | None = None,
-    ) -> Made:
+    ) -> BuiltBundle:
         """Make a bundle but for its card, or go on with it.
 
         Args:
@@ -205,18 +205,23 @@ class Making:
         if beside is not None:
             steps.share_data(wanted, work, *beside)
         steps.make_data(wanted, work, self.workers, self.tell)
-        trained = steps.train_legs(wanted, work, self.tell, self.say, presses, larger)
+        trained = steps.train_stages(wanted, work, self.tell, self.say, presses, larger)
         bundle, exported = steps.export_run(wanted, work, trained, self.tell)
-        return Made(wanted, trained, exported, bundle, str(exported["bundle"]))
+        return BuiltBundle(wanted, trained, exported, bundle, str(exported["bundle"]))
 
-    def finished(self, made: Made, work: Path, out: Path) -> tuple[dict[str, Any], str]:
+    def finished(self, made: BuiltBundle, work: Path, out: Path) -> tuple[dict[str, Any], str]:
         """Write what was made with its card; return the card and the bundle's id."""
         card = steps.make_card(made.recipe, work, made.bundle, made.identity, self.tell)
         return card, steps.finish(made.bundle, card, out)
 
     def with_others(
-        self, made: Made, others: dict[str, BuildRecipe], work: Path, given: float | None, gentle_of: Path | None = None
-    ) -> Made:
+        self,
+        made: BuiltBundle,
+        others: dict[str, BuildRecipe],
+        work: Path,
+        given: float | None,
+        gentle_of: Path | None = None,
+    ) -> BuiltBundle:
         """Make the networks that go into a bundle besides, or go on with them, and return it with them.
 
         Args:

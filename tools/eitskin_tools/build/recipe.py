@@ -11,10 +11,10 @@
     [data.presses]                 a data set, by any name: the options of 'eitskin dataset'
     set = "free"                   touches, devices, skin, seed, deformations, per_deformation, touch_sets, kept, near
 
-    [[training]]                   one leg of training, on all data sets or on those that ``data`` names; the next one
+    [[training]]                   one stage of training, on all data sets or on those that ``data`` names; the next one
     epochs = 10                    begins with its best weights. learning_rate, schedule, seed, noise; of the first
-    start_from = "free"            leg start_from: a shipped bundle, or a file beside this one
-    network = "free"               of a leg before the last: a larger network, which the next one begins narrowed from
+    start_from = "free"            stage start_from: a shipped bundle, or a file beside this one
+    network = "free"               of a stage before the last: a larger network, which the next one begins narrowed from
 
     [gate]                         untouched sheets that are solved for it (0: the data's own), and steps of its fit
     [card]                         how much is tried for the card: deformations, each, draws
@@ -72,8 +72,8 @@ class Data:
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
-    """One leg of training; what is None is as the network's own recipe has it."""
+class TrainingStage:
+    """One stage of training; what is None is as the network's own recipe has it."""
 
     epochs: int
     data: tuple[str, ...] = ()
@@ -85,7 +85,7 @@ class Leg:
     noise: str | None = None
     """``skin``: from level to level as the skin's front end says."""
     network: str | None = None
-    """What is trained in this leg; None is the bundle's own, as in the last leg."""
+    """What is trained in this stage; None is the bundle's own, as in the last stage."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +126,7 @@ class BuildRecipe:
     skin: Skin
     network: str
     data: dict[str, Data]
-    training: tuple[Leg, ...]
+    training: tuple[TrainingStage, ...]
     gate: GateWork = GateWork()
     card: CardWork = CardWork()
     beside: Path = Path()
@@ -150,9 +150,9 @@ class BuildRecipe:
         for name in ("presses", *EXTRA_NETWORKS, "missing_electrodes", "networks"):
             if not found[name]:
                 del found[name]
-        for leg in found["training"]:
-            if leg["network"] is None:
-                del leg["network"]
+        for stage in found["training"]:
+            if stage["network"] is None:
+                del stage["network"]
         return found
 
     @property
@@ -222,7 +222,7 @@ def load(name: str) -> BuildRecipe:
 def usual(skin: Skin) -> BuildRecipe:
     """Return what is built for a skin where nothing else is said: random devices, touched as the skin says."""
     data = Data(touches=SKIN, devices="random")
-    return BuildRecipe(skin.name, skin, "free", {"touches": data}, (Leg(epochs=20, noise=SKIN),))
+    return BuildRecipe(skin.name, skin, "free", {"touches": data}, (TrainingStage(epochs=20, noise=SKIN),))
 
 
 def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
@@ -243,7 +243,7 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
     texts = {key: head.text(key, longest=LONGEST_NAME) for key in ("name", "skin", "network")}
     networks = {key: head.text(key, "", longest=LONGEST_NAME) for key in EXTRA_NETWORKS}
     network = network_named(texts["network"])
-    sets, legs = head.table("data"), head.entries("training", least=1, of="tables [[training]]")
+    sets, stages = head.table("data"), head.entries("training", least=1, of="tables [[training]]")
     gate, card = head.table("gate", "[gate]"), head.table("card", "[card]")
     lesson = head.table(MISSING, f"[{MISSING}]")
     head.close()
@@ -252,19 +252,21 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
     if bad := [name for name in sets if not name.replace("-", "").replace("_", "").isalnum()]:
         raise ValueError(f"a data set is called {quoted(bad[0])}, expected letters, digits, - and _")
     data = {name: _record(Data, sets.table(name, f"[data.{name}]")) for name in sets}
-    training = tuple(_record(Leg, legs.table(place, f"[[training]] {place + 1}")) for place in legs)
-    for number, leg in enumerate(training, 1):
-        if missing := [name for name in leg.data if name not in data]:
+    training = tuple(_record(TrainingStage, stages.table(place, f"[[training]] {place + 1}")) for place in stages)
+    for number, stage in enumerate(training, 1):
+        if missing := [name for name in stage.data if name not in data]:
             raise ValueError(f"[[training]] {number} names data {quoted(missing[0])}, known are {', '.join(data)}")
-        if leg.noise not in (None, SKIN):
-            raise ValueError(f"noise in [[training]] {number} is {quoted(leg.noise)}, expected {SKIN!r} or none")
-        if leg.network is not None and (number == len(training) or network_named(leg.network).labels != network.labels):
+        if stage.noise not in (None, SKIN):
+            raise ValueError(f"noise in [[training]] {number} is {quoted(stage.noise)}, expected {SKIN!r} or none")
+        if stage.network is not None and (
+            number == len(training) or network_named(stage.network).labels != network.labels
+        ):
             raise ValueError(
-                f"network in [[training]] {number} is {quoted(leg.network)}, expected one of the same labels as "
-                f"{network.name}, in a leg before the last"
+                f"network in [[training]] {number} is {quoted(stage.network)}, expected one of the same labels as "
+                f"{network.name}, in a stage before the last"
             )
-        if number > 1 and leg.start_from is not None:
-            raise ValueError(f"[[training]] {number} has start_from; only the first leg may, the next go on from it")
+        if number > 1 and stage.start_from is not None:
+            raise ValueError(f"[[training]] {number} has start_from; only the first stage may, the next go on from it")
     for name, one in data.items():
         if (one.set == "free") != (network.labels == "area"):
             kind = "free" if network.labels == "area" else "units"

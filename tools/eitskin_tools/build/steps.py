@@ -10,7 +10,7 @@ from typing import Any, Final
 from eitskin_proto.errors import SkinError
 from eitskin_proto.skin.skin import Skin
 from eitskin_tools.build.folder import keep, stored
-from eitskin_tools.build.recipe import BuildRecipe, Data, Leg, MissingElectrodesWork
+from eitskin_tools.build.recipe import BuildRecipe, Data, MissingElectrodesWork, TrainingStage
 from eitskin_tools.command_line import files
 
 Tell = Callable[[str], None]
@@ -63,7 +63,7 @@ def make_data(recipe: BuildRecipe, folder: Path, workers: int, tell: Tell) -> No
         generate(plan_of(recipe, data), folder / "data" / name, workers=workers)
 
 
-def train_legs(
+def train_stages(
     recipe: BuildRecipe,
     folder: Path,
     tell: Tell,
@@ -71,7 +71,7 @@ def train_legs(
     presses: Any = None,
     larger: Path | None = None,
 ) -> Path:
-    """Train every leg, or go on with it, and return the last one's folder.
+    """Train every stage, or go on with it, and return the last one's folder.
 
     Args:
         recipe: What is made.
@@ -94,15 +94,15 @@ def train_legs(
             finished(f"epoch {one.number}/{now.epochs} {scores} {one.seconds:.1f} s, {left:.0f} min left")
 
     run = folder
-    for number, leg in enumerate(recipe.training, 1):
+    for number, stage in enumerate(recipe.training, 1):
         tell(f"training {number} of {len(recipe.training)}, on {train.device()}")
-        start = start_of(recipe, leg, larger) if number == 1 else Start.of_run(run)
+        start = start_of(recipe, stage, larger) if number == 1 else Start.of_run(run)
         run = folder / "runs" / str(number)
-        where = [folder / "data" / name for name in leg.data or recipe.data]
+        where = [folder / "data" / name for name in stage.data or recipe.data]
         data = load_all([str(one) for one in where])
         sources = tuple(str(one.resolve()) for one in where)
-        chosen = fitted_to(recipe, leg, data.skin)
-        train.train(data, chosen, run, seed=leg.seed, resume=True, start=start, sources=sources, progress=epoch)
+        chosen = fitted_to(recipe, stage, data.skin)
+        train.train(data, chosen, run, seed=stage.seed, resume=True, start=start, sources=sources, progress=epoch)
     if presses is not None:
         run, data = learn_presses(recipe, folder, run, data, presses, tell, epoch)
     bends, steps = _gate(recipe)
@@ -168,12 +168,12 @@ def finish(bundle: Path, card: dict[str, Any], out: Path) -> str:
     return write(out, members, {**facts, "metrics": {**facts.get("metrics", {}), "card": card}}, skin)
 
 
-def start_of(recipe: BuildRecipe, leg: Leg, larger: Path | None = None) -> Any:
-    """Return the network that a leg begins with, None for a new one.
+def start_of(recipe: BuildRecipe, stage: TrainingStage, larger: Path | None = None) -> Any:
+    """Return the network that a stage begins with, None for a new one.
 
     Args:
         recipe: What is made.
-        leg: The first one.
+        stage: The first one.
         larger: A run to begin with where the recipe's network is that run's, or that one narrowed.
 
     Raises:
@@ -184,32 +184,32 @@ def start_of(recipe: BuildRecipe, leg: Leg, larger: Path | None = None) -> Any:
 
     if larger is not None:
         start = Start.of_run(larger)
-        wanted = fitted_to(recipe, leg, start.skin)
+        wanted = fitted_to(recipe, stage, start.skin)
         if fits(start, wanted) or start.architecture == wanted.architecture:
             return start
-    if leg.start_from is None:
+    if stage.start_from is None:
         return None
-    own = recipe.beside / leg.start_from
-    return start_of_bundle(own if own.is_file() else files.find(leg.start_from, files.BUNDLE))
+    own = recipe.beside / stage.start_from
+    return start_of_bundle(own if own.is_file() else files.find(stage.start_from, files.BUNDLE))
 
 
-def _network(recipe: BuildRecipe, leg: Leg) -> Any:
+def _network(recipe: BuildRecipe, stage: TrainingStage) -> Any:
     from eitskin_training.recipes import recipe as network_named
 
     given: dict[str, Any] = {
-        name: getattr(leg, name) for name in ("learning_rate", "schedule") if getattr(leg, name) is not None
+        name: getattr(stage, name) for name in ("learning_rate", "schedule") if getattr(stage, name) is not None
     }
-    if leg.noise is not None:
+    if stage.noise is not None:
         low, high = recipe.skin.front_end.snr_db
         given["snr_db"] = low if low == high else (low, high)
-    return replace(network_named(leg.network or recipe.network), epochs=leg.epochs, **given)
+    return replace(network_named(stage.network or recipe.network), epochs=stage.epochs, **given)
 
 
-def fitted_to(recipe: BuildRecipe, leg: Leg, skin: Any) -> Any:
-    """Return the recipe of a leg's network for a skin."""
+def fitted_to(recipe: BuildRecipe, stage: TrainingStage, skin: Any) -> Any:
+    """Return the recipe of a stage's network for a skin."""
     from eitskin_training.recipes import fitted
 
-    return fitted(_network(recipe, leg), skin)
+    return fitted(_network(recipe, stage), skin)
 
 
 def _gate(recipe: BuildRecipe) -> tuple[Callable[[Any], Any], int | None]:
@@ -239,7 +239,7 @@ def learn_missing_electrodes(work: MissingElectrodesWork, folder: Path, run: Pat
     Args:
         work: How long.
         folder: Of the half-made bundle.
-        run: Of the last leg.
+        run: Of the last stage.
         tell: Told what is being done.
     """
     from eitskin_training import adapt
@@ -258,7 +258,7 @@ def learn_missing_electrodes(work: MissingElectrodesWork, folder: Path, run: Pat
 
 PRESS_EPOCHS: Final = 2
 PRESS_RATE: Final = 0.8
-"""Of the learning rate of the leg before it."""
+"""Of the learning rate of the stage before it."""
 
 PRESSES_FILE: Final = "presses.json"
 """What it was worth."""
@@ -307,7 +307,12 @@ def learn_presses(
     if (found := stored(folder / PRESSES_FILE)) is None:
         scores = {"physics_alone": _score(before, alone), "with_presses": _score(trained(after), alone)}
         better = scores["with_presses"]["cc"] > scores["physics_alone"]["cc"]
-        found = {"presses": len(alone.voltages), "kept_apart": len(recorded.kept(alone)), **scores, "used": better}
+        found = {
+            "presses": len(alone.voltages),
+            "kept_apart": len(recorded.held_out_rows(alone)),
+            **scores,
+            "used": better,
+        }
         keep(folder / PRESSES_FILE, found)
     return (after, both) if found["used"] else (run, data)
 
@@ -332,10 +337,10 @@ def _score(found: Any, alone: Any) -> dict[str, float]:
     import numpy as np
 
     from eitskin_sim.evaluation.metrics import localisation_error_mm
-    from eitskin_training.samples.presses import kept
+    from eitskin_training.samples.presses import held_out_rows
     from eitskin_training.score import correlations, maps_of
 
-    rows, grid = kept(alone), alone.skin.grid
+    rows, grid = held_out_rows(alone), alone.skin.grid
     maps = maps_of(found.model, alone, rows, snr_db=SNR_DB)
     truth = alone.labels[rows] / 255.0
     pairs = zip(maps.reshape(-1, *grid.shape), truth.reshape(-1, *grid.shape), strict=True)
@@ -347,7 +352,7 @@ def check(recipe: BuildRecipe) -> None:
     """Refuse what would fail hours later: data that cannot be planned or joined, a network or start that does not fit.
 
     Raises:
-        SkinError: A file is missing or is no bundle, or a leg's network does not go on from the one before.
+        SkinError: A file is missing or is no bundle, or a stage's network does not go on from the one before.
         ValueError: A number is outside its bounds, or things do not go together.
     """
     for name, data in recipe.data.items():
@@ -356,21 +361,21 @@ def check(recipe: BuildRecipe) -> None:
         except ValueError as error:
             raise ValueError(f"[data.{name}] {error}") from error
     start = start_of(recipe, recipe.training[0])
-    for number, leg in enumerate(recipe.training, 1):
-        start = _check_leg(recipe, number, leg, start)
+    for number, stage in enumerate(recipe.training, 1):
+        start = _check_stage(recipe, number, stage, start)
     _check_gate(recipe)
 
 
-def _check_leg(recipe: BuildRecipe, number: int, leg: Leg, start: Any) -> Any:
+def _check_stage(recipe: BuildRecipe, number: int, stage: TrainingStage, start: Any) -> Any:
     """Refuse data sets that do not go together, and a network that cannot begin with them where the last one ended.
 
     Returns:
-        What the next leg starts from, but for its weights.
+        What the next stage starts from, but for its weights.
     """
     from eitskin_training.network.sharpen import cells
     from eitskin_training.start import Start, fits
 
-    names = leg.data or tuple(recipe.data)
+    names = stage.data or tuple(recipe.data)
     plans = [plan_of(recipe, recipe.data[name]) for name in names]
     for at, (name, plan) in enumerate(zip(names, plans, strict=True)):
         if plan in plans[:at]:
@@ -379,10 +384,10 @@ def _check_leg(recipe: BuildRecipe, number: int, leg: Leg, start: Any) -> Any:
         if plan.skin.digest != plans[0].skin.digest:
             raise ValueError(
                 f"[[training]] {number} learns from skins {plans[0].skin.name} and {plan.skin.name}, in [data.{name}], "
-                "expected one; name those of one skin in its data, and the others in a leg of their own"
+                "expected one; name those of one skin in its data, and the others in a stage of their own"
             )
     skin = plans[0].skin
-    wanted = fitted_to(recipe, leg, skin)
+    wanted = fitted_to(recipe, stage, skin)
     if wanted.architecture.sharpening:
         cells(skin.grid.shape)
     if start is not None and not fits(start, wanted):

@@ -126,7 +126,7 @@ def parent(path: str | Path) -> Path:
     return found
 
 
-def writable(path: str | Path, written: kinds.Known | None) -> Path:
+def writable(path: str | Path, written: kinds.FileKind | None) -> Path:
     """Return the path of a file that is to be written, before the work that fills it.
 
     Args:

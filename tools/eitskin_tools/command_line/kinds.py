@@ -23,7 +23,7 @@ UNKNOWN: Final = "a file that eitskin does not know"
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class FileKind:
     """A kind of file, and how one is told from others."""
 
     what: str
@@ -40,29 +40,29 @@ class Known:
         return re.search(self.looks, head, re.MULTILINE) is not None
 
 
-REFERENCE: Final = Known("a reference", rb'\A\s*\{[^\0]*"eitskin-reference"')
-SKIN: Final = Known("a skin's description", rb"^[ \t]*format[ \t]*=[ \t]*[\"']eitskin-skin[\"']")
-ROBOT: Final = Known("a robot's list of skins", rb"^[ \t]*\[\[skins\]\]")
-RECIPE: Final = Known("a bundle's recipe", rb"^[ \t]*format[ \t]*=[ \t]*[\"']eitskin-recipe[\"']")
-CONFIGURATION: Final = Known("a device's configuration", rb"^[ \t]*hardware[ \t]*=[ \t]*[\"']eitskin-")
-BUNDLE: Final = Known("a bundle", holds=("manifest.json",))
-CLOUD: Final = Known("a cloud of 'eitskin surface'", holds=("magic.npy", "cloud.npy"))
-VOLTAGES: Final = Known("voltages of 'eitskin simulate'", holds=("voltages.npy", "voltages208.npy"))
-GUIDED: Final = Known("a recording to calibrate from", holds=("reference_V.npy", "reference_frames.npy"))
-DEMO_RECORD: Final = Known("what 'eitskin demo' noted", holds=("received_ns.npy", "scalars.npy"))
-CONVERTED: Final = Known("a converted recording (.npz)", holds=("voltages_V.npy", "reference_V.npy", "serial.npy"))
-COMPUTED: Final = Known("maps of 'eitskin reinfer'", holds=("map.npy", "solver.npy", "wall_ns.npy"))
-PARQUET: Final = Known("a Parquet file", rb"\APAR1")
-RECORDING: Final = Known("a recording (.mcap)", rb"\A\x89MCAP0")
-PICTURE: Final = Known(
+REFERENCE: Final = FileKind("a reference", rb'\A\s*\{[^\0]*"eitskin-reference"')
+SKIN: Final = FileKind("a skin's description", rb"^[ \t]*format[ \t]*=[ \t]*[\"']eitskin-skin[\"']")
+ROBOT: Final = FileKind("a robot's list of skins", rb"^[ \t]*\[\[skins\]\]")
+RECIPE: Final = FileKind("a bundle's recipe", rb"^[ \t]*format[ \t]*=[ \t]*[\"']eitskin-recipe[\"']")
+CONFIGURATION: Final = FileKind("a device's configuration", rb"^[ \t]*hardware[ \t]*=[ \t]*[\"']eitskin-")
+BUNDLE: Final = FileKind("a bundle", holds=("manifest.json",))
+CLOUD: Final = FileKind("a cloud of 'eitskin surface'", holds=("magic.npy", "cloud.npy"))
+VOLTAGES: Final = FileKind("voltages of 'eitskin simulate'", holds=("voltages.npy", "voltages208.npy"))
+GUIDED: Final = FileKind("a recording to calibrate from", holds=("reference_V.npy", "reference_frames.npy"))
+DEMO_RECORD: Final = FileKind("what 'eitskin demo' noted", holds=("received_ns.npy", "scalars.npy"))
+CONVERTED: Final = FileKind("a converted recording (.npz)", holds=("voltages_V.npy", "reference_V.npy", "serial.npy"))
+COMPUTED: Final = FileKind("maps of 'eitskin reinfer'", holds=("map.npy", "solver.npy", "wall_ns.npy"))
+PARQUET: Final = FileKind("a Parquet file", rb"\APAR1")
+RECORDING: Final = FileKind("a recording (.mcap)", rb"\A\x89MCAP0")
+PICTURE: Final = FileKind(
     "a picture",
     rb"\A(\x89PNG|\xff\xd8\xff|RIFF....WEBP|II\*\0|MM\0\*|%PDF|%!PS|(\s*<[?!][^>]*>)*\s*<svg)",
 )
-ARRAY: Final = Known("an array of numbers (.npy)", rb"\A\x93NUMPY")
-LOG: Final = Known("a log of 'eitskin virtual-skin'", rb'\A\{"event": ')
-POINTS: Final = Known("points of a scan (.ply)", rb"\Aply\r?\n")
-OTHER_ARCHIVE: Final = Known("an archive of other arrays or files", rb"\APK")
-OTHER_JSON: Final = Known("another JSON file", rb"\A\s*[\[{]\s*[\[\]{}\"0-9]")
+ARRAY: Final = FileKind("an array of numbers (.npy)", rb"\A\x93NUMPY")
+LOG: Final = FileKind("a log of 'eitskin virtual-skin'", rb'\A\{"event": ')
+POINTS: Final = FileKind("points of a scan (.ply)", rb"\Aply\r?\n")
+OTHER_ARCHIVE: Final = FileKind("an archive of other arrays or files", rb"\APK")
+OTHER_JSON: Final = FileKind("another JSON file", rb"\A\s*[\[{]\s*[\[\]{}\"0-9]")
 
 KINDS: Final = (
     REFERENCE, BUNDLE, CLOUD, VOLTAGES, GUIDED, DEMO_RECORD, CONVERTED, COMPUTED, PARQUET, RECORDING, PICTURE, ARRAY,
@@ -72,7 +72,7 @@ KINDS: Final = (
 """The first that fits is what a file is."""
 
 
-def check_replaced(path: Path, written: Known) -> None:
+def check_replaced(path: Path, written: FileKind) -> None:
     """Refuse to write over a file of another kind.
 
     Args:
@@ -95,7 +95,7 @@ def check_replaced(path: Path, written: Known) -> None:
         )
 
 
-def kind_of_file(path: Path) -> Known | None:
+def kind_of_file(path: Path) -> FileKind | None:
     """Return what a file is, or None.
 
     Raises:

@@ -130,7 +130,7 @@ def make(
     )
     if gain is not None:
         print(steps.presses_in_words(gain))
-    for line in card.told(found):
+    for line in card.lines_of(found):
         print(line)
     print(f"{work} may be removed")
     return 0

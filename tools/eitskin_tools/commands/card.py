@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps({"bundle": identity, "path": str(arguments.out or path), "card": whole}))
         return 0
-    for line in card.told(whole):
+    for line in card.lines_of(whole):
         print(line)
     if identity is not None:
         print(f"{arguments.out}: bundle {identity}, with this card")

@@ -78,7 +78,7 @@ def whole(found: dict[str, Any], path: Path) -> dict[str, Any]:
     return {**card, "unseen_deformations_of_the_data": held_out}
 
 
-def told(card: dict[str, Any]) -> list[str]:
+def lines_of(card: dict[str, Any]) -> list[str]:
     """Return a card as lines for people."""
     lines = []
     for one in card["by_contrast"]:

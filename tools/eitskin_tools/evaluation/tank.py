@@ -10,7 +10,7 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_sim.tank.common import MIN_COMMON_FACTOR, SIGNIFICANT_SD, common_factor
 from eitskin_sim.tank.images import IMAGES
 from eitskin_sim.tank.model import TankModel, front_end_of, tank_model, widths_deg
-from eitskin_sim.tank.objects import SECTOR_DEG, Found, find_objects, ghosts, judge
+from eitskin_sim.tank.objects import SECTOR_DEG, ImageObject, find_objects, ghosts, judge
 from eitskin_sim.tank.recording import SIGNED_MATERIALS, TankFrame, load_tank
 from eitskin_tools.evaluation.solvers import Progress
 
@@ -71,7 +71,7 @@ def _row(model: TankModel, frame: TankFrame, solver: str) -> dict[str, Any]:
         "common": {
             "percent": 100.0 * common.relative,
             "sd_percent": 100.0 * common.sd if np.isfinite(common.sd) else None,
-            "told": common.told,
+            "told": common.is_significant,
             "taken_out": common.taken_out,
             "changed": len(_sectors(found) ^ _sectors(with_it)),
             "right_with_it": sum(one.right for one in judge(frame.objects, with_it)),
@@ -95,11 +95,11 @@ def _row(model: TankModel, frame: TankFrame, solver: str) -> dict[str, Any]:
     }
 
 
-def _found(model: TankModel, solver: str, change: npt.NDArray[np.float64]) -> list[Found]:
+def _found(model: TankModel, solver: str, change: npt.NDArray[np.float64]) -> list[ImageObject]:
     return find_objects(model, IMAGES[solver](model, change))
 
 
-def _sectors(found: list[Found]) -> set[tuple[int, str]]:
+def _sectors(found: list[ImageObject]) -> set[tuple[int, str]]:
     """Where objects were found, and of which sign."""
     return {(round(one.angle_deg / SECTOR_DEG) % round(360.0 / SECTOR_DEG), one.material) for one in found}
 

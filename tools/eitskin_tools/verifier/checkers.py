@@ -72,7 +72,7 @@ class Checker:
         """Learn from what the untouched sheet reads; return what is wrong with it, nothing where nothing is."""
         if not self._usable.all():
             return ""  # a sheet is known by all its rows
-        known = self._verifier.shapes.rest(self._reference_V * (1.0 + letter.change), letter.frames)
+        known = self._verifier.shapes.use_untouched(self._reference_V * (1.0 + letter.change), letter.frames)
         return "" if known else SCAN_MISMATCH
 
     def _message_of(self, one: UnitTouch | ShapeTouch) -> VerifiedTouch:

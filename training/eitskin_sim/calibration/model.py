@@ -15,7 +15,7 @@ from eitskin_proto.sensor.table import FULL_TABLE, N_FULL_ROWS, N_ROWS, TABLE
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.wire.scan_rows import TABLE_ROW_OF_FULL
 from eitskin_sim.calibration.modes import SmoothModes
-from eitskin_sim.calibration.parameters import LAYER_MODES, Group, Parameters, check_contacts
+from eitskin_sim.calibration.parameters import LAYER_MODES, ParameterGroup, Parameters, check_contacts
 from eitskin_sim.calibration.recording import Recording
 from eitskin_sim.calibration.rows import noise_V, of_table
 from eitskin_sim.calibration.solved import Metric, Shape, Solved
@@ -42,7 +42,7 @@ DERIVATIVE_STEP: Final = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
-class Read:
+class ModelVoltages:
     """The voltages at some parameters."""
 
     voltages_V: Array
@@ -79,7 +79,7 @@ class Model:
     """
 
     def __init__(
-        self, skin: Skin, recording: Recording, snr_db: float | None = None, more: Sequence[Group] = ()
+        self, skin: Skin, recording: Recording, snr_db: float | None = None, more: Sequence[ParameterGroup] = ()
     ) -> None:
         doubts = skin.may_be_off
         check_contacts(skin)
@@ -124,7 +124,7 @@ class Model:
         """Return (rows,) what was read less what should be, over its noise."""
         return np.asarray(self._whitener * (self.recording.reference_V - should_V))
 
-    def whitened_with(self, should: Read) -> tuple[Array, Array]:
+    def whitened_with(self, should: ModelVoltages) -> tuple[Array, Array]:
         """Return the same, and (rows, count) the derivatives of what should be read."""
         assert should.jacobian is not None
         return self.whitened(should.voltages_V), self._whitener[:, None] * should.jacobian
@@ -169,7 +169,7 @@ class Model:
         metric, shape = lying.scanned or flat_metric, self.shape(z, lying)
         return Solved(self.size_mm, self.electrodes(z), metric, shape, self.layer.at, own, lying.touches(z))
 
-    def read(self, z: Array, lying: SheetState | None = None, *, derivatives: bool) -> Read:
+    def read(self, z: Array, lying: SheetState | None = None, *, derivatives: bool) -> ModelVoltages:
         """Return what should be read; as the sheet lay when the reference was taken where nothing else is said.
 
         Raises:
@@ -183,7 +183,7 @@ class Model:
         volts = instrument.read(responses_of(differences), table)
         factor = np.exp(self.unseen_log(z)) if lying.at_reference else np.ones(len(volts))
         if not derivatives:
-            return Read(factor * volts, None)
+            return ModelVoltages(factor * volts, None)
         names, rates = self._rates(z, sheet, lying)
         norm = np.linalg.norm(differences)
         size = np.linalg.norm(scale * rates, axis=(1, 2)) + 1e-300
@@ -200,7 +200,7 @@ class Model:
             if GAUGE in slices:
                 by_z = self.parameters.groups[GAUGE].spread * self._unseen_by_gauge
                 jacobian[:, slices[GAUGE]] += (factor * volts * by_z[rows])[:, None]
-        return Read(factor * volts, jacobian)
+        return ModelVoltages(factor * volts, jacobian)
 
     def unseen_log(self, z: Array) -> Array:
         """Return (rows,) logarithms of what the reference is off by, of what its scan does not show; 0 of a flat one.

@@ -31,7 +31,7 @@ LAYER_MODES: Final = "layer"
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class ParameterGroup:
     """Some parameters of one kind."""
 
     name: str
@@ -63,11 +63,11 @@ class Parameters:
         more: Groups besides, which the skin does not state: those of presses.
     """
 
-    def __init__(self, skin: Skin, n_modes: int, more: Sequence[Group] = ()) -> None:
+    def __init__(self, skin: Skin, n_modes: int, more: Sequence[ParameterGroup] = ()) -> None:
         layer, ring, own, doubts = skin.layer, skin.electrodes, skin.front_end, skin.may_be_off
         sigma = float(layer.conductivity_S_per_m.nominal(1)[0])
         groups = [
-            Group("level", "S/m", np.array([sigma]), LEVEL_SPREAD, logarithmic=True),
+            ParameterGroup("level", "S/m", np.array([sigma]), LEVEL_SPREAD, logarithmic=True),
             *_group("arc_length_mm", "mm", ring.arc_length_mm, N_ELECTRODES),
             *_group("size_mm", "mm", ring.size_mm, N_ELECTRODES),
             *_group("contact_impedance_ohm_m2", "ohm m2", ring.contact_impedance_ohm_m2, N_ELECTRODES, above_0=True),
@@ -83,9 +83,9 @@ class Parameters:
             *_group("sink_share", "", own.sink_share, 1),
         ]
         if n_modes:
-            groups.append(Group(LAYER_MODES, "", np.zeros(n_modes), 1.0))
+            groups.append(ParameterGroup(LAYER_MODES, "", np.zeros(n_modes), 1.0))
         groups.extend(more)
-        self.groups: dict[str, Group] = {one.name: one for one in groups}
+        self.groups: dict[str, ParameterGroup] = {one.name: one for one in groups}
         stops = np.cumsum([len(one.stated) for one in groups])
         self.slices = {
             one.name: slice(int(stop) - len(one.stated), int(stop)) for one, stop in zip(groups, stops, strict=True)
@@ -123,16 +123,16 @@ class Parameters:
         ]
 
 
-def _group(name: str, unit: str, quantity: Quantity, count: int, *, above_0: bool = False) -> list[Group]:
+def _group(name: str, unit: str, quantity: Quantity, count: int, *, above_0: bool = False) -> list[ParameterGroup]:
     if quantity.law == "exact" or not quantity.spread:
         return []
     stated = quantity.nominal(count)
     if quantity.law == "log_normal":
-        return [Group(name, unit, stated, quantity.spread, logarithmic=True)]
+        return [ParameterGroup(name, unit, stated, quantity.spread, logarithmic=True)]
     spread = quantity.spread if quantity.law == "normal" else quantity.spread / np.sqrt(3.0)
     if above_0 and (stated > 0.0).all():
-        return [Group(name, unit, stated, float(spread / stated.mean()), logarithmic=True)]
-    return [Group(name, unit, stated, float(spread))]
+        return [ParameterGroup(name, unit, stated, float(spread / stated.mean()), logarithmic=True)]
+    return [ParameterGroup(name, unit, stated, float(spread))]
 
 
 def check_contacts(skin: Skin) -> None:

@@ -43,7 +43,7 @@ class RecordingError(SkinError, ValueError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Later:
+class LaterReading:
     """What the sheet read after its reference: bent, with a scan, or pressed."""
 
     voltages_V: Array
@@ -65,8 +65,8 @@ class Recording:
     """(104,) or (208,)"""
     frames: int = 1
     """How many it is the mean of."""
-    bents: tuple[Later, ...] = ()
-    presses: tuple[Later, ...] = ()
+    bents: tuple[LaterReading, ...] = ()
+    presses: tuple[LaterReading, ...] = ()
     cloud_mm: Array | None = None
     """(3, rows, columns) the scan of the sheet when the reference was taken; None where it lay flat."""
 
@@ -117,7 +117,7 @@ def _frames(arrays: Arrays, name: str) -> int:
     return found
 
 
-def _bents(arrays: Arrays, skin: Skin) -> tuple[Later, ...]:
+def _bents(arrays: Arrays, skin: Skin) -> tuple[LaterReading, ...]:
     if not _together(arrays, ("bent_V", "bent_cloud_mm")):
         return ()
     volts, frames = _moments(arrays, "bent_V"), _frames(arrays, "bent_frames")
@@ -127,10 +127,10 @@ def _bents(arrays: Arrays, skin: Skin) -> tuple[Later, ...]:
             align_cloud(check_cloud(cloud, skin.grid), skin.grid)
         except ValueError as error:
             raise ValueError(f"bent_cloud_mm[{number}]: {error}") from error
-    return tuple(Later(one, frames, cloud) for one, cloud in zip(volts, clouds, strict=True))
+    return tuple(LaterReading(one, frames, cloud) for one, cloud in zip(volts, clouds, strict=True))
 
 
-def _presses(arrays: Arrays, skin: Skin) -> tuple[Later, ...]:
+def _presses(arrays: Arrays, skin: Skin) -> tuple[LaterReading, ...]:
     if not _together(arrays, ("press_V", "press_xy_mm", "stamp_mm")):
         return ()
     volts, frames = _moments(arrays, "press_V"), _frames(arrays, "press_frames")
@@ -148,7 +148,7 @@ def _presses(arrays: Arrays, skin: Skin) -> tuple[Later, ...]:
             f"width, from {STAMP_MM[0]:g} to {STAMP_MM[1]:g} mm"
         )
     size = tuple(float(one) for one in stamp)
-    return tuple(Later(one, frames, None, place, size) for one, place in zip(volts, places, strict=True))
+    return tuple(LaterReading(one, frames, None, place, size) for one, place in zip(volts, places, strict=True))
 
 
 def _together(arrays: Arrays, names: tuple[str, ...]) -> bool:

@@ -11,7 +11,7 @@ from eitskin_proto.sensor.table import N_ROWS, TABLE
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration.fit import MISFIT_LEVEL, NAMED_ROW_SD, REMEDY, CalibrationError, Fit, UnsettledError, fit
 from eitskin_sim.calibration.model import Model
-from eitskin_sim.calibration.recording import Later, Recording
+from eitskin_sim.calibration.recording import LaterReading, Recording
 from eitskin_sim.calibration.session import Progress, Session, check_felt
 from eitskin_sim.calibration.stamp import BORDER, GROWTH, PLACE, PRESS_CONTRAST, STRENGTH, ways
 from eitskin_sim.calibration.twin import MAX_LEARNED_SD_RATIO, calibrated_skin
@@ -76,7 +76,7 @@ def per_ampere(skin: Skin, recording: Recording) -> tuple[Recording, float]:
     if current_A == 1.0:
         return recording, 1.0
 
-    def scaled(moments: tuple[Later, ...]) -> tuple[Later, ...]:
+    def scaled(moments: tuple[LaterReading, ...]) -> tuple[LaterReading, ...]:
         return tuple(replace(one, voltages_V=one.voltages_V / current_A) for one in moments)
 
     volts, bents, presses = recording.reference_V / current_A, scaled(recording.bents), scaled(recording.presses)

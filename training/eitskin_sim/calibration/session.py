@@ -18,8 +18,8 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration import stamp as stamps
 from eitskin_sim.calibration.bends import bend_error
 from eitskin_sim.calibration.fit import MISFIT_LEVEL, CalibrationError
-from eitskin_sim.calibration.model import GAUGE, Model, Read, SheetState
-from eitskin_sim.calibration.recording import Later, Recording
+from eitskin_sim.calibration.model import GAUGE, Model, ModelVoltages, SheetState
+from eitskin_sim.calibration.recording import LaterReading, Recording
 from eitskin_sim.calibration.rows import noise_V, of_table
 from eitskin_sim.surface.predict import fit_cloud
 
@@ -44,7 +44,7 @@ class Moment:
 
     name: str
     """For people."""
-    read: Later
+    read: LaterReading
     lying: SheetState
     covariance: Array
     """(104, 104) of dV, beside a press's own share."""
@@ -133,7 +133,7 @@ class Session:
                 found.append(float(one @ other / (np.linalg.norm(one) * np.linalg.norm(other) + 1e-300)))
         return np.array(found)
 
-    def _whitening(self, moment: Moment, flat: Read, read: Read) -> tuple[Array, Array]:
+    def _whitening(self, moment: Moment, flat: ModelVoltages, read: ModelVoltages) -> tuple[Array, Array]:
         """Return the (104, 104) factor of what dV may be off by, and (104,) what it should be."""
         should = of_table(read.voltages_V) / of_table(flat.voltages_V) - 1.0
         covariance = moment.covariance
@@ -148,7 +148,7 @@ class Session:
     def _change(self, moment: Moment) -> Array:
         return np.asarray(moment.read.voltages_V / of_table(self.flat.recording.reference_V) - 1.0)
 
-    def _covariance(self, read: Later) -> Array:
+    def _covariance(self, read: LaterReading) -> Array:
         """Return (104, 104) what noise and drift do to dV."""
         reference, frames = of_table(self.flat.recording.reference_V), self.flat.recording.frames
         skin, level = self.flat.skin, self.flat.level

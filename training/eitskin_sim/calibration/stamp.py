@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.skin.parts import Touches
-from eitskin_sim.calibration.parameters import Group, Parameters
+from eitskin_sim.calibration.parameters import ParameterGroup, Parameters
 from eitskin_sim.scene.parts import MIN_LOG_CONTRAST, Touch
 from eitskin_sim.scene.shapes import Disc, Rect, Shape
 from eitskin_sim.scene.soft_touch import MIN_BORDER_MM
@@ -95,7 +95,7 @@ def ways(touches: Touches) -> tuple[Way, ...]:
     return tuple(way for way, known in ((-1, touches.lower), (1, touches.higher)) if known) or (-1,)
 
 
-def groups(touches: Touches, way: Way, count: int) -> list[Group]:
+def groups(touches: Touches, way: Way, count: int) -> list[ParameterGroup]:
     """Return the parameters of some presses.
 
     Args:
@@ -107,12 +107,12 @@ def groups(touches: Touches, way: Way, count: int) -> list[Group]:
     low, high = np.sort(np.abs(np.log(contrast)))
     border = np.sqrt(max(touches.border_mm[0], 1.0) * max(touches.border_mm[1], 4.0))
     return [
-        Group(STRENGTH, "", np.array([np.sqrt(low * high)]), float(max(np.log(high / low) / 2.0, 0.3)), True),
-        Group(PRESS_CONTRAST, "", np.zeros(count), PRESS_CONTRAST_SD),
-        Group(GROWTH, "mm", np.zeros(1), GROWTH_MM),
-        Group(BORDER, "mm", np.array([border]), 0.6, True),
-        Group(SHIFT, "mm", np.zeros(2), SHIFT_MM),
-        Group(PLACE, "mm", np.zeros(2 * count), PLACE_MM),
+        ParameterGroup(STRENGTH, "", np.array([np.sqrt(low * high)]), float(max(np.log(high / low) / 2.0, 0.3)), True),
+        ParameterGroup(PRESS_CONTRAST, "", np.zeros(count), PRESS_CONTRAST_SD),
+        ParameterGroup(GROWTH, "mm", np.zeros(1), GROWTH_MM),
+        ParameterGroup(BORDER, "mm", np.array([border]), 0.6, True),
+        ParameterGroup(SHIFT, "mm", np.zeros(2), SHIFT_MM),
+        ParameterGroup(PLACE, "mm", np.zeros(2 * count), PLACE_MM),
     ]
 
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration.bends import bend_error, scan_error
-from eitskin_sim.calibration.parameters import Group
+from eitskin_sim.calibration.parameters import ParameterGroup
 from eitskin_sim.calibration.solved import Metric
 from eitskin_sim.surface.predict import fit_cloud
 
@@ -44,9 +44,9 @@ class Unseen:
     """Squared distances a row of up to so many times the covariance's are honest."""
 
     @property
-    def group(self) -> Group:
+    def group(self) -> ParameterGroup:
         """The parameters."""
-        return Group(UNSEEN, "", np.zeros(N_ROWS), 1.0)
+        return ParameterGroup(UNSEEN, "", np.zeros(N_ROWS), 1.0)
 
     @property
     def expected_rms(self) -> float:

@@ -126,7 +126,7 @@ def rates(sheet: AssembledSheet, pieces: Array, free: npt.NDArray[np.bool_], bas
 
 
 @dataclass(frozen=True, slots=True)
-class Moves:
+class TouchMoves:
     """c moves of touches, and what r parameters are of them."""
 
     touch: Index
@@ -143,7 +143,7 @@ class Moves:
     """(n, n) which touches share an element."""
 
 
-def moves_of(pieces: Array, free: npt.NDArray[np.bool_], mesh: TensorMesh) -> Moves:
+def moves_of(pieces: Array, free: npt.NDArray[np.bool_], mesh: TensorMesh) -> TouchMoves:
     """Return the moves that derivatives by the (n, 7) free parameters of (n, 8) touches are made of."""
     values, number = parameters_of(pieces), np.cumsum(free.ravel()).reshape(free.shape) - 1
     boxes = _boxes(pieces)
@@ -171,7 +171,7 @@ def moves_of(pieces: Array, free: npt.NDArray[np.bool_], mesh: TensorMesh) -> Mo
     mix[at, number[side_of, X + axis]] = outward
     mix[at, number[side_of, HALF_LENGTH + axis]] = 1.0
     mix[len(at) + np.arange(len(one_of)), number[one_of, which]] = 1.0
-    return Moves(
+    return TouchMoves(
         touch=touch,
         moved=pieces_of(pieces[touch, 0], np.concatenate([sides, moved])),
         step=np.concatenate([np.full(len(at), DIFFERENCE_STEP), steps]),

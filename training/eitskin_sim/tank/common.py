@@ -55,14 +55,14 @@ class Common:
     """Of c; infinite where objects can make all of it."""
 
     @property
-    def told(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether it is told from what objects can make."""
         return abs(self.relative) > SIGNIFICANT_SD * self.sd
 
     @property
     def taken_out(self) -> bool:
         """Whether :meth:`without` takes it out."""
-        return self.told and MIN_COMMON_FACTOR <= abs(self.relative) <= MAX_COMMON_FACTOR
+        return self.is_significant and MIN_COMMON_FACTOR <= abs(self.relative) <= MAX_COMMON_FACTOR
 
     def without(self, change: Array) -> Array:
         """Return (104,) changes without it, or as they are where it is not to be taken out."""

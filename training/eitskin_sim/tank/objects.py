@@ -31,7 +31,7 @@ SECTOR_DEG: Final = 360.0 / N_ELECTRODES
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class ImageObject:
     """An object that an image shows."""
 
     angle_deg: float
@@ -49,7 +49,7 @@ class JudgedObject:
     """An object that stands in the tank, and what was found of it."""
 
     object: Object
-    found: Found | None
+    found: ImageObject | None
     """The nearest of its sign; None where there is none."""
     error_deg: float | None
 
@@ -59,10 +59,10 @@ class JudgedObject:
         return self.error_deg is not None and self.error_deg <= SECTOR_DEG / 2
 
 
-def find_objects(model: TankModel, image: Array) -> list[Found]:
+def find_objects(model: TankModel, image: Array) -> list[ImageObject]:
     """Return the objects that an image of (n,) cells shows, the strongest first; none if it is empty."""
     image = model.neighbourhoods @ image
-    left, found = np.abs(image), list[Found]()
+    left, found = np.abs(image), list[ImageObject]()
     largest = float(left.max())
     while len(found) < MAX_OBJECTS:
         at = int(np.argmax(left))
@@ -71,12 +71,12 @@ def find_objects(model: TankModel, image: Array) -> list[Found]:
         x, y = model.places[at]
         angle = float(np.remainder(np.rad2deg(np.arctan2(y, x)) - EVEN_DEG[0], 360.0))
         material: Material = "metal" if image[at] > 0.0 else "plastic"
-        found.append(Found(angle, float(np.hypot(x, y)), material, float(left[at]) / largest))
+        found.append(ImageObject(angle, float(np.hypot(x, y)), material, float(left[at]) / largest))
         left[np.hypot(*(model.places - model.places[at]).T) < MIN_SEPARATION_RADII] = 0.0
     return found
 
 
-def judge(objects: Sequence[Object], found: Sequence[Found]) -> list[JudgedObject]:
+def judge(objects: Sequence[Object], found: Sequence[ImageObject]) -> list[JudgedObject]:
     """Return what was found of every object: each found one counts once, for the object that it is nearest to."""
     pairs = sorted(
         (angle_error_deg(one, other), i, j)
@@ -94,7 +94,7 @@ def judge(objects: Sequence[Object], found: Sequence[Found]) -> list[JudgedObjec
     ]
 
 
-def ghosts(judged: Sequence[JudgedObject], found: Sequence[Found], unknown: Sequence[Unknown]) -> int:
+def ghosts(judged: Sequence[JudgedObject], found: Sequence[ImageObject], unknown: Sequence[Unknown]) -> int:
     """Return how many found ones are no object's: not the right ones, nor in the sector of an object of any sign."""
     right = [one.found for one in judged if one.right]
     return sum(
@@ -102,7 +102,7 @@ def ghosts(judged: Sequence[JudgedObject], found: Sequence[Found], unknown: Sequ
     )
 
 
-def angle_error_deg(one: Object | Unknown, other: Found) -> float:
+def angle_error_deg(one: Object | Unknown, other: ImageObject) -> float:
     """Return how far a found object is from the middle of an object's electrode, from 0 to 180."""
     apart = other.angle_deg - SECTOR_DEG * (one.electrode - 1)
     return abs(float(np.remainder(apart + 180.0, 360.0)) - 180.0)

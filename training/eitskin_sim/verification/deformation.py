@@ -54,7 +54,7 @@ class Deformation:
         self._scanned, self._made_again = self.model, 0
         self._others = [self._as_far_as_likely]
 
-    def rest(self, change: Array, reference: Array, noise: Noise) -> bool:
+    def use_untouched(self, change: Array, reference: Array, noise: Noise) -> bool:
         """Learn from what the untouched sheet reads, and return whether it is the scanned one; else nothing changes.
 
         Args:

@@ -78,7 +78,7 @@ class ShapeVerifier:
         """
         self.deformation.scan(lambda: model_of_cloud(cloud_mm, self._skin, self._spreads))
 
-    def rest(self, voltages_V: Array, frames: int = 1) -> bool:
+    def use_untouched(self, voltages_V: Array, frames: int = 1) -> bool:
         """Learn from what the deformation reads while nothing touches it.
 
         Args:
@@ -92,7 +92,9 @@ class ShapeVerifier:
             ValueError: There is no deformation yet, or no frame; a number is not finite.
         """
         check_frame(voltages_V, self._reference)
-        return self.deformation.rest(voltages_V / self._reference - 1.0, self._reference, self._noise.of_mean(frames))
+        return self.deformation.use_untouched(
+            voltages_V / self._reference - 1.0, self._reference, self._noise.of_mean(frames)
+        )
 
     def verify(
         self, voltages_V: Array, shares: Array, budget_s: float = BUDGET_S, rows: Rows | None = None

@@ -23,7 +23,7 @@ from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.toml import parse, to_toml
 from eitskin_proto.skin.touch_kind import TouchKind, knows, touch_kind_of
-from eitskin_sim.calibration.recording import Later, Recording
+from eitskin_sim.calibration.recording import LaterReading, Recording
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.parts import Bend
@@ -174,7 +174,7 @@ def load(folder: str | Path) -> TrainingData:
         raise SkinError(f"{path} is damaged ({error}); remove it, and give the recording again") from error
 
 
-def kept(data: TrainingData) -> npt.NDArray[np.intp]:
+def held_out_rows(data: TrainingData) -> npt.NDArray[np.intp]:
     """Return the rows of presses, loaded by themselves, that were kept apart."""
     return _kept(len(data.voltages))
 
@@ -204,7 +204,7 @@ def _labels(recording: Recording, grid: Grid) -> npt.NDArray[np.uint8]:
     return np.asarray(np.rint(255.0 * np.clip(shares, 0.0, 1.0)), dtype=np.uint8)
 
 
-def piece(press: Later, contrast: float) -> Array:
+def piece(press: LaterReading, contrast: float) -> Array:
     """Return the (1, 8) row of a table of touches that a press is, hard at its border."""
     assert press.xy_mm is not None
     assert press.stamp_mm is not None

@@ -92,7 +92,7 @@ class VerifiedSolver:
 
     def _tell_rest(self) -> None:
         if self._at_rest_V is not None and self._verified is not None:
-            self._verified.rest(self._at_rest_V, BASELINE_FRAMES)
+            self._verified.use_untouched(self._at_rest_V, BASELINE_FRAMES)
 
     def _checked(self, found: ComputedFrame, reference: Reference, sheet: Sheet) -> ComputedFrame | None:
         """Return the network's map as physics leaves it; None, and counted, where there is no verdict."""

@@ -155,7 +155,7 @@ class VerifiedNetwork:
         """Return the run that the harness takes."""
         return replace(self._network, solver=self.solve)
 
-    def rest(self, voltages_V: Array, frames: int) -> None:
+    def use_untouched(self, voltages_V: Array, frames: int) -> None:
         """Take what the shape in use reads while nothing touches it, for its next frame and those after.
 
         Args:
@@ -196,13 +196,13 @@ class VerifiedNetwork:
             )
             verifier.shapes.deform(case.sheet.cloud_mm)
             if self._at_rest:
-                self.rest(untouched_mean(case, self._noise, self._at_rest), self._at_rest)
+                self.use_untouched(untouched_mean(case, self._noise, self._at_rest), self._at_rest)
             self._shape = key, verifier
         else:
             verifier = self._shape[1]
             spent_s = verifier.shapes.deformation.spent_cpu_s
         if self._untouched is not None:
-            verifier.shapes.rest(*self._untouched)
+            verifier.shapes.use_untouched(*self._untouched)
             self._untouched = None
         return verifier, verifier.shapes.deformation.spent_cpu_s - spent_s
 
