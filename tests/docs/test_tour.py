@@ -20,7 +20,7 @@ from .markdown import ROOT, code_blocks
 
 PAGES = sorted(path for path in [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"] if code_blocks(path, "sh"))
 GOES_ON = {"virtual-skin": "ttySKIN", "run": "ready ", "replay": "ready ", "view": "viewing ", "subscribe": "frame"}
-"""Commands that run until Ctrl-C, and what they say once they work."""
+"""Commands that run until Ctrl-C, and what they say once they work; of an example, its first line."""
 
 A_PORT = re.compile(r"\bPORT\b|/dev/tty(?:ACM|USB)\d")
 PATIENCE_S = 1200.0
@@ -86,13 +86,13 @@ class Reader:
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
         self._open.setdefault(name, []).append(process)
-        wanted = "viewing " if "--view" in command else GOES_ON.get(name)
+        wanted = "" if command.lstrip().startswith("python docs/examples/") else GOES_ON.get(name)
         watchdog = threading.Timer(PATIENCE_S, process.kill)
         watchdog.start()
         said = []
         for line in process.stdout:
             said.append(line.rstrip())
-            if wanted and wanted in line:
+            if wanted is not None and wanted in line:
                 break
         else:
             assert process.wait() == 0, f"{command}\n" + "\n".join(said)
