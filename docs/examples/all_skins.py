@@ -1,6 +1,6 @@
-"""Touches of all skins of a robot, in the robot's own frame; a skin that falls silent is named, the others go on.
+"""Print the touches of all skins of a robot, in the robot's frame; name a skin that falls silent.
 
-python docs/examples/all_skins.py [robot.toml, or the folder of 'eitskin run --config']
+python docs/examples/all_skins.py [ROBOT.toml, or the folder of 'eitskin run --config']
 """
 
 import sys
@@ -15,7 +15,7 @@ with suppress(KeyboardInterrupt), eitskin.subscribe_all(*sys.argv[1:2], timeout_
         try:
             one = next(frames)
         except eitskin.SilentSkin as silence:
-            print(f"stop: {silence}")  # a robot is blind there
+            print(f"stop: {silence}")  # the robot is blind there
             continue
         for touch in one.touches:
             x, y, z = touch.place_mm

@@ -2,9 +2,8 @@
 
     python docs/examples/in_process.py PORT
 
-The sheet must be flat and untouched when the program starts, because it then takes the reference. Frames are computed
-in one thread. If the program has sums of its own, OPENBLAS_NUM_THREADS=1 in its environment keeps numpy from taking
-all cores for them; and whether it stands still is for the program to watch.
+The sheet must be flat and untouched when the program starts, because the program then captures the reference. One
+thread computes all frames. Set OPENBLAS_NUM_THREADS=1 if numpy must not use all cores for the program's own arrays.
 """
 
 import sys

@@ -1,6 +1,6 @@
-"""Write surface.ply, as a 3-D scanner would: points of the bent sheet of scene.json, with noise, in the scanner's pose.
+"""Write surface.ply as a 3-D scanner would: noisy points of scene.json's bent sheet, in the scanner's frame.
 
-Needs the extra ``sim``. The file is committed; run this again after a change of scene.json.
+Needs the extra ``sim``. Run this again after a change of scene.json.
 """
 
 import math

@@ -2,8 +2,8 @@
 
     python docs/examples/own_transport.py HOST PORT
 
-Whatever has these six methods and two properties can stand where a port's name stands
-(:class:`eitskin.acquisition.transport.Transport`); no base class is needed.
+Pass an object with these methods and properties in place of a port's name; it needs no base class
+(:class:`eitskin.Transport`).
 """
 
 import os
@@ -19,8 +19,8 @@ class SocketLine:
     """A full-duplex byte stream that blocks in ``read`` and can be woken from elsewhere.
 
     Args:
-        host: Of the adapter.
-        port: Of the adapter.
+        host: The adapter's address.
+        port: The adapter's TCP port.
     """
 
     line_bytes_per_s = 0  # no baud rate limits it
@@ -35,7 +35,7 @@ class SocketLine:
         self._wake = os.eventfd(0, os.EFD_NONBLOCK)
 
     def read(self, timeout_s: float | None = None) -> bytes:
-        """Return what has arrived, waiting for the first byte; nothing after the timeout or ``cancel``."""
+        """Wait for the first byte and return all that have arrived; none after the timeout or ``cancel``."""
         ready, _, _ = select.select([self._socket, self._wake], [], [], timeout_s)
         if self._wake in ready:
             os.eventfd_read(self._wake)
@@ -51,22 +51,22 @@ class SocketLine:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send all of it."""
+        """Send all of ``data``."""
         try:
             self._socket.sendall(data)
         except OSError as error:
             raise eitskin.PortLost(f"{self.name} is gone: {error}") from error
 
     def cancel(self) -> None:
-        """Make the ``read`` that waits now, or else the next one, return at once."""
+        """Make the current ``read``, or else the next one, return at once."""
         os.eventfd_write(self._wake, 1)
 
     def report(self) -> list[str]:
-        """Return what was got, a line for people each."""
+        """Return lines for people that describe the line's settings."""
         return [f"{self.name}: TCP, without delay"]
 
     def close(self) -> None:
-        """Give the line back; closing twice is fine."""
+        """Close the line; a second call does nothing."""
         self._socket.close()
         with suppress(OSError):
             os.close(self._wake)

@@ -1,8 +1,8 @@
-"""A robot that reacts: it moves until it is touched, says where, and goes on once it is let go.
+"""A robot that reacts: it moves until something touches it, prints the place, and moves on after the release.
 
     python docs/examples/react.py [ENDPOINT]
 
-It also stops when it does not know: no frame in time, or only an old one. Replace ``drive`` by your robot's own call.
+It also stops when it is blind: no frame came in time, or only an old one. Call your own robot in ``drive``.
 """
 
 import sys
@@ -11,7 +11,7 @@ from contextlib import suppress
 import eitskin
 
 CALM_FRAMES = 20
-"""Untouched frames in a row before it moves again: 0.1 s at 200 frames/s, if it keeps up."""
+"""Untouched frames in a row before it moves again: 0.1 s at 200 frames/s."""
 
 
 def drive(speed: float) -> None:

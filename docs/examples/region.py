@@ -1,8 +1,8 @@
-"""Take a part of the sheet, and do without maps in which nothing but noise changed.
+"""Print a part of the sheet, and skip maps in which only noise changed.
 
     python docs/examples/region.py [ENDPOINT]
 
-The runtime computes whole maps; a map that only noise separates from the one before it is neither computed nor sent.
+The runtime computes whole maps. It neither computes nor sends a map if only noise has changed since the previous one.
 """
 
 import sys

@@ -3,11 +3,11 @@
     python docs/examples/ros2_node.py
     python docs/examples/ros2_node.py --ros-args -p endpoint:=ipc:///run/user/1000/eitskin/frames -p frame_id:=forearm
 
-/eitskin/touches   sensor_msgs/PointCloud2   a point a touch: x y z nx ny nz area peak id; none: nothing touches
-/eitskin/map       sensor_msgs/Image         32FC1, made while somebody listens; row 0 is y = 0
+/eitskin/touches   sensor_msgs/PointCloud2   one point per touch: x y z nx ny nz area peak id; empty without touches
+/eitskin/map       sensor_msgs/Image         32FC1, if the topic has a subscriber; row 0 is y = 0
 
-frame_id names the frame in which the sheet's clouds are given; without clouds that of the flat sheet, corner at the
-origin. No force is measured, so there is no wrench. While frames fail to come nothing is published: give a deadline.
+frame_id names the frame in which clouds are sent; without clouds, the flat sheet's, with its corner at the origin. The
+skin measures no force, so there is no wrench. The node publishes nothing while no frames come: set a deadline.
 """
 
 from array import array
@@ -29,7 +29,7 @@ POINT = np.dtype([(name, "<f4") for name in NUMBERS] + [("id", "<u4")])
 
 
 class Skin(Node):
-    """Hands a runtime's frames on."""
+    """Publishes a runtime's frames."""
 
     def __init__(self) -> None:
         """Declare the parameters and the topics."""
@@ -62,7 +62,7 @@ class Skin(Node):
 
 
 def main() -> None:
-    """Hand frames on until Ctrl-C."""
+    """Publish frames until Ctrl-C."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C ends the wait for a frame, too
     node = Skin()
     with suppress(KeyboardInterrupt), eitskin.subscribe(node.endpoint, touches=True, timeout_s=0.5) as frames:

@@ -1,10 +1,10 @@
-"""Tell a running runtime how the sheet is bent: the cloud, and what it should read untouched (V_pred).
+"""Send the sheet's shape to a running runtime: the cloud, and the voltages of this shape untouched (V_pred).
 
     eitskin surface docs/examples/surface.ply --out cloud.npz
     python docs/examples/send_cloud.py cloud.npz [CONTROL]
 
-CONTROL is the runtime's control endpoint, not the one it publishes on; without it the default one is used. A file
-without a prediction gets one here, which needs the extra ``sim``, for the forward model.
+CONTROL is the runtime's control endpoint, not the one that publishes frames; the default needs no argument. For a file
+without a prediction, this program computes it, which needs the extra ``sim``.
 """
 
 import sys

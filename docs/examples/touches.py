@@ -1,8 +1,8 @@
-"""Touches without maps: where each is on the bent surface, which way that faces, how large, when it comes and goes.
+"""Print touches without maps: place and normal on the bent surface, area, and when each comes and goes.
 
     python docs/examples/touches.py [ENDPOINT]
 
-No force is measured, and a map tells no strength. Verified touches have one: see verified.py.
+Maps give neither force nor strength. Verified touches have a strength: see verified.py.
 """
 
 import sys

@@ -1,8 +1,8 @@
-"""A robot that acts on verified touches only: never on one that physics cannot explain, and not while nobody checks.
+"""A robot that acts only on verified touches, and waits while a frame is flagged or nothing verifies frames.
 
     python docs/examples/verified.py [ENDPOINT]
 
-The runtime must verify: ``eitskin run --verify always``. Replace ``act`` and ``wait`` by your robot's own calls.
+The runtime must verify: ``eitskin run --verify always``. Call your own robot in ``act`` and ``wait``.
 """
 
 import sys
@@ -12,12 +12,12 @@ import eitskin
 
 
 def act(place_mm: tuple[float, float, float], strength_mm2: float) -> None:
-    """Stand in for what the robot does where it is touched."""
+    """Stand in for the robot's action at a touch."""
     print("act at", " ".join(f"{value:.1f}" for value in place_mm), f"mm, strength {strength_mm2:.0f} mm2")
 
 
 def wait(why: str) -> None:
-    """Stand in for what it does while it cannot be sure."""
+    """Stand in for the robot's action while touches are uncertain."""
     print(f"wait: {why}")
 
 

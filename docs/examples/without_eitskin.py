@@ -18,14 +18,14 @@ if len(sys.argv) != 2:
 
 socket = zmq.Context().socket(zmq.SUB)
 socket.setsockopt(zmq.CONFLATE, 1)  # keep the newest frame only; it must be set before connect
-socket.setsockopt(zmq.SUBSCRIBE, b"\xde\x00")  # how every frame begins: it has one part and no topic
+socket.setsockopt(zmq.SUBSCRIBE, b"\xde\x00")  # every frame begins with these bytes; it has one part and no topic
 socket.connect(sys.argv[1])
 
 with suppress(KeyboardInterrupt):
     while True:
         frame = msgpack.unpackb(socket.recv())
         if frame["v"] != 1:
-            continue  # of a runtime to come
+            continue  # from a newer runtime
         rows, columns = frame["shape"]
         pixels = struct.unpack(f"<{rows * columns}f", frame["map"])  # row by row from the corner (0, 0)
         # Clocks compare on the same machine only; elsewhere count from the frame's arrival.
