@@ -1,8 +1,8 @@
-"""Looks at what the runtime depends on, and says what to do about each problem; changes nothing.
+"""Examines what the runtime depends on and says how to fix each problem; changes nothing.
 
-``examine`` needs no device: ports, USB devices, permissions, latency timers, bundles, limits. ``greet`` opens one port
-and asks who is there, how fast it answers and what it runs. Both return plain values and a list of problems, each of
-which says what to do.
+``examine`` needs no device: it looks at ports, USB devices, permissions, latency timers, bundles and limits. ``greet``
+opens one port and asks the device for its name, its configuration and how fast it answers. Both return plain values,
+a verdict, and a list of problems with their fixes.
 """
 
 import os
@@ -30,11 +30,14 @@ SLOW_ANSWER_MS: Final = 5.0
 ADAPTERS: Final = Path("/sys/bus/usb-serial/devices")
 """Where the kernel shows the latency timers of serial adapters."""
 
+UART_TYPES: Final = Path("/sys/class/tty")
+"""Where the kernel shows the type of a port's UART; 0 is a port without hardware behind it."""
+
 SYSTEM_RULES: Final = (Path("/etc/udev/rules.d"), Path("/usr/lib/udev/rules.d"), Path("/lib/udev/rules.d"))
 
 
 def examine() -> dict[str, Any]:
-    """Return ports, USB devices, bundles, running runtimes, limits and problems as plain values."""
+    """Return a verdict, ports, USB devices, bundles, running runtimes, limits and problems as plain values."""
     problems: list[str] = []
     ports = [_port(info, problems) for info in sorted(serial_ports())]
     usb = _usb(problems)
@@ -44,11 +47,8 @@ def examine() -> dict[str, Any]:
     except SkinError as error:
         folder = "unusable"
         problems.append(str(error))
-    if not ports and not usb:
-        problems.append(
-            "no port and no USB device of a skin: plug the skin in, or start a virtual one: 'eitskin virtual-skin'"
-        )
     return {
+        "verdict": _verdict(ports, usb),
         "ports": ports,
         "usb": usb,
         "bundles": bundles,
@@ -59,8 +59,22 @@ def examine() -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _verdict(ports: list[dict[str, Any]], usb: list[dict[str, Any]]) -> str:
+    """Return whether there is a skin that this user can open, in a sentence or two."""
+    plugged = [one for one in (*ports, *usb) if one["id"]]
+    ready = [str(one["port"]) for one in plugged if not one["state"].startswith("no permission")]
+    if ready:
+        number = "one USB device" if len(ready) == 1 else f"{len(ready)} USB devices"
+        return f"Ready: {number}, {', '.join(ready)}. Test it: eitskin doctor --port {ready[0]}"
+    if plugged:
+        return f"Not ready: no permission to open {plugged[0]['port'] or plugged[0]['node']}. The fix is below."
+    built_in = next((str(one["port"]) for one in ports if one["state"] == "built-in UART"), None)
+    wired = f" Is it wired to {built_in}? Then test it: eitskin doctor --port {built_in}" if built_in else ""
+    return f"No skin found. Plug it in, or start a virtual one: eitskin virtual-skin.{wired}"
+
+
 def greet(port: str, baud: int = DEFAULT_BAUD) -> dict[str, Any]:
-    """Return what the device on a port says about itself, how its line is, and what is wrong with either.
+    """Return what the device on a port reports, the state of its line, and what is wrong with either.
 
     Args:
         port: A serial port's path, or ``usb:SERIAL``.
@@ -90,6 +104,7 @@ def greet(port: str, baud: int = DEFAULT_BAUD) -> dict[str, Any]:
             "flags": [flag.name for flag in HelloFlag if hello.flags & flag],
             "line": transport.report(),
             "answer_ms": answer_ms,
+            "verdict": f"Ready: skin {hello.serial_number} answers on {port}.",
             "problems": _device_problems(port, hello, answer_ms),
         }
     finally:
@@ -99,27 +114,31 @@ def greet(port: str, baud: int = DEFAULT_BAUD) -> dict[str, Any]:
 def _device_problems(port: str, hello: Hello, answer_ms: float | None) -> list[str]:
     found = []
     if hello.flags & HelloFlag.FACTORY:
-        found.append(f"no configuration is stored, the built-in one runs: 'eitskin flash write paper --port {port}'")
+        found.append(f"it runs its built-in configuration; store one: 'eitskin flash write paper --port {port}'")
     if hello.flags & HelloFlag.TRIAL:
-        found.append("the configuration is on trial and goes back within 30 s: let 'eitskin flash write' finish")
+        found.append("its configuration is on trial and rolls back within 30 s: let 'eitskin flash write' finish")
     if hello.flags & HelloFlag.ROLLED_BACK:
         found.append(
-            f"the last flashed configuration was never confirmed and was given up: flash it again, --port {port}"
+            "it rolled back the last flashed configuration, which was never confirmed: flash it again with --port "
+            f"{port}"
         )
     if hello.flags & HelloFlag.STREAMING:
-        found.append("it streams to nobody: a program ended without stopping it; 'eitskin run' starts it anew")
+        found.append("it still streams for a program that ended without stopping it: 'eitskin run' restarts it")
     if answer_ms is not None and answer_ms > SLOW_ANSWER_MS:
         found.append(
-            f"it answers after {answer_ms:g} ms at best, expected at most {SLOW_ANSWER_MS:g}: a latency timer (see the "
-            "port above), a hub, or a busy machine"
+            f"it takes at least {answer_ms:g} ms to answer, expected at most {SLOW_ANSWER_MS:g}: look for a latency "
+            "timer (see the port above), a hub, or a busy machine"
         )
     return found
 
 
 def _port(info: Any, problems: list[str]) -> dict[str, Any]:
     usb = f"{info.vid:04x}:{info.pid:04x} {info.serial_number or ''}".strip() if info.vid is not None else ""
-    state = "usable"
-    if not os.access(info.device, os.R_OK | os.W_OK):
+    state = "usable" if usb else "built-in UART"
+    kind = UART_TYPES / Path(info.device).name / "type"
+    if not usb and kind.exists() and kind.read_text(encoding="ascii").strip() == "0":
+        state = "no hardware"
+    elif not os.access(info.device, os.R_OK | os.W_OK):
         state = "no permission"
         problems.append(f"{info.device}: run 'sudo usermod -aG dialout $USER', then log in again")
     timer = ADAPTERS / Path(info.device).name / "latency_timer"
@@ -153,7 +172,7 @@ def _usb(problems: list[str]) -> list[dict[str, Any]]:
             )
         elif not one.serial_number:
             state = "no serial number"
-            problems.append(f"{one.node}: the device tells no serial number, so that two of them cannot be told apart")
+            problems.append(f"{one.node}: the device has no serial number, so two of them cannot be told apart")
         listed.append(
             {"port": one.port, "node": one.node, "id": f"{usb_port.VENDOR_ID:04x}:{usb_port.PRODUCT_ID:04x}",
              "serial_number": one.serial_number, "state": state, "udev_rule": rule}
@@ -162,10 +181,10 @@ def _usb(problems: list[str]) -> list[dict[str, Any]]:
 
 
 def _shipped() -> list[tuple[str, Path]]:
-    """Labels and places of the shipped bundles: those of every installation, and those that there are besides."""
+    """Labels and places of the shipped bundles: those of every installation, then those for lowering touches."""
     always = [(labels, default_path(labels)) for labels in LABELS]
-    besides = [(labels, default_path(labels, "lower")) for labels in LABELS]
-    return [*always, *((labels, path) for labels, path in besides if path.exists())]
+    lowering = [(labels, default_path(labels, "lower")) for labels in LABELS]
+    return [*always, *((labels, path) for labels, path in lowering if path.exists())]
 
 
 def _bundle(labels: str, path: Path, problems: list[str]) -> dict[str, Any]:

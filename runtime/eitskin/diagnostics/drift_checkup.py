@@ -50,8 +50,8 @@ def drift_since(voltages_V: Array, reference: Reference) -> dict[str, Any]:
     usable = np.isfinite(ratio) & (ratio > 0.0) & ~loud
     if usable.sum() < FEWEST_ROWS:
         raise BadReference(
-            f"{int(usable.sum())} of {N_ROWS} rows can be held against the reference, expected {FEWEST_ROWS}: look at "
-            "the electrodes ('eitskin doctor --electrodes'), or capture a new reference"
+            f"only {int(usable.sum())} of {N_ROWS} rows can be compared with the reference, expected {FEWEST_ROWS}: "
+            "check the electrodes ('eitskin doctor --electrodes'), or capture a new reference"
         )
     change = np.log(ratio[usable])
     drives = TABLE[usable, 0]
@@ -73,19 +73,21 @@ def drift_since(voltages_V: Array, reference: Reference) -> dict[str, Any]:
 def _advice(percent: float, sd_percent: float, uneven_percent: float) -> str:
     if uneven_percent > max(UNEVEN_PERCENT, abs(percent)):
         return (
-            "it is touched, bent, or drifted unevenly: lay it flat and free and look again; if that stays, capture a "
-            "new reference with 'eitskin reference'"
+            "the sheet is touched, bent, or has drifted unevenly: lay it flat, take your hands off and run this "
+            "again; if nothing changes, capture a new reference with 'eitskin reference'"
         )
     if abs(percent) <= max(LITTLE_PERCENT, 2.0 * sd_percent):
         return "nothing to do"
     if abs(percent) <= MUCH_PERCENT:
-        return "the runtime takes it out; capture a new reference when the sheet is flat and free anyway"
-    return "capture a new reference with 'eitskin reference', flat and free"
+        return "the runtime corrects for it; capture a new reference when the sheet lies flat and untouched"
+    return "capture a new reference with 'eitskin reference' while the sheet lies flat and untouched"
 
 
-def line(found: dict[str, Any]) -> str:
-    """Return what people read of :func:`drift_since`."""
-    return (
+def lines(found: dict[str, Any]) -> list[str]:
+    """Return what people read of :func:`drift_since`: the verdict, then the figures."""
+    to_do: str = found["to_do"]
+    return [
+        f"{to_do[0].upper()}{to_do[1:]}.",
         f"drift {found['percent']:+.2f} % since the reference of {found['reference_utc']}, standard deviation "
-        f"{found['sd_percent']:.2f} %, uneven {found['uneven_percent']:.2f} %: {found['to_do']}"
-    )
+        f"{found['sd_percent']:.2f} %, uneven {found['uneven_percent']:.2f} %",
+    ]

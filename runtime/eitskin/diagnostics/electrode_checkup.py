@@ -1,9 +1,9 @@
-"""All sixteen electrodes, each with its state, the evidence and what to do: from a few seconds of frames.
+"""Checks all sixteen electrodes in a few seconds of frames: state, evidence and advice for each.
 
-Frames are held against a captured reference where there is one. Without one the forward model's flat sheet stands in,
-scaled to the device's current, so that an electrode that had failed before any reference was taken is found as well;
-a real sheet is then a few percent off in every row, and is allowed to be. Where a device scans all 208 rows, each row
-and its reciprocal must agree, which no touch and no deformation can break.
+Frames are compared with a captured reference if there is one, else with the forward model's flat sheet, scaled to the
+device's current. The model also finds an electrode that failed before any reference was captured; it allows a real
+sheet to be a few percent off in every row. If a device scans all 208 rows, each row and its reciprocal must agree; no
+touch and no deformation breaks that.
 """
 
 import time
@@ -35,19 +35,20 @@ MODEL_SPREAD: Final = 0.02
 """How far a real sheet may be from the forward model in a row, relative, where it stands in for a reference."""
 
 UNKNOWN: Final = "unknown"
-"""State of an electrode of which a front end that hangs says nothing."""
+"""State of every electrode while the front end hangs."""
+
 LARGEST_RECORDING: Final = 256 << 20
 """Bytes of a recording: 27 minutes at 200 frames/s."""
 
 ADVICE: Final[dict[str, str]] = {
     WELL: "nothing to do",
-    "detached": "look at its wire and its contact: wet or replace the hydrogel, press the contact on, solder the wire",
+    "detached": "check its wire and its contact: wet or replace the hydrogel, press the contact on, solder the wire",
     "shorted": "look for a bridge between the two: water, hydrogel, solder, a pinched cable",
-    "swapped": "exchange the two wires at the plug; until then their rows are rearranged",
+    "swapped": "exchange the two wires at the plug; until then the runtime swaps their rows back",
     "noisy": "its contact comes and goes: fix the wire so that it does not move, renew the hydrogel",
-    "excluded": "it was left out by hand",
-    UNKNOWN: "first the front end, see below: power the device off and on, look at its supply and its plug",
-    NOT_RECIPROCAL: "it reads differently than it drives: look at its wire, its contact and the front end's switch",
+    "excluded": "you excluded it",
+    UNKNOWN: "fix the front end first, see below",
+    NOT_RECIPROCAL: "it measures differently than it drives: check its wire, its contact and the front end's switch",
 }
 """What to do about each state."""
 
@@ -61,7 +62,7 @@ class Recording:
     gap: Array | None
     """(104,) median relative difference of each row and its reciprocal; None where 104 rows are scanned."""
     step_V: float | None = None
-    """Of one count; None of a file, which does not tell."""
+    """Of one count; None if the file does not state it."""
 
 
 def record(port: str, seconds: float, baud: int = DEFAULT_BAUD) -> Recording:
@@ -95,7 +96,10 @@ def record(port: str, seconds: float, baud: int = DEFAULT_BAUD) -> Recording:
     finally:
         transport.close()
     if len(volts) < WINDOW:
-        raise BadReference(f"{len(volts)} whole frames came in {seconds:g} s; expected at least {WINDOW}")
+        raise BadReference(
+            f"found {len(volts)} whole frames in {seconds:g} s, expected at least {WINDOW}: raise --seconds, or check "
+            "the cable"
+        )
     return Recording(np.array(volts), np.median(gaps, axis=0) if gaps else None, device.hello.volts_per_count)
 
 
@@ -130,7 +134,7 @@ def check_up(recording: Recording, consistency: Consistency, reference: Referenc
     Args:
         recording: Frames of a sheet in any shape, touched or not.
         consistency: Of a bundle.
-        reference: What the frames are held against; None takes the forward model's flat sheet.
+        reference: What the frames are compared with; None takes the forward model's flat sheet.
     """
     volts, spread = _against(recording, consistency, reference)
     watch = ElectrodeWatch(consistency, volts, spread)
@@ -168,7 +172,7 @@ def check_up(recording: Recording, consistency: Consistency, reference: Referenc
 
 
 def _against(recording: Recording, consistency: Consistency, reference: Reference | None) -> tuple[Array, Array]:
-    """Return (104,) V and its spread that frames are held against."""
+    """Return (104,) V and its spread that frames are compared with."""
     if reference is not None:
         flat = reference.flat()
         return flat.voltages_V, flat.spread_V
@@ -179,18 +183,31 @@ def _against(recording: Recording, consistency: Consistency, reference: Referenc
 
 
 def lines(found: dict[str, Any]) -> list[str]:
-    """Return what people read of :func:`check_up`, a line each."""
-    shown = [f"electrodes: {found['frames']} frames against the {found['against']}"]
+    """Return what people read of :func:`check_up`: the verdict, then a line for each electrode."""
+    shown = [_verdict(found), f"{found['frames']} frames, compared with the {found['against']}"]
     for one in found["electrodes"]:
         partner = "" if one["partner"] is None else f" with {one['partner']}"
         gap = "" if one["reciprocity_gap"] is None else f"  reciprocity {one['reciprocity_gap']:.2%}"
         shown.append(
-            f"electrode {one['electrode']:2d}  {one['state']}{partner}  surprise {one['surprise']:g} of "
+            f"electrode {one['electrode']:2d}  {_in_words(one['state'])}{partner}  surprise {one['surprise']:g} of "
             f"{found['surprise_limit']:g}  pair at {one['pair_ratio']:.0%}  jumps {one['jumping']:.0%}{gap}  "
             f"{one['to_do']}"
         )
     shown += [f"front end: {fault}" for fault in found["front_end"]]
-    if found["unclear"]:
-        shown.append("electrodes: the rows fit no sheet and no single failure; check the plug, then every wire")
-    assert len(found["electrodes"]) == N_ELECTRODES
     return shown
+
+
+def _verdict(found: dict[str, Any]) -> str:
+    """Return which electrodes need work, in a sentence."""
+    if found["front_end"]:
+        return "The front end fails, so no electrode can be judged: power the device off and on, check supply and plug."
+    if found["unclear"]:
+        return "The rows fit neither a sheet nor any single failure: check the plug, then every wire."
+    bad = [f"{one['electrode']} {one['state']}" for one in found["electrodes"] if one["state"] != WELL]
+    if not bad:
+        return f"All {N_ELECTRODES} electrodes work."
+    return f"{len(bad)} of {N_ELECTRODES} electrodes {'needs' if len(bad) == 1 else 'need'} work: {', '.join(bad)}."
+
+
+def _in_words(state: str) -> str:
+    return "works" if state == WELL else state

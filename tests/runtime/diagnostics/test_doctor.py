@@ -14,10 +14,11 @@ from eitskin.messaging.publish import Publisher
 @pytest.fixture
 def machine(monkeypatch, tmp_path):
     """Return a machine with nothing plugged in; a test adds to its lists."""
-    made = SimpleNamespace(ports=[], usb=[], denied=set(), adapters=tmp_path / "adapters")
+    made = SimpleNamespace(ports=[], usb=[], denied=set(), adapters=tmp_path / "adapters", uarts=tmp_path / "tty")
     monkeypatch.setattr("eitskin.acquisition.ports.list_ports.comports", lambda: made.ports)
     monkeypatch.setattr(usb_port, "devices", lambda: made.usb)
     monkeypatch.setattr(doctor, "ADAPTERS", made.adapters)
+    monkeypatch.setattr(doctor, "UART_TYPES", made.uarts)
     monkeypatch.setattr(doctor, "SYSTEM_RULES", (tmp_path / "rules.d",))
     monkeypatch.setattr(doctor.os, "access", lambda path, mode: path not in made.denied)
     return made
@@ -40,7 +41,24 @@ def todo(found, word):
 def test_a_machine_without_any_skin_is_told_to_plug_one_in_or_start_a_virtual_one(machine):
     found = doctor.examine()
     assert (found["ports"], found["usb"]) == ([], [])
-    assert todo(found, "eitskin virtual-skin")
+    assert found["verdict"].startswith("No skin found.")
+    assert "eitskin virtual-skin" in found["verdict"]
+
+
+def test_a_port_without_hardware_is_not_called_usable_and_a_usb_port_is_ready(machine):
+    no_usb = {"description": "n/a", "vid": None, "pid": None, "serial_number": None}
+    machine.ports = [serial("ttyS0", **no_usb), serial("ttyS1", **no_usb)]
+    for name, kind in (("ttyS0", "0"), ("ttyS1", "4")):
+        (machine.uarts / name).mkdir(parents=True)
+        (machine.uarts / name / "type").write_text(f"{kind}\n")
+    found = doctor.examine()
+    assert [one["state"] for one in found["ports"]] == ["no hardware", "built-in UART"]
+    assert found["verdict"].startswith("No skin found.")
+    assert "eitskin doctor --port /dev/ttyS1" in found["verdict"]
+    machine.ports.append(serial("ttyACM0"))
+    assert doctor.examine()["verdict"].startswith("Ready: one USB device, /dev/ttyACM0.")
+    machine.denied = {"/dev/ttyACM0"}
+    assert doctor.examine()["verdict"].startswith("Not ready: no permission to open /dev/ttyACM0.")
 
 
 def test_a_runtime_that_publishes_by_default_is_listed(machine, monkeypatch, tmp_path):
@@ -80,7 +98,7 @@ def test_usb_devices_are_listed_and_missing_permissions_name_the_rule(machine):
         ("usb:", "no permission"),
     ]
     assert todo(found, "/dev/bus/usb/001/005: run sudo cp")
-    assert not todo(found, "eitskin virtual-skin")
+    assert found["verdict"].startswith("Ready: one USB device, usb:SKIN-1.")
 
 
 def test_a_machine_without_libusb_is_told_what_to_install(machine, monkeypatch):

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from eitskin.diagnostics.drift_checkup import drift_since, line
+from eitskin.diagnostics.drift_checkup import drift_since, lines
 from eitskin.errors import BadReference
 from eitskin.reference.captured import Reference, save
 
@@ -26,14 +26,14 @@ def frames(factor, uneven=0.0, seed=0, count=100):
 
 @pytest.mark.parametrize(
     ("factor", "said"),
-    [(1.0, "nothing to do"), (1.03, "the runtime takes it out"), (0.85, "capture a new reference with")],
+    [(1.0, "nothing to do"), (1.03, "the runtime corrects for it"), (0.85, "capture a new reference with")],
 )
 def test_a_common_drift_is_told_in_percent_with_its_standard_deviation(factor, said):
     found = drift_since(frames(factor), reference())
     assert abs(found["percent"] - 100.0 * (factor - 1.0)) < 4.0 * found["sd_percent"] + 0.01
     assert found["sd_percent"] < 0.05
     assert found["to_do"].startswith(said)
-    assert f"{found['percent']:+.2f} % since the reference of 2026-11-01" in line(found)
+    assert f"{found['percent']:+.2f} % since the reference of 2026-11-01" in lines(found)[1]
 
 
 def test_the_standard_deviation_is_that_of_many_looks():
@@ -47,13 +47,13 @@ def test_the_standard_deviation_is_that_of_many_looks():
 def test_a_touch_is_not_called_drift():
     found = drift_since(frames(1.0, uneven=0.03), reference())
     assert found["uneven_percent"] == pytest.approx(2.1, abs=0.2)
-    assert found["to_do"].startswith("it is touched, bent, or drifted unevenly")
+    assert found["to_do"].startswith("the sheet is touched, bent, or has drifted unevenly")
 
 
 def test_rows_that_tell_nothing_are_an_error_if_they_are_many():
     volts = frames(1.0)
     volts[:, :60] = 0.0
-    with pytest.raises(BadReference, match="44 of 104 rows can be held against the reference, expected 52"):
+    with pytest.raises(BadReference, match="44 of 104 rows can be compared with the reference, expected 52"):
         drift_since(volts, reference())
 
 

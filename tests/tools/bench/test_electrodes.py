@@ -84,7 +84,9 @@ def test_doctor_prints_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[
     found = json.loads(capsys.readouterr().out)
     assert found["electrodes"][5]["state"] == "detached"
     assert main(["doctor", "--electrodes", "--recorded", str(path), "--bundle", bundle]) == 0
-    assert "electrode  5  detached" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert shown.startswith("1 of 16 electrodes needs work: 5 detached.")
+    assert "electrode  5  detached" in shown
 
 
 COUNT_V = 1e-9

@@ -1,4 +1,4 @@
-"""``eitskin doctor``: what is there, what is wrong with it, and what to do about it."""
+"""``eitskin doctor``: lists ports, bundles and limits, and says how to fix each problem."""
 
 import argparse
 import json
@@ -35,26 +35,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print what was found and return 0; a port that was named and does not answer is a failure."""
+    """Print the findings and return 0; a named port that does not answer is a failure."""
     if arguments.make_curve_keys is not None:
         return _make_keys(arguments)
     from eitskin.diagnostics import doctor
 
     if arguments.drift and arguments.electrodes:
-        raise UsageError("--drift and --electrodes look at different things; one at a time")
+        raise UsageError("use either --drift or --electrodes, not both at once")
     if arguments.electrodes:
         return _electrodes(arguments)
     if arguments.drift:
         return _drift(arguments)
     for name in ("recorded", "reference", "bundle"):
         if getattr(arguments, name) is not None:
-            raise UsageError(f"{flag(name)} does nothing alone: say --electrodes or --drift, what to look for")
+            raise UsageError(f"{flag(name)} needs --electrodes or --drift beside it")
     found = doctor.examine()
     if arguments.port:
         from eitskin.acquisition.serial_port import DEFAULT_BAUD
 
         baud = arguments.baud or DEFAULT_BAUD
         device = doctor.greet(arguments.port, baud)
+        found["verdict"] = device.pop("verdict")
         found["problems"] += device.pop("problems")
         found["device"] = device
         found["configuration"] = _configuration(arguments.port, baud)
@@ -77,7 +78,7 @@ def _electrodes(arguments: argparse.Namespace) -> int:
     bundle = load_bundle(arguments.bundle)
     arrays = bundle.consistency_arrays()
     if arrays is None:
-        raise BundleError(f"{bundle.path}: telling failed electrodes is {MISSING}")
+        raise BundleError(f"{bundle.path}: finding failed electrodes is {MISSING}")
     reference = None if arguments.reference is None else load(arguments.reference, bundle.skin)
     recording, own = _frames_and_reference(arguments, bundle)
     found = electrode_checkup.check_up(recording, Consistency.of(arrays), reference or own)
@@ -100,19 +101,20 @@ def _drift(arguments: argparse.Namespace) -> int:
     if arguments.reference is not None:
         reference = load(arguments.reference, load_bundle(arguments.bundle, lazily=True).skin)
     if reference is None and (arguments.recorded is None or arguments.recorded.suffix != ".mcap"):
-        raise UsageError("--drift needs --reference FILE, which 'eitskin reference' captured before")
+        raise UsageError("--drift needs --reference FILE, a reference captured earlier with 'eitskin reference'")
     recording, own = _frames_and_reference(arguments)
     found = drift_checkup.drift_since(recording.voltages, reference or own)
     if arguments.json:
         print(json.dumps(found))
     else:
-        say(drift_checkup.line(found))
+        for line in drift_checkup.lines(found):
+            say(line)
     return 0
 
 
 def _check_source(arguments: argparse.Namespace, what: str) -> None:
     if (arguments.port is None) == (arguments.recorded is None):
-        raise UsageError(f"{what} needs --port PORT or --recorded FILE, and not both")
+        raise UsageError(f"{what} needs either --port PORT or --recorded FILE")
 
 
 def _frames_and_reference(arguments: argparse.Namespace, bundle: Any = None) -> tuple[Any, Any]:
@@ -152,7 +154,7 @@ def _of_recording(arguments: argparse.Namespace, bundle: Any = None) -> tuple[An
     found = table_of(script, begin_s)
     if len(found.voltages_V) < WINDOW:
         raise BadReference(
-            f"{script.path}: {len(found.voltages_V)} frames to look at, expected {WINDOW}; see --seconds"
+            f"{script.path}: found {len(found.voltages_V)} frames, expected at least {WINDOW}; raise --seconds"
         )
     held = [step.reference for step in script.steps(begin_s) if step.reference is not None]
     reference = reference_of(script, held[-1] if held else script.reference())
@@ -187,6 +189,7 @@ def _make_keys(arguments: argparse.Namespace) -> int:
 def _print(found: dict[str, Any]) -> None:
     from eitskin_proto.wire.config_toml import in_file
 
+    say(found["verdict"])
     for port in found["ports"]:
         say(f"port     {port['port']}  {port['description']}  {port['id']}  {port['state']}")
     for device in found["usb"]:
