@@ -70,6 +70,9 @@ COMMANDS: Final[dict[str, Command]] = {
     "reinfer": Command(
         RECORDINGS, "compute the maps of a recording again", "reinfer session.mcap --bundle press --json"
     ),
+    "plot": Command(
+        RECORDINGS, "draw the maps, touches and drift of a recording", "plot session.mcap --out session.png"
+    ),
     "convert": Command(
         RECORDINGS, "convert a recording to NPZ, Parquet or rosbag2", "convert session.mcap --out session.npz"
     ),

@@ -249,6 +249,24 @@ def _wrapped(lines: list[str], width: int) -> list[str]:
     return [part for line in lines for part in textwrap.wrap(line, max(width, 8)) or [""]]
 
 
+def draw_map(
+    axes: Any, values: npt.NDArray[np.floating], title: str, size_mm: tuple[float, float] | None = None
+) -> Any:
+    """Draw a map on axes of matplotlib and return the image.
+
+    Args:
+        axes: The axes; they get no frame.
+        values: (rows, columns), 0 to 1; row 0 is at the bottom.
+        title: Above the map.
+        size_mm: Length and width of the sheet, for marks in mm; None for marks in pixels.
+    """
+    extent = None if size_mm is None else (0.0, size_mm[0], 0.0, size_mm[1])
+    image = axes.imshow(values, origin="lower", vmin=0.0, vmax=1.0, cmap="viridis", extent=extent)
+    axes.set_title(title, fontsize=7)
+    axes.set_axis_off()
+    return image
+
+
 def save(figure: Any, path: str | Path, dpi: float = 100.0) -> None:
     """Write a figure of matplotlib; a name without an end becomes a PNG.
 

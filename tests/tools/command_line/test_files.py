@@ -111,6 +111,7 @@ WRITING = {
     "record": ["record", "--out"],
     "reinfer --out": ["reinfer", ABSENT, "--out"],
     "reinfer --plot": ["reinfer", ABSENT, "--plot"],
+    "plot": ["plot", ABSENT, "--out"],
     "convert": ["convert", ABSENT, "--format", "npz", "--out"],
     "calibrate": ["calibrate", ABSENT, "--out"],
     "calibrate --guided": ["calibrate", "--guided", "--port", "/dev/null", "--out", ABSENT],
@@ -192,7 +193,8 @@ def test_a_target_that_is_no_folder_is_named_before_any_work(command, node, tmp_
 
 
 NAMING = (
-    "run --port x", "demo", "reference --port x", "replay x", "reinfer x", "view x", "doctor", "evaluate --untouched",
+    "run --port x", "demo", "reference --port x", "replay x", "reinfer x", "plot x --out y.png", "view x",
+    "doctor", "evaluate --untouched",
     "bench frame", "bench stability",
 )  # fmt: skip
 """Commands with ``--bundle``."""

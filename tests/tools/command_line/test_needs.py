@@ -65,6 +65,10 @@ def without(monkeypatch):
         ),
         (["view", "day.mcap"], "view day.mcap needs mcap, zstandard: pip install 'eitskin[record]'"),
         (["record", "--out", "day.mcap"], "record needs mcap, zstandard: pip install 'eitskin[record]'"),
+        (
+            ["plot", "day.mcap", "--out", "day.png"],
+            "plot needs mcap, zstandard, matplotlib: pip install 'eitskin[plot,record]'",
+        ),
         (["demo"], "eitskin demo: demo needs scipy: pip install 'eitskin[sim]'"),
     ],
 )

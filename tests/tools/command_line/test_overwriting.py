@@ -12,6 +12,7 @@ MINE = "mine"
 OVER = {
     "reinfer --out": ["reinfer", MINE, "--out", MINE],
     "reinfer --plot": ["reinfer", MINE, "--plot", MINE],
+    "plot": ["plot", MINE, "--out", MINE],
     "convert": ["convert", MINE, "--format", "npz", "--out", MINE],
     "surface": ["surface", MINE, "--out", MINE],
     "simulate": ["simulate", MINE, "--out", MINE],

@@ -31,6 +31,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "record": RECORDINGS,
     "replay": RECORDINGS,
     "reinfer": RECORDINGS,
+    "plot": (*RECORDINGS, "matplotlib"),
     "convert": RECORDINGS,
     "adapt-skin": ("scipy", "torch", "onnx", "onnxscript"),
     "build": ("scipy", "torch", "onnx", "onnxscript"),

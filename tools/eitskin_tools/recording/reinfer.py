@@ -38,7 +38,7 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
 from eitskin_tools.command_line import needs
-from eitskin_tools.pictures import save
+from eitskin_tools.pictures import draw_map, save
 from eitskin_tools.recording.codec import digest_of, unpack_json
 from eitskin_tools.recording.layout import FRAME, RecordingError
 from eitskin_tools.recording.script import Script, SeekableRecording, Step, bundle_of, reference_of
@@ -692,9 +692,7 @@ def draw(path: Path, found: Reinferred, most: int) -> None:
     grid = figure.subplots(len(rows), len(chosen), squeeze=False)
     for axes_of_row, (title, kept) in zip(grid, rows, strict=True):
         for axes, index in zip(axes_of_row, chosen, strict=True):
-            axes.imshow(kept.maps[index], origin="lower", vmin=0.0, vmax=1.0, cmap="viridis")
-            axes.set_title(f"{title}, frame {kept.sequence[index]}", fontsize=7)
-            axes.set_axis_off()
+            draw_map(axes, kept.maps[index], f"{title}, frame {kept.sequence[index]}")
     save(figure, path, dpi=120)
 
 

@@ -1,39 +1,28 @@
 """A recording in parts of a second, each made when a page asks for it: surfaces and frames as a live page gets them.
 
-Maps are computed from what was measured, by the runtime's own pipeline, so a
-recording without maps is looked at as well as one with them, and with another bundle too. Where only noise had changed,
-and the frame whose map stood lies before the part, its own map is computed. Touches are found anew; their numbers go on
-from part to part while a page plays on, and begin anew where it jumped.
+The numbers of touches go on from part to part while a page plays on, and begin anew where it jumped.
 """
 
 import math
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, Self
 
-import numpy as np
-import numpy.typing as npt
-
 from eitskin.errors import FrameError
 from eitskin.frame_record import STAGES
-from eitskin.messaging.frame import COUNTS, MAX_TEXT, MAX_TEXTS, Frame
+from eitskin.messaging.frame import COUNTS
 from eitskin.messaging.streams.measured import WireFrame
-from eitskin.model.bundle import Bundle
-from eitskin.model.engine import default_solver
 from eitskin.robot.pose import Pose
-from eitskin.touches.surface import Surface
-from eitskin.touches.touch import LAYOUT, unpack_touches
 from eitskin.touches.watch import TouchWatch
 from eitskin_proto.errors import SkinError
 from eitskin_tools.recording.codec import unpack_json
+from eitskin_tools.recording.frames import RecordedFrames, count, number, texts
 from eitskin_tools.recording.layout import FRAME, WIRE, RecordingError
 from eitskin_tools.recording.reader import Entry, Recording
-from eitskin_tools.recording.reinfer import NO_SOLVER, ComputedFrame, Rerun
-from eitskin_tools.recording.script import SeekableRecording, Step, bundle_of
+from eitskin_tools.recording.script import SeekableRecording, bundle_of
 from eitskin_tools.view.messages import frame_message, packed, skin_message, status_message, surface_message
 from eitskin_tools.view.server import PageServer
 
@@ -61,9 +50,9 @@ class Film:
 
     def __init__(self, path: Path, bundle: Path | None = None) -> None:
         self._moments = SeekableRecording(path)
-        self._bundle: Bundle = bundle_of(self._moments, bundle)
-        self._rerun = Rerun(self._moments, self._bundle)
-        self.path, self.skin = path, self._bundle.skin
+        found = bundle_of(self._moments, bundle)
+        self._frames = RecordedFrames(self._moments, found)
+        self.path, self.skin = path, found.skin
         self.seconds = self._moments.seconds
         self.ending = self._moments.ending.removeprefix("; ")
         """What is wrong with the file, in words; "" if nothing is."""
@@ -73,10 +62,7 @@ class Film:
         self._lock = threading.Lock()
         self._made: OrderedDict[int, bytes] = OrderedDict()
         self._watches: OrderedDict[int, TouchWatch] = OrderedDict()
-        self._flat = Surface(self.skin.grid.flat_cloud_mm(), self.skin.grid)
-        self._nothing = np.zeros(self.skin.grid.shape, dtype=np.float32)
-        self._solver, self._run = default_solver(self._bundle), self._moments.head_text("run")
-        self._blank = blank(self._moments, self._nothing)
+        self._run = self._moments.head_text("run")
 
     def part(self, number: int) -> bytes:
         """Return the messages of a part, one behind the other.
@@ -97,116 +83,17 @@ class Film:
             return self._made[number]
 
     def _make(self, number: int) -> bytes:
-        span = self._moments.span(number * PART_S, (number + 1) * PART_S)
         watch = self._watches.pop(number - 1, None) or TouchWatch(self.skin.grid)
         messages: list[bytes] = []
-        surface, cloud = self._flat, 0
-        kept, shown = self._nothing, -1
-        for step in map(self._with_map, span.steps):
-            frame = step.frame
-            if step.cloud is not None:
-                cloud, surface = step.cloud.revision, Surface(step.cloud.cloud, self.skin.grid)
-                messages.append(surface_message(cloud, step.cloud.cloud, self._run, 0, Pose()))
-            stands = self._rerun.as_recorded and frame.map_seq == shown
-            found = self._rerun.compute(step, every=not stands)
-            if found is None or frame.seq is None:
-                continue
-            has_map = found.touched and found.solver != NO_SOLVER
-            if has_map and not stands:  # it stays while frames go out without one: a later one may have it
-                kept, shown = found.map, frame.seq if frame.map_seq is None else frame.map_seq
-            values = kept if has_map else self._nothing
-            listed = watch.update(
-                values.ravel().astype(float) if has_map else None, shown, surface, frame.device_us or 0
-            )
-            touches = unpack_touches(listed[0], LAYOUT.size, *listed[1:])
-            note = span.notes.get(-1 if frame.frame is None else frame.frame, {})
-            told = published(step, note, found, self.first_ns)
-            messages.append(
-                frame_message(replace(self._blank, **told, map=values, cloud=cloud, touch_list=touches), 0, Pose())
-            )
+        for cloud, frame in self._frames.part(number * PART_S, (number + 1) * PART_S, watch):
+            if cloud is not None:
+                messages.append(surface_message(cloud.revision, cloud.cloud, self._run, 0, Pose()))
+            if frame is not None:
+                messages.append(frame_message(frame, 0, Pose()))
         self._watches[number] = watch
         while len(self._watches) > MAX_WATCHES:
             self._watches.popitem(last=False)
         return b"".join(messages)
-
-    def _with_map(self, step: Step) -> Step:
-        """Return a frame as it would be had somebody asked for its map: a recorder alone need not."""
-        frame = step.frame
-        if not frame.touched or frame.solver != NO_SOLVER:
-            return step
-        return replace(step, frame=replace(frame, solver=self._solver, map_seq=frame.seq))
-
-
-MAX_NUMBER: Final = 10**300
-"""Of a number: a whole one may be larger than any that a page understands."""
-
-MAX_COUNT: Final = 1 << 53
-"""Of a count that a page understands."""
-
-
-def blank(told: SeekableRecording, nothing: npt.NDArray[np.float32]) -> Frame:
-    """Return a frame of which only that is known which all of a recording have.
-
-    Args:
-        told: The recording.
-        nothing: The map of an untouched sheet.
-    """
-    return Frame(
-        map=nothing, touched=False, sequence=0, number=0, device_us=0, host_ns=dict.fromkeys(STAGES, 0), received_ns=0,
-        age_us=0, solver="none", skipped=(), events=(), electrodes=(), drift_percent=None, drift_sd_percent=None,
-        drift_uneven_percent=None, gate_logit=0.0, cloud=0, weak_rows=0, map_sequence=0, regions=(),
-        counts=dict.fromkeys(COUNTS, 0), configuration=told.head_text("configuration"), bundle=told.head_text("bundle"),
-        serial_number=told.head_text("serial"), run=told.head_text("run"), same_host=True,
-    )  # fmt: skip
-
-
-def published(step: Step, note: Mapping[str, Any], found: ComputedFrame, first_ns: int) -> dict[str, Any]:
-    """Return the fields of a frame.
-
-    Args:
-        step: As it was measured.
-        note: What was noted of it; empty where nothing was.
-        found: As it was computed now.
-        first_ns: Wall clock of the recording's first frame, from which time is counted.
-    """
-    frame = step.frame
-    stamps = note.get("host_ns")
-    stamps = stamps if isinstance(stamps, dict) else {}
-    counts = note.get("counts")
-    counts = counts if isinstance(counts, dict) else {}
-    return {
-        "touched": found.touched,
-        "solver": found.solver,
-        "sequence": frame.seq or 0,
-        "number": frame.n if frame.frame is None else frame.frame,
-        "device_us": frame.device_us or 0,
-        "received_ns": step.log_ns - first_ns,
-        "host_ns": {stage: count(stamps.get(stage)) or frame.read_ns for stage in STAGES},
-        "age_us": count(note.get("age_us")),
-        "skipped": texts(note.get("skipped")),
-        "events": texts(note.get("events")),
-        "electrodes": texts(note.get("electrodes")),
-        "drift_percent": number(note.get("drift")),
-        "drift_sd_percent": number(note.get("drift_sd")),
-        "drift_uneven_percent": number(note.get("drift_uneven")),
-        "counts": {name: count(counts.get(name)) for name in COUNTS},
-    }
-
-
-def count(value: Any) -> int:
-    """Return a count; 0 for what is none."""
-    return value if type(value) is int and 0 <= value <= MAX_COUNT else 0
-
-
-def number(value: Any) -> float | None:
-    """Return a finite number; None for what is none."""
-    return float(value) if isinstance(value, int | float) and abs(value) <= MAX_NUMBER else None
-
-
-def texts(value: Any) -> tuple[str, ...]:
-    """Return short texts; those that are none are left out."""
-    found = value if isinstance(value, list) else []
-    return tuple(text[:MAX_TEXT] for text in found[:MAX_TEXTS] if isinstance(text, str))
 
 
 class FilmServer(PageServer):

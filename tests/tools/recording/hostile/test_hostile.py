@@ -9,12 +9,12 @@ import zstandard
 from mcap.records import Chunk
 
 from eitskin_tools.cli import main
+from eitskin_tools.recording.frames import number
 from eitskin_tools.recording.layout import CHANNELS, FRAME, STATE, WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording, unpacked
 from eitskin_tools.recording.replay import Player, ReplayOptions
 from eitskin_tools.recording.script import Script, SeekableRecording
 from eitskin_tools.recording.writer import Series
-from eitskin_tools.view.film import number
 
 from ..conftest import TINY, Taker
 
