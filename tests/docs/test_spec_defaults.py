@@ -39,7 +39,7 @@ PLACES = [
     f"`eitskin run` publishes at `ipc://FOLDER/{endpoints.FRAMES}` and takes control requests at "
     f"`ipc://FOLDER/{endpoints.CONTROL}`.",
     "FOLDER is `$XDG_RUNTIME_DIR/eitskin`, or `/tmp/eitskin-UID` if that variable names no folder.",
-    "a client needs the runtime's public key (`server.key`) and a secret key of its own, whose public half lies in the "
+    "a client needs the runtime's public key (`server.key`) and a secret key of its own, whose public half is in the "
     "runtime's folder `clients/`",
     'a line `public-key = "KEY"` and, in a secret one, `secret-key = "KEY"`, 40 characters of Z85 each',
 ]
@@ -99,7 +99,7 @@ TOUCHES = [
 ]
 
 STREAMS = [
-    f"within {1e-9 * stream_source.JOIN_NS:g} s after somebody has come, and again every second",
+    f"within {1e-9 * stream_source.JOIN_NS:g} s after a program subscribes, and again every second",
     f"changes of the state at most {1e9 / stream_source.LEAST_NS:g} times a second",
     f"when its subscribers have had {1e3 * frame_loop.GIVE_WAY_S:g} ms to take it",
     f"or until {stream_source.MOST_WAITING} of them wait",

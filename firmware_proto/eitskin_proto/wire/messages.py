@@ -37,7 +37,7 @@ from eitskin_proto.wire.layout import Layout, Packed
 
 @dataclass(frozen=True, slots=True)
 class Hello(Packed):
-    """Who the device is, what it measures, and what a host must know to read its frames."""
+    """The device's identity, what it measures, and how to read its frames."""
 
     LAYOUT: ClassVar = Layout(
         MessageType.HELLO,
@@ -210,7 +210,7 @@ class ConfigRead(Packed):
 
 @dataclass(frozen=True, slots=True)
 class ConfigBegin(Packed):
-    """Takes the lock with a token, says what will come, and erases the inactive slot."""
+    """Takes the lock with a token, announces the configuration, and erases the inactive slot."""
 
     LAYOUT: ClassVar = Layout(
         MessageType.CONFIG_BEGIN,
@@ -319,7 +319,7 @@ class ConfigData(Packed):
 
 @dataclass(frozen=True, slots=True)
 class HelloRequest(Packed):
-    """Asks who is there; the first thing that a host sends."""
+    """Asks the device for HELLO; the first message of a host."""
 
     LAYOUT: ClassVar = Layout(
         MessageType.HELLO_REQUEST,
