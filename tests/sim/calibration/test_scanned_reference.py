@@ -141,7 +141,7 @@ def test_electrodes_and_gain_of_a_sheet_that_never_lay_flat_are_within_their_err
         assert report["misfit"] < report["misfit_limit"]
         assert report["reference_scan"]["unseen_rms"] < 2.0 * report["reference_scan"]["expected_rms"]
         assert unseen.UNSEEN not in report["parameters"]
-        assert "reference: as it was scanned; what the scan does not show moves its rows by" in table(report)
+        assert "scan of the reference: what it does not show changes rows by" in table(report)
         assert twin.grid_id == PAPER.grid_id
         errors[rows] = np.mean(gain["standard_errors"])
     assert errors[N_FULL_ROWS] < 0.5 * errors[N_ROWS], "reciprocity tells the front end whatever the scan leaves open"

@@ -12,7 +12,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.calibration import bends, model, session, solved
 from eitskin_sim.calibration.bends import BendError
 from eitskin_sim.calibration.fit import CalibrationError
-from eitskin_sim.calibration.printed import table
+from eitskin_sim.calibration.printed import table, verdict
 from eitskin_sim.calibration.recording import LaterReading, Recording
 from eitskin_sim.calibration.report import calibrate
 from eitskin_sim.devices.readings import responses_of
@@ -98,7 +98,7 @@ def test_gauge_factor_and_press_are_found_with_their_errors(calibrated):
     assert found["contrast_error"] < 0.15
     assert abs(found["size_mm"][0] - DIAMETER_MM) < 4.0 * found["size_error_mm"]
     assert list(report["moments"]) == ["bent moment 0", "press 0 at (50, 40) mm", "press 1 at (100, 55) mm"]
-    assert "a press: contrast 0.4" in table(report)
+    assert "A press: contrast 0.4" in verdict(report)
     low, high = twin.touches.lowering_contrast
     assert low < CONTRAST < high
     assert twin.layer.gauge_factor.value == pytest.approx(gauge["values"][0])
@@ -115,13 +115,9 @@ def test_the_layer_and_each_press_s_own_strength_and_place_are_shown_with_errors
     assert (
         f"log contrast {one['strength']:.2f} +- {one['strength_error']:.2f} times the stamp's, place off by (" in shown
     )
-    uneven = {"values": [0.1, -0.5], "standard_errors": [0.2, 0.9]}
-    (line,) = (
-        line
-        for line in table({**report, "parameters": {"layer": uneven}}).splitlines()
-        if line.startswith("layer: 2 modes")
-    )
-    assert "-0.5 to 0.1, errors 0.2 to 0.9, before 1" in line
+    uneven = {"values": [0.1, -0.5], "standard_errors": [0.2, 0.9], "prior_errors": [1.0, 1.0], "unit": ""}
+    line = table({**report, "parameters": {"layer": uneven}}).splitlines()[1]
+    assert line.split() == ["layer", "(2)", "-0.5", "to", "0.1", "0.9", "1"]
 
 
 @pytest.mark.slow

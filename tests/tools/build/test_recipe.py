@@ -136,8 +136,8 @@ def test_what_would_fail_hours_later_is_refused_at_once(tmp_path, capsys):
         (tmp_path / "r.toml").write_text(TINY.replace(old, new))
         assert main(["build", str(tmp_path / "r.toml"), "--out", str(tmp_path / "b.eitskin")]) == 1
         out, line = capsys.readouterr()
-        assert (out, line.count("\n")) == ("", 1)
-        assert said in line
+        assert out == ""
+        assert said in line.splitlines()[-1]
         assert not (tmp_path / "b.eitskin.build").exists()
 
 
@@ -183,7 +183,7 @@ def test_the_last_lesson_is_exported_and_not_done_twice(tmp_path):
     run = steps.train_stages(recipe, tmp_path, told.append)
     assert run == tmp_path / "runs" / MISSING_RUN
     assert (run / "gate.npz").exists()
-    assert "learning to go on without electrodes" in told
+    assert "training with electrodes missing" in told
     stamp = (run / "best.pt").stat().st_mtime_ns
     assert steps.train_stages(recipe, tmp_path, told.append) == run
     assert (run / "best.pt").stat().st_mtime_ns == stamp

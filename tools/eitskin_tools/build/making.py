@@ -37,6 +37,46 @@ class Pace:
     """A sample, once through training."""
 
 
+USUAL_PACE: Final = Pace(deformation_s=1.1, sample_s=0.8e-3, trained_s=1.2e-3)
+"""Of one core of an x86-64 CPU, for the network ``free`` and random devices."""
+
+
+def plan_lines(recipe: BuildRecipe, others: dict[str, BuildRecipe], workers: int, hours: float | None) -> list[str]:
+    """Return the steps of a build and about how long each takes on CPU cores of the usual pace.
+
+    Args:
+        recipe: What is asked for.
+        others: Recipes of the additional networks, by name.
+        workers: Processes that make data, and cores that train.
+        hours: Time to scale everything to; None leaves recipes as they are.
+    """
+    lines = [f"building {recipe.name} on {workers} {'core' if workers == 1 else 'cores'}"]
+    if hours is not None:
+        lines[0] += f", scaled to {hours:g} h after a measurement of about a minute"
+    for name, one in {"": recipe, **others}.items():
+        of = f" for {name}" if name else ""
+        samples = {key: data.deformations * data.per_deformation for key, data in one.data.items()}
+        deformations = sum(data.deformations for data in one.data.values())
+        data_s = deformations * USUAL_PACE.deformation_s + sum(samples.values()) * USUAL_PACE.sample_s
+        trained = sum(stage.epochs * sum(samples[key] for key in stage.data or samples) for stage in one.training)
+        epochs = sum(stage.epochs for stage in one.training)
+        took = [_about(data_s / workers), _about(trained * USUAL_PACE.trained_s / workers)]
+        data_took, training_took = (f", {one}" if hours is None else "" for one in took)
+        lines += [
+            f"  simulate {sum(samples.values()):,} samples at {deformations:,} deformations{of}{data_took}",
+            f"  train {epochs} epochs{of}{training_took}{' (minutes on a GPU)' if training_took else ''}",
+        ]
+    lines.append(
+        f"  fit the gate, export, test for the card, {_about(FINAL_STAGES_S if recipe.gate.untouched else 60)}"
+    )
+    return [*lines, "You can stop it at any time: the same command resumes."]
+
+
+def _about(time_s: float) -> str:
+    minutes = max(1, round(time_s / 60))
+    return f"about {minutes} min" if minutes < 90 else f"about {minutes / 60:.0f} h"
+
+
 def measure(recipe: BuildRecipe, workers: int, tell: Tell) -> Pace:
     """Make a thousand samples of a recipe's first data set, train on them, and return the pace.
 
@@ -204,7 +244,7 @@ class Making:
         wanted = half_made.scaled_as_before(recipe, begun)
         if beside is not None:
             steps.share_data(wanted, work, *beside)
-        steps.make_data(wanted, work, self.workers, self.tell)
+        steps.make_data(wanted, work, self.workers, self.tell, self.say)
         trained = steps.train_stages(wanted, work, self.tell, self.say, presses, larger)
         bundle, exported = steps.export_run(wanted, work, trained, self.tell)
         return BuiltBundle(wanted, trained, exported, bundle, str(exported["bundle"]))

@@ -1,6 +1,7 @@
 """The way from a recipe to a bundle, step by step; whatever is there already is not made again."""
 
 import os
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
@@ -12,6 +13,9 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_tools.build.folder import keep, stored
 from eitskin_tools.build.recipe import BuildRecipe, Data, MissingElectrodesWork, TrainingStage
 from eitskin_tools.command_line import files
+
+PROGRESS_S: Final = 5.0
+"""Least time between two lines on the samples made."""
 
 Tell = Callable[[str], None]
 """Told what is being done."""
@@ -54,13 +58,26 @@ def share_data(recipe: BuildRecipe, folder: Path, other: BuildRecipe, made: Path
             own.symlink_to(os.path.relpath(made / "data" / same, own.parent), target_is_directory=True)
 
 
-def make_data(recipe: BuildRecipe, folder: Path, workers: int, tell: Tell) -> None:
-    """Make every data set, or go on with it."""
+def make_data(recipe: BuildRecipe, folder: Path, workers: int, tell: Tell, say: Tell = lambda _: None) -> None:
+    """Make every data set, or go on with it; say every few seconds how many samples are done."""
     from eitskin_sim.dataset.generate import generate
 
     for name, data in recipe.data.items():
-        tell(f"data {name}")
-        generate(plan_of(recipe, data), folder / "data" / name, workers=workers)
+        tell(f"simulating data set {name}")
+        generate(plan_of(recipe, data), folder / "data" / name, workers=workers, progress=_samples_said(say))
+
+
+def _samples_said(say: Tell) -> Callable[[int, int], None]:
+    """Return what says how many samples are done, at most once in :data:`PROGRESS_S`."""
+    last_s = time.monotonic()
+
+    def progress(done: int, total: int) -> None:
+        nonlocal last_s
+        if time.monotonic() - last_s > PROGRESS_S:
+            last_s = time.monotonic()
+            say(f"{done:,} of {total:,} samples")
+
+    return progress
 
 
 def train_stages(
@@ -89,13 +106,13 @@ def train_stages(
 
     def epoch(now: Any) -> None:
         if (one := now.finished) is not None:
-            scores = f"validation {one.validation_loss:.5f} CC {one.validation_cc:.4f}"
+            scores = f"validation loss {one.validation_loss:.5f}, CC {one.validation_cc:.4f}"
             left = (now.epochs - one.number) * one.seconds / 60
-            finished(f"epoch {one.number}/{now.epochs} {scores} {one.seconds:.1f} s, {left:.0f} min left")
+            finished(f"epoch {one.number} of {now.epochs}: {scores}, {one.seconds:.1f} s, {left:.0f} min left")
 
     run = folder
     for number, stage in enumerate(recipe.training, 1):
-        tell(f"training {number} of {len(recipe.training)}, on {train.device()}")
+        tell(f"training, stage {number} of {len(recipe.training)}, on {train.device()}")
         start = start_of(recipe, stage, larger) if number == 1 else Start.of_run(run)
         run = folder / "runs" / str(number)
         where = [folder / "data" / name for name in stage.data or recipe.data]
@@ -152,7 +169,7 @@ def make_card(recipe: BuildRecipe, folder: Path, bundle: Path, identity: str, te
         path = folder / "card" / f"{name}.json"
         part = stored(path)
         if part is None or part.get("bundle") != identity or "found" not in part:
-            tell(f"card: {name}")
+            tell(f"testing for the card: {name}")
             work = recipe.card
             part = {"bundle": identity, "found": card.part(name, bundle, work.deformations, work.each, work.draws)}
             keep(path, part)
@@ -248,7 +265,7 @@ def learn_missing_electrodes(work: MissingElectrodesWork, folder: Path, run: Pat
 
     out = folder / "runs" / MISSING_RUN
     if not (out / "best.pt").exists():
-        tell("learning to go on without electrodes")
+        tell("training with electrodes missing")
         found, plan = trained(run), adapt.Plan(fitting_steps=work.fitting_steps, steps=work.steps)
         adapted = adapt.adapt(found.model, found.recipe, data_of(found), plan, seed=work.seed)
         hand_on(run, out)
@@ -320,11 +337,13 @@ def learn_presses(
 def presses_in_words(found: dict[str, Any]) -> str:
     """Return what people read of :data:`PRESSES_FILE`."""
     alone, more = found["physics_alone"], found["with_presses"]
-    used = "used" if found["used"] else "not used: physics alone is better"
+    used = (
+        "The bundle uses them" if found["used"] else "The bundle does not use them, because simulation alone is better"
+    )
     return (
-        f"{found['kept_apart']} of {found['presses']} recorded presses, kept apart: CC {alone['cc']:.3f}, "
-        f"{alone['off_mm']:.1f} mm by physics alone; {more['cc']:.3f}, {more['off_mm']:.1f} mm with the others learned "
-        f"from; {used}"
+        f"{used}: on {found['kept_apart']} of the {found['presses']} recorded presses, which were held out: "
+        f"CC {alone['cc']:.3f}, {alone['off_mm']:.1f} mm off from simulation alone; {more['cc']:.3f}, "
+        f"{more['off_mm']:.1f} mm off after training on the others too."
     )
 
 

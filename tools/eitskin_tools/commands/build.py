@@ -1,6 +1,6 @@
 """``eitskin build SKIN.toml --out FILE.eitskin``: data, training, export and card of a bundle, in one command.
 
-It may be stopped at any point, by Ctrl-C or by force; the same command goes on where it was.
+It may be stopped at any time, by Ctrl-C or by force; the same command resumes.
 """
 
 import argparse
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from eitskin_tools.build.recipe import BuildRecipe
 
 MANY_DEFORMATIONS: Final = 3000
-"""Deformations that a core draws in a minute; before any is computed with, each is checked to be one that can be."""
+"""Deformations that a core draws and checks in a minute, before any is simulated."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_making(parser: argparse.ArgumentParser) -> None:
-    """Declare how a bundle is made, whatever it is of."""
+    """Declare the options of every command that builds a bundle."""
     parser.add_argument(
         "--out", required=True, type=Path, metavar="FILE", help="the bundle; its name should end in .eitskin"
     )
@@ -66,20 +66,18 @@ def make(
     presses: Any = None,
     gentle_of: Path | None = None,
 ) -> int:
-    """Make the bundle of a recipe, or go on with it, and report.
+    """Build the bundle of a recipe, or resume it, and report.
 
     Args:
         asked: What is asked for.
         arguments: Those of :func:`add_making`.
         hours_asked: To scale it to; None leaves it as it is.
-        presses: A recording of some, to be learned from besides; None without.
+        presses: A recording of presses to train on as well; None without.
         gentle_of: A bundle whose network for gentle touches goes in as it is; None for none.
     """
-    import torch
-
     from eitskin_tools.build import folder as half_made
     from eitskin_tools.build import steps
-    from eitskin_tools.build.making import TRAINING_SHARES, Making
+    from eitskin_tools.build.making import TRAINING_SHARES, Making, plan_lines
     from eitskin_tools.command_line import files, kinds, options
     from eitskin_tools.console.progress import Stages
     from eitskin_tools.evaluation import card
@@ -87,19 +85,23 @@ def make(
     options.check_least(arguments, workers=1, threads=0)
     files.writable(arguments.out, kinds.BUNDLE)
     work = arguments.work or arguments.out.with_name(f"{arguments.out.name}.build")
-    others = asked.others()
+    others, workers = asked.others(), steps.processes(arguments.workers)
+    half_made.begun(work, asked, hours_asked)
+    for line in plan_lines(asked, others, workers, hours_asked):
+        note(line)
     if (many := sum(one.deformations for one in asked.data.values())) > MANY_DEFORMATIONS:
-        note(f"drawing {many:,} deformations, some {many // MANY_DEFORMATIONS} min; then the first data set")
+        note(f"drawing {many:,} deformations first, about {many // MANY_DEFORMATIONS} min")
     for one in (asked, *others.values()):
         steps.check(one)
-    half_made.begun(work, asked, hours_asked)
     if arguments.threads:
+        import torch
+
         torch.set_num_threads(arguments.threads)
     began = time.monotonic()
     work.mkdir(parents=True, exist_ok=True)
-    hint = "wait until it has ended, or name another folder with --work"
-    with held(work, "another process makes a bundle there", hint), Stages() as tell:
-        making = Making(steps.processes(arguments.workers), tell, note)
+    hint = "wait until it ends, or name another folder with --work"
+    with held(work, "another process is building a bundle there", hint), Stages() as tell:
+        making = Making(workers, tell, note)
         own = 1.0 - sum(TRAINING_SHARES[name] for name in others)
         parts = [(other, work / name, TRAINING_SHARES[name]) for name, other in others.items()]
         making.begin([(asked, work, own), *parts], hours_asked)
@@ -124,13 +126,14 @@ def make(
     if arguments.json:
         print(json.dumps(result))
         return 0
+    print(f"Done: {arguments.out}. {card.summary(found)}")
     print(
-        f"{arguments.out}: bundle {identity}, {result['bytes'] / 1e6:.1f} MB, {result['labels']} labels, "
-        f"{result['touches']} touches"
+        f"bundle {identity}, {result['bytes'] / 1e6:.1f} MB, {result['labels']} labels, {result['touches']} touches, "
+        f"{result['seconds'] / 60:.0f} min"
     )
     if gain is not None:
         print(steps.presses_in_words(gain))
     for line in card.lines_of(found):
         print(line)
-    print(f"{work} may be removed")
+    print(f"You may remove {work}.")
     return 0

@@ -1,6 +1,6 @@
-"""``eitskin calibrate FILE.npz --out skin.toml``: what this device is, from its own readings.
+"""``eitskin calibrate FILE.npz --out skin.toml``: finds a device's true parameters from its own readings.
 
-With ``--guided --port PORT`` they are recorded first, step by step; FILE.npz is where they go.
+With ``--guided --port PORT`` it first records them, step by step, and writes them to FILE.npz.
 """
 
 import argparse
@@ -18,7 +18,7 @@ GUIDED: Final[dict[str, Any]] = {
     "port": None, "baud": None, "full_scan": None, "surface": None, "bends": 3, "presses": 6, "stamp": None,
     "frames": 40,
 }  # fmt: skip
-"""What belongs to ``--guided``, and what holds there where nothing was said."""
+"""Options of ``--guided`` with their defaults."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_proto.files.writing import write_bytes
     from eitskin_proto.skin.toml import to_toml
     from eitskin_sim.calibration.parameters import check_contacts
-    from eitskin_sim.calibration.printed import table
+    from eitskin_sim.calibration.printed import table, verdict
     from eitskin_sim.calibration.recording import load_recording
     from eitskin_sim.calibration.report import calibrate
     from eitskin_sim.devices.draws import check_outline
@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.guided:
         _record(arguments, skin)
     elif given := [flag(name) for name in GUIDED if getattr(arguments, name) is not None]:
-        raise UsageError(f"without --guided nothing is recorded now: leave {', '.join(given)} out")
+        raise UsageError(f"{', '.join(given)} only work with --guided")
     recording = load_recording(files.find(arguments.recording, files.CALIBRATION_RECORDING), skin)
 
     def tell(step: int, misfit: float) -> None:
@@ -94,13 +94,14 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(report))
     else:
+        print(verdict(report))
+        print(f"Wrote {arguments.out}. Next: {_next(twin, arguments.out)}\n")
         print(table(report))
-        print(f"next: {_next(twin, arguments.out)}")
     return 0
 
 
 def _next(twin: Any, path: Path) -> str:
-    """Return the command that makes a bundle of a calibrated skin: of the shipped one that fits, or of none."""
+    """Return the command that makes a calibrated skin's bundle: from the shipped one that fits, or from nothing."""
     from eitskin.model.skin_in_use import knowing, use_skin
     from eitskin_proto.errors import SkinError
 
@@ -146,7 +147,9 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
     if not arguments.port:
         raise UsageError("--guided needs --port, of a skin or of 'eitskin virtual-skin'")
     if arguments.json:
-        raise UsageError("--guided talks on standard output; leave --json out, and calibrate FILE once more with it")
+        raise UsageError(
+            "--guided prints its instructions on standard output: leave --json out, then calibrate FILE again with it"
+        )
     files.writable(Path(arguments.recording), kinds.GUIDED)
     ids = {"protocol_id": PROTOCOL_ID, "grid_id": skin.grid_id, "skin_digest": skin.digest}
 
@@ -159,7 +162,7 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
         try:
             device = Device(line, skin)
             if device.hello.rows == N_ROWS:
-                talk.say(f"the device scans {N_ROWS} rows: --full-scan would tell more of its front end")
+                talk.say(f"the device scans {N_ROWS} rows: --full-scan would find more about its front end")
             device.start()
             guide = Guide(plan, frames_of(device), talk, lambda name: np.array(load_surface(name, skin).cloud_mm))
             arrays = guide.run()
@@ -192,5 +195,7 @@ def _stamp(text: str | None) -> tuple[float, ...]:
     except ValueError:
         found = ()
     if len(found) not in (1, 2) or not all(3.0 <= one <= 60.0 for one in found):
-        raise UsageError(f"--stamp is {text!r}, expected a diameter, as 16, or length x width, as 20x10, of 3 to 60 mm")
+        raise UsageError(
+            f"--stamp is {text!r}, expected a diameter such as 16, or length x width such as 20x10, each 3 to 60 mm"
+        )
     return found

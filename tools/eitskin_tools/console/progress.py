@@ -69,9 +69,9 @@ class ProgressBar:
 
 
 class Stages:
-    """Stages of a piece of work, a line for each with its seconds: one ends when the next begins, or the work does.
+    """Stages of a piece of work, each with its seconds: a stage ends when the next one begins, or when the work ends.
 
-    Entering gives the function that is told a stage's name.
+    Entering returns the function that begins a stage by its name.
     """
 
     def __init__(self) -> None:
@@ -100,6 +100,8 @@ class Stages:
         self._name, self._began = name, monotonic()
         if self._bar is not None:
             self._task = self._bar.add_task(name, total=None)
+        else:
+            print(f"{name} ...", file=sys.stderr, flush=True)
 
     def _end(self, how: str) -> None:
         if self._name is None:

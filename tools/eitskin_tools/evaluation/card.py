@@ -88,6 +88,13 @@ def lines_of(card: dict[str, Any]) -> list[str]:
     return lines
 
 
+def summary(card: dict[str, Any]) -> str:
+    """Return a card's accuracy in a sentence: on random devices if it has any, else at its first contrast."""
+    row = next((one for one in card["by_mismatch"] if one["name"] == "random"), None)
+    row = card["by_contrast"][0]["rows"][0] if row is None else row
+    return f"Accuracy on {_device(row)}: {_figures(row)}."
+
+
 def _device(row: dict[str, Any]) -> str:
     """Return what the row's devices are, in words."""
     return {"none": "ideal device", "random": "random devices"}.get(row["name"], str(row["name"]))
