@@ -1,24 +1,24 @@
-"""From a device to a taker: the order of a frame's way, reading, silence and recovery.
+"""The loop that takes a frame from the device to its subscribers: reading, order of steps, silence and recovery.
 
 ::
 
-    read -> accept -> capture -> compute -> mode -> pack -> publish -> finish -> tell, while the line rests
+    read -> accept -> capture -> compute -> mode -> pack -> publish -> finish -> streams, while the line rests
      ^       |  withheld                |  withheld
      |<------+--------------------------+            and on with the next
 
-:class:`FrameLoop` owns this order. The pipeline accepts and computes, messages are packed and handed to a taker, and
-then streams are told what was measured. Between them goes one :class:`eitskin.frame_record.FrameRecord`.
+:class:`FrameLoop` owns this order. The pipeline accepts and computes a frame; the packer packs its message and hands it
+over; then the streams send the measurements. One :class:`eitskin.frame_record.FrameRecord` passes between them.
 
 :class:`FrameSource` blocks in the transport's ``read``, and nothing else blocks. After silence, a reset, or when the
-port has returned, it greets the device anew. Silence is what brings no frame of the device's configuration, whatever
-else comes; a device whose frames cannot be used is started anew as well. Frames from before anybody asked, and stale
-ones when time is short, are dropped for the newest. What the device says besides frames becomes events of the next one.
+port has returned, it repeats the handshake. A device is silent if no frame of its configuration arrives, whatever else
+does. If its frames are unusable, the source restarts its stream too. Frames from before the first subscription are
+dropped for the newest one, and so are stale ones when time is short. Events of the device go out with the next frame.
 
-:class:`FirstFrame` keeps old frames out: a line that nobody reads fills up with the oldest frames, and the device
-leaves out those for which there is no room. So what waits is old until the line has been read empty.
+:class:`FirstFrame` keeps old frames out. A line that nobody reads fills up with the oldest frames, and the device drops
+those for which there is no room. So waiting frames are old until the line has been read empty.
 
-:class:`DeferredWork` waits for a moment of rest of the line: a subscriber is woken by the frame's message, and
-needs a core at that moment. Bytes that come end the moment: no frame waits for it.
+:class:`DeferredWork` waits until the line rests: a frame's message wakes a subscriber, which needs a core at that
+moment. Arriving bytes end the wait, so that no frame waits for deferred work.
 """
 
 import threading

@@ -1,6 +1,6 @@
-"""What is known of one frame between its payload and its message: the pipeline fills it in, the packer reads it.
+"""The data of one frame between its payload and its message: the pipeline fills it in, the packer reads it.
 
-One record is made at the start and overwritten by every frame, so a frame costs no object. Who fills in what::
+One record is made at the start and overwritten by every frame, so a frame allocates no object. It is filled in by::
 
     intake      sequence, device_us, scanned_ns, idle, first events       stamps: read, decode
     pipeline    touched, gate_logit, solver, skipped, map, totals ...     stamps: normalise, gate, infer

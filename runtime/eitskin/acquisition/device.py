@@ -1,7 +1,7 @@
-"""A skin at the end of a line: who it is, starting and stopping its stream, and finding it again after a reset.
+"""A device on a line: its identity, starting and stopping its stream, and finding it again after a reset.
 
-The handshake is the gate: a device of another protocol, table or grid is refused before one frame is read. Requests
-carry a tag and are repeated until their own answer comes, since the line may lose either. ::
+The handshake refuses a device of another protocol, table or grid before a frame is read. Requests carry a tag and are
+repeated until their own answer comes, since the line may lose either. ::
 
     HELLO_REQUEST -> HELLO: protocol, ids, serial number, configuration, rows, volts per count
     TIME_REQUEST  -> TIME                                            a few times; the quickest counts
@@ -21,8 +21,8 @@ last such minima gives offset and drift::
                   +---------------- device time
 
 The shortest delay itself (encoding, the time on the wire) cannot be seen in frames alone. A question for the device's
-time shows it: the answer was made between asking and hearing, so the offset is known to half the round trip. What the
-line lies above it is the shortest delay of a frame, and is taken off.
+time shows it: the answer was made between asking and hearing, so the offset is known to half the round trip. The
+distance of the line above it is the shortest delay of a frame, and is subtracted.
 """
 
 import time

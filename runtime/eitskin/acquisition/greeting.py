@@ -1,7 +1,7 @@
-"""What a device may say of itself: one gate for the first HELLO, for every later one, and for a port that returned.
+"""Checks every HELLO of a device: the first, every later one, and the one after a port returned.
 
-Numbers that everything afterwards depends on are bounded here: the unit of a count, the rate (silence is told by it,
-and so is how long a reference may take), the rows and the width of a sample.
+It bounds the numbers on which everything else depends: the unit of a count, the rate (it decides when a stream is
+silent and how long a reference may take), the rows and the width of a sample.
 """
 
 from typing import Final

@@ -6,8 +6,8 @@
                                                    └─ give_up_s passed ──> PortLost
 
 The device behind a port that returns may be another one, or may have restarted: ``PortReturned`` tells the caller to
-shake hands anew before it believes a byte. A USB port is found again by vendor, product, serial number and interface,
-since it may come back under another path; any other port by its path.
+repeat the handshake before it uses a byte. A USB port may come back under another path, so it is found by vendor,
+product, serial number and interface; any other port is found by its path.
 """
 
 import math

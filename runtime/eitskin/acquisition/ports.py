@@ -1,4 +1,4 @@
-"""Which transport a port's name means: ``usb:`` and ``usb:SERIAL`` are USB devices, all else is a serial path."""
+"""Chooses the transport for a port's name: ``usb:`` and ``usb:SERIAL`` are USB devices, all else is a serial path."""
 
 from typing import Any, Final
 

@@ -1,7 +1,8 @@
-"""A serial port: opened for us alone, read in whatever pieces arrive, woken without polling.
+"""A serial port: opened exclusively, read in the pieces that arrive, woken without polling.
 
 pyserial configures the port; reading goes through ``poll`` and ``os.read``, which deliver a frame 0.03 ms after its
-last byte. (``read(size)`` waits for a timeout, ``read_until`` reads byte by byte.) Driver exceptions end here.
+last byte. (``read(size)`` waits for a timeout, ``read_until`` reads byte by byte.) Driver exceptions are translated
+here.
 """
 
 import errno

@@ -1,6 +1,6 @@
-"""What the runtime needs of a line to a device. Serial ports and USB endpoints fit it; so does a socket in a test.
+"""The interface of a line to a device, which serial ports, USB endpoints and sockets in tests implement.
 
-Nothing above this line knows pyserial or pyusb: an implementation translates its driver's exceptions into the branches
+Code above it knows neither pyserial nor pyusb: an implementation translates its driver's exceptions into the branches
 of :class:`eitskin.errors.TransportError`.
 """
 

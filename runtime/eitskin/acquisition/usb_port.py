@@ -1,8 +1,8 @@
 """A USB device with vendor-specific bulk endpoints, as a transport; ``usb:`` or ``usb:SERIAL`` where a port is named.
 
 The device is found by vendor, product and serial number, never by bus address, which changes with every plug. Reads ask
-for a multiple of the endpoint's packet size, as the bus delivers whole packets. libusb cannot be woken from outside, so
-a read blocks in slices, and ``cancel`` takes effect at the end of one. Driver exceptions end here.
+for a multiple of the endpoint's packet size, as the bus delivers whole packets. A read in libusb cannot be woken from
+outside, so it blocks in slices, and ``cancel`` takes effect at the end of one. Driver exceptions are translated here.
 """
 
 import errno

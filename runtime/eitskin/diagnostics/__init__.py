@@ -1,1 +1,1 @@
-"""What is there, what is wrong with it, and what to do about it."""
+"""Diagnosis: what is connected and installed, what is wrong, and how to fix it."""

@@ -1,8 +1,8 @@
 """How far a flat, free sheet has drifted since its reference, how sure that is, and what to do about it.
 
-Of the logarithms of voltages over the reference's, the mean over the rows is what all have in common; its standard
-deviation is that of the means of single drives, which also knows that rows of a drive are off alike. What is left over
-is uneven. A touch or a bend is uneven too, and more than it is common: then nothing is said of drift.
+The input is the logarithm of each voltage over the reference's. The mean over the rows is the common drift. Its
+standard deviation is that of the means of single drives, because errors of one drive's rows are correlated. The rest is
+uneven drift. A touch or a bend is more uneven than common; then no drift is reported.
 """
 
 from typing import Any, Final

@@ -1,9 +1,9 @@
-"""Memory that is in use laid on large pages, as far as the kernel does that when asked (Linux 6.1).
+"""Puts memory in use on large pages, where the kernel does that on request (Linux 6.1).
 
 A frame reads a few hundred kB in a hundred places: weights, code objects, arrays. Between two frames other programs
-have the processor, and with its caches they take its list of pages; on pages of 4 kB each place costs a look into the
-page tables then, on pages of 2 MB a few do for all. A large page is asked for where most of it is in use already: the
-stack of a thread is a few kB of many, and would become resident.
+use the processor and replace its cached page table entries. With pages of 4 kB each place then costs a walk of the page
+tables; with pages of 2 MB a few walks serve all. A large page is requested only where most of it is in use already: the
+stack of a thread uses a few kB of many, and would become resident as a whole.
 """
 
 import ctypes

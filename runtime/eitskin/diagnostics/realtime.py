@@ -1,4 +1,4 @@
-"""Settings of the process that shorten the tail, each asked for by name and each answered with what was got.
+"""Settings of the process that shorten the tail of latencies; each is requested by name and reports its result.
 
 None of them is on by default and none fails silently: a robot's integrator must know whether SCHED_FIFO was granted.
 These settings belong to the whole process, so the library never touches them; the ``run`` command does.

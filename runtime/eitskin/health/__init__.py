@@ -1,1 +1,1 @@
-"""What the skin knows of itself: failed electrodes, missing rows, drift."""
+"""The state of the skin: failed electrodes, missing rows, drift."""

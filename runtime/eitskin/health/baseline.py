@@ -1,17 +1,17 @@
-"""What the sheet reads while nothing touches it, followed from one look at some frames to the next.
+"""Estimates the untouched sheet's voltages, updated after each group of frames.
 
-No single frame tells a common factor from a touch: a touch moves every row, and its common part is up to 0.7 of its
-rms. What a touch cannot do is move all rows *alike*: the uneven part of each touch that was tried, on the flat and on
-bent sheets, is at least its common part (1.05 times; ``tests/runtime/health/test_drift_and_touches.py``). So with
-d = l - b, what the mean of some frames has moved against the untouched sheet::
+A single frame cannot distinguish a common factor from a touch: a touch moves every row, and its common part is up to
+0.7 of its rms. But a touch never moves all rows *alike*: the uneven part of each tested touch, on the flat and on bent
+sheets, is at least its common part (1.05 times; ``tests/runtime/health/test_drift_and_touches.py``). So let d = l - b
+be the change of the mean of some frames against the untouched sheet::
 
     c = sum w d        e = d - c        still:  chi2(e) <= MAX_CHI2,  or  rms(e) <= MAX_UNEVEN_RATIO |c|  and small
 
-A sheet that was untouched and has been still ever since is untouched. A common change is then taken over at once where
-rms(e) <= MAX_UNEVEN_RATIO |c|, and the rest of d with a time constant of ``UNEVEN_FRAMES`` frames, so that a touch
-which comes on within minutes is seen before it is learned. Whatever else moves the sheet, a touch or a bend, *leaves*
-the untouched state: nothing is followed, for hours if need be, until the sheet is still against b again. What a press
-leaves behind is a small share of its own pattern p, and no touch elsewhere is::
+A sheet that was untouched and has been still ever since is untouched. If rms(e) <= MAX_UNEVEN_RATIO |c|, b follows the
+common change at once, and the rest of d with a time constant of ``UNEVEN_FRAMES`` frames, so that a touch which
+develops within minutes is seen before it is learned. Any other change, a touch or a bend, ends the untouched state: b
+stays, for hours if need be, until the sheet is still against b again. A press leaves behind a small share of its own
+pattern p, which no touch elsewhere resembles::
 
     d = c + k p + e,   |k| <= AFTER_EFFECT,   the gate says untouched
 """

@@ -1,7 +1,7 @@
-"""What the Gaussian of :mod:`eitskin.health.imputation` cannot know of missing rows: touches are no linear cause.
+"""Corrects the Gaussian's estimate of missing rows (:mod:`eitskin.health.imputation`), because touches act nonlinearly.
 
-A small network, made together with the bundle's own, sees all rows as the Gaussian completed them, which electrodes are
-gone, and V_pred, and corrects the rows of those electrodes ::
+A small network, exported with the bundle's own, takes all rows as the Gaussian completed them, the missing electrodes
+and V_pred, and corrects the rows of those electrodes ::
 
     [ l - mean | gone | log(V_pred / V0) ]  (224,) -> w -> w -> (26 to 73,)     silu(x) = x / (1 + exp(-x)) between
 

@@ -1,22 +1,22 @@
-"""How far is the sheet from its one reference? Drying and warmth move every row alike, or nearly so.
+"""Estimates how far the sheet has drifted from its reference. Drying and warmth move every row nearly alike.
 
-What is followed is taken out of the frames, and of two kinds. The sheet that is known to be untouched is followed from
-look to look (:mod:`eitskin.health.baseline`), from the moment of a reference that was taken just now: common drift,
-uneven drift and after-effects of presses. And where a scan says what the shape does, a common factor c of at least
-``MIN_COMMON`` is taken over from the untouched sheet's Gaussian (:mod:`eitskin.health.untouched`), once the frames have
-rested for ``REST_FRAMES``, and if the scan explains the rest to D <= ``MAX_SCAN_D``: no touch of 16 to 25 mm within
-that, of contrast up to 0.6 or from 2, has a common part of ``MIN_COMMON``. So no scan takes such a touch out; of
-fainter ones, 0.85 or 1.2, up to 4 % may be taken for drift where the bundle's Gaussian allows for random devices.
-Otherwise what was found stays, for as long as it lasts, and its standard deviation grows by that of real sheets ::
+Two kinds of drift are removed from the frames. First, a sheet that is known to be untouched is followed from one group
+of frames to the next (:mod:`eitskin.health.baseline`), starting from a reference that was captured just now: common
+drift, uneven drift and after-effects of presses. Second, where a scan gives the shape, a common factor c of at least
+``MIN_COMMON`` is taken from the untouched sheet's Gaussian (:mod:`eitskin.health.untouched`), once the frames have
+rested for ``REST_FRAMES`` and if the scan explains the rest to D <= ``MAX_SCAN_D``. Within that bound no touch of 16 to
+25 mm with a contrast up to 0.6 or from 2 has a common part of ``MIN_COMMON``, so no scan removes such a touch. Of
+fainter touches (0.85 or 1.2) up to 4 % may be mistaken for drift if the bundle's Gaussian allows for random devices.
+Otherwise the last estimate stays, and its standard deviation grows as measured on real sheets ::
 
     frame = (1 + dV) exp(-drift) - 1          drift (104,) in log
 
-A reference from a file says nothing of what the sheet did since: nothing is taken out before the sheet was seen to read
-like it, but for a common factor, or a scan was. Until then the Gaussian's c is what is reported, with its error: half a
-percent with a cloud, a tenth without, since a stretch that is the same in every direction looks just like it. Before
-that, and where nothing explains the frames, it is what may be expected of any sheet: none, give or take ``FILE_PRIOR``.
-Untouched by the gate, and yet beyond ``UNEVEN_FACTOR`` times the limit of D for ``REST_FRAMES`` frames, the reference
-is called ``uneven``.
+A reference from a file says nothing about the sheet since then. So nothing but a common factor is removed until the
+sheet has read like the reference or was scanned. Until then the report is the Gaussian's c with its error: half a
+percent with a cloud, a tenth without, because a uniform stretch looks just like drift. Before that, and where nothing
+explains the frames, the report is the prior for any sheet: zero with the standard deviation ``FILE_PRIOR``. If the gate
+calls ``REST_FRAMES`` frames untouched and they still exceed ``UNEVEN_FACTOR`` times the limit of D, the reference is
+reported as ``uneven``.
 """
 
 import math

@@ -1,12 +1,12 @@
-"""Which electrodes have failed, from the frames alone, within a few dozen milliseconds.
+"""Detects failed electrodes from the frames alone, within a few dozen milliseconds.
 
-Each electrode has 26 of the 104 rows, and the others say what those should be (:mod:`eitskin.health.imputation`). What
-a frame says of each is in :mod:`eitskin.health.evidence`: surprise, silence, reversal, jumps. All of it is counted:
-``AGREEING_FRAMES`` of the last ``WINDOW`` frames must agree. What then explains the frame best
-(:mod:`eitskin.health.explanation`) is what is reported.
+Each electrode has 26 of the 104 rows, and the other rows predict them (:mod:`eitskin.health.imputation`). Each frame
+votes on each electrode (:mod:`eitskin.health.evidence`): surprise, silence, reversal, jumps. ``AGREEING_FRAMES`` of the
+last ``WINDOW`` frames must agree. The failure that then explains the frame best is reported
+(:mod:`eitskin.health.explanation`).
 
-An electrode is taken back after ``HEALTHY`` frames in a row without any of this. Nothing here is in a frame's way: a
-frame is looked at after it was published, and several of them at a time.
+An electrode counts as healthy again after ``HEALTHY`` frames in a row without any of this. None of this delays a frame:
+frames are examined after they were published, several at a time.
 """
 
 from typing import Final

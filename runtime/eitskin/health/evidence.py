@@ -1,13 +1,13 @@
-"""What some frames say of each electrode: numbers, and a vote a frame for each suspicion; several frames at a time.
+"""Evidence from frames for each electrode's failure: numbers, and a vote of each frame for each suspicion.
 
-An electrode's *surprise* compares how far its rows are from what the others say of them with how far everything else is
-from the ordinary, so that a heavy touch, which is far from ordinary everywhere, surprises nowhere in particular::
+An electrode's *surprise* divides the distance of its rows from their prediction by the other rows' distance from the
+mean. So a heavy touch, which moves all rows, surprises at no particular electrode::
 
     D_e = y_e^T P_ee^-1 y_e          surprise_e = (D_e / 26) / ((2 + D - D_e) / (2 + 78))      D = (l - mean)^T y
 
-Three kinds of failure do something that no touch does: a shorted pair of neighbours reads nothing at all, exchanged
-neighbours read the reverse, a loose contact jumps from frame to frame in all its rows and in no others. Frames are
-weighed together because most of the cost is not arithmetic: four cost little more than one.
+Three kinds of failure do something that no touch does: a shorted pair of neighbours reads zero, exchanged neighbours
+read the reverse, a loose contact jumps from frame to frame in all its rows and in no others. Several frames are
+examined together because most of the cost is overhead: four cost little more than one.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Which one failure explains a frame best: an electrode's rows unexplained, or two wires exchanged, by likelihood."""
+"""Finds the failure that explains a frame best, by likelihood: one electrode's rows ignored, or two wires exchanged."""
 
 from dataclasses import dataclass
 from itertools import combinations

@@ -1,9 +1,9 @@
-"""The gate on frames that lack rows, or whose rows are noisier than those that it learned from.
+"""Runs the gate on frames that lack rows or are noisier than its training data.
 
-The gate asks whether a frame is an *untouched* sheet's. So what it sees in a missing row is what an untouched sheet
-would have there, given the other rows: such a row says nothing for a touch and nothing against one. (Filled in for the
-network, by touched sheets, missing rows made it call every third untouched frame touched, and it missed most touches
-at a threshold that cured that.) ::
+The gate asks whether a frame is an *untouched* sheet's. So a missing row gets the value of an untouched sheet, given
+the other rows, which speaks neither for nor against a touch. (With missing rows filled in from touched sheets, as for
+the network, the gate called every third untouched frame touched; at a threshold that cured this it missed most
+touches.) ::
 
     l_m = E[l_m | the others, untouched]            l = log(V / V0), Gaussian over deformations of the bundle
 

@@ -1,4 +1,4 @@
-"""Goes on without an electrode: its rows filled in from the others, or taken out of the projection, both exactly.
+"""Continues without an electrode: estimates its rows from the others, or removes them from the projection, exactly.
 
 A healthy sheet's l = log(V / V0) is close to a Gaussian with mean and precision P (made at export, from the data that
 the network learned from). With rows m missing and y = P (l - mean), :mod:`eitskin_proto.sensor.row_gaussian` gives ::

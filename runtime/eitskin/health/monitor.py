@@ -1,11 +1,10 @@
-"""What the runtime knows of its own senses: which electrodes have failed, and how far the reference has drifted.
+"""Monitors the electrodes and the drift of the reference, and corrects frames for both.
 
-Before a frame is judged, what is known is put right, for the gate (``prepare``) and after it for the network
-(``complete``), and a healthy frame pays one copy of 104 numbers.
-After it was published it is put aside, and several are looked at in one go, when the line rests: a fifth of the cost of
-each by itself, since the arithmetic is small and its weights leave the caches in between, and in nobody's way, since a
-frame that was published just now is still being handed over by other threads. What changes is told by the next frame. A
-bundle without ``consistency.npz`` has none of this, and says so where it is asked for.
+Before a frame is judged, ``prepare`` corrects it for the gate and ``complete`` for the network; a healthy frame costs
+one copy of 104 numbers. After publishing, the frame is put aside, and several frames are examined together while the
+line rests. This costs a fifth of examining each alone, because the arithmetic is small and its weights leave the caches
+in between, and it delays nobody, because other threads still hand over the frame just published. The next frame reports
+changes. A bundle without ``consistency.npz`` supports none of this, and says so when asked.
 """
 
 import threading

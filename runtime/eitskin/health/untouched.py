@@ -1,13 +1,13 @@
-"""The untouched sheet as a Gaussian around a common factor: what a bundle knows of bends, without and with a scan.
+"""The untouched sheet as a Gaussian around a common factor: a bundle's knowledge of bends, without and with a scan.
 
 A uniform change by a factor moves l = log(V / V0) by one number c in all rows. With mean m and precision P, made at
 export from deformations, and log(V_pred / V0) of the cloud in use, zeros without one ::
 
     r = l - log(V_pred / V0) - m          c = 1^T P r / 1^T P 1          D = (r - c 1)^T P (r - c 1) / 103
 
-D above a limit is no untouched sheet at any uniform drift. Below it, it may be one, or a touch: of presses of contrast
-0.6 half are below the limit, and c takes up to 0.9 of their rms. So c is a report; what may be taken out by it is
-stricter (:mod:`eitskin.health.drift`).
+A frame with D above a limit is not an untouched sheet at any uniform drift. Below the limit it is an untouched sheet or
+a touch: half of the presses of contrast 0.6 are below, and c takes up to 0.9 of their rms. So c is only reported;
+removing it from frames needs stricter conditions (:mod:`eitskin.health.drift`).
 """
 
 import numpy as np

@@ -1,1 +1,1 @@
-"""What leaves the process and what comes in: frames, subscriptions, control requests, keys."""
+"""Communication with other processes: frames, subscriptions, control requests, keys."""

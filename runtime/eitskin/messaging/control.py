@@ -1,11 +1,11 @@
-"""Control requests to a running runtime, its own side: a new cloud, a new reference, its state, stop.
+"""The runtime's side of control requests: a new cloud, a new reference, its state, stop.
 
 A request is one MessagePack map ``{"command": ..., ...}``, the answer one map ``{"ok": true, ...}`` or ``{"ok": false,
 "error": text}``. The server has a thread of its own, which runs the geometry graph while the frame loop goes on; the
 loop only picks up the finished result. ``reference`` waits for frames: it is answered by a second thread when they are
-in, one at a time, and everything else is answered meanwhile. What a client sends is data of bounded size and nothing
-else: no code, no pickle; a request that makes no sense is answered with what was wrong. What the commands do is in
-:mod:`eitskin.messaging.control_commands`, who asks in :mod:`eitskin.messaging.control_client`.
+in, one at a time, and everything else is answered meanwhile. A request is data of bounded size, without code or
+pickles; the answer to an invalid one says what is wrong. :mod:`eitskin.messaging.control_commands` has the commands,
+:mod:`eitskin.messaging.control_client` the client.
 
 The socket is a ROUTER, so that each answer goes to the client that asked, whatever others send: a REP socket gives the
 next client's answer away when a message has no delimiter. ::

@@ -1,7 +1,7 @@
-"""Control requests to a running runtime, the asking side: a cloud, a reference, electrodes, its state, stop.
+"""The client's side of control requests: a cloud, a reference, electrodes, its state, stop.
 
-Requests go to the *control* endpoint of ``eitskin run --control``, not to the one that frames are published on. Unless
-it is named, it is the default of both sides (:func:`eitskin.messaging.endpoints.default_control`).
+Requests go to the *control* endpoint of ``eitskin run --control``, not to the one on which frames are published. Both
+sides have the same default (:func:`eitskin.messaging.endpoints.default_control`).
 """
 
 import warnings

@@ -1,4 +1,4 @@
-"""What a control request asks for: which commands there are, and what each makes of its fields."""
+"""The commands of control requests, and the checks of their fields."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Protocol

@@ -1,4 +1,4 @@
-"""CURVE keys: who a TCP endpoint talks to, and encryption on the way.
+"""CURVE keys: they authenticate both sides of a TCP endpoint and encrypt its traffic.
 
 A folder of keys, as made by :func:`make_keys`; the format of the files is ZeroMQ's own. ::
 
@@ -7,9 +7,9 @@ A folder of keys, as made by :func:`make_keys`; the format of the files is ZeroM
     DIR/clients/NAME.key      public keys that may connect; nobody else may
     DIR/client.key_secret     a first client's own key, to be carried to its machine
 
-The runtime only lets in clients whose public key is in ``clients``: knowing the server's key is not enough. So nobody
-else may be able to put a file there: a folder or a key that others can write to is refused. Keys are read once, when
-the runtime starts. One that is damaged keeps its own client out and nobody else.
+The runtime accepts only clients whose public key is in ``clients``: knowing the server's key is not enough. So it
+refuses a folder or a key that other users can write to. It reads keys once, when it starts. A damaged key excludes its
+own client only.
 """
 
 import os

@@ -1,12 +1,12 @@
-"""Who may reach us: which addresses are allowed, and what each needs before it is bound.
+"""Checks an address before it is bound: whether it is allowed, and whether it has what it needs.
 
-- ``ipc:///path``: its own user alone may connect.
+- ``ipc:///path``: only the same user may connect.
 - ``tcp://address:port``: clients with a CURVE key that the runtime lists, on this machine too: loopback is open to all
   of its users.
 - Anything else is refused.
 
-A socket at an ipc path may be reached by its owner only. The path is looked at before it is bound: a living socket is
-"in use", a dead one is removed, anything else is left alone and refused.
+The path of an ipc socket is checked before it is bound: a living socket is "in use", a dead one is removed, and
+anything else is refused and left in place.
 """
 
 import errno

@@ -1,12 +1,12 @@
-"""A tactile frame: what is published, byte by byte, and what a subscriber gets.
+"""A tactile frame as a subscriber gets it, and its checks.
 
 On the wire a frame is one MessagePack map (firmware_proto/SPEC.md lists the fields); the publisher's half is
 :mod:`eitskin.messaging.frame_message`.
 
-A subscriber that said it can do without gets a short message, which lacks shape and map, while the map is that of an
-earlier frame: ``map_seq`` says which.
+A subscriber that needs no unchanged maps gets a short message without shape and map while the map is that of an earlier
+frame, which ``map_seq`` names.
 
-A subscriber trusts nothing: sizes, types, shape and finiteness are checked, whatever the publisher claims to be.
+A subscriber checks sizes, types, shape and finiteness of every message, whatever its publisher.
 """
 
 import math

@@ -1,14 +1,14 @@
-"""From a frame's record to its message, in the memory of one message that each frame overwrites.
+"""Packs a frame's record into one message buffer that every frame overwrites.
 
-Everything that changes with each frame has a fixed width and stands first, so that it is overwritten in place and the
-time of publishing can be stamped last. Only the texts at the end vary in length. ::
+Values that change with each frame have a fixed width and come first, so that they are overwritten in place and the time
+of publishing is stamped last. Only the texts at the end vary in length. ::
 
     v n seq device_us ... weak_rows map_seq host_ns{..} counts{..} shape map | solver skipped events regions ...
 
-While somebody asks for touches they follow at the very end. A touch message is the same without shape and map, of
-version 2, and begins with another byte.
+While a subscriber asks for touches, they follow at the very end. A touch message is the same without shape and map; it
+has version 2 and begins with another byte.
 
-Packing has two halves, since between them the frame is held against its latency budget::
+Packing has two halves, because the frame is compared with its latency budget between them::
 
     begin     number, map                           stamp: pack
     finish    texts, all numbers, the age           stamp: publish

@@ -1,21 +1,21 @@
-"""A bound address of the runtime: who may connect, and how many.
+"""A bound address of the runtime: it limits connections and keeps libzmq from running out of files.
 
-The border is who may connect at all. An ipc socket is its own user's alone, with mode 0600 from its first instant; TCP
-always wants CURVE keys (:mod:`eitskin.messaging.endpoints`). Behind that border there is no attacker, but there are
-mistakes: a user's own program that leaks connections can use up the files of the process, and libzmq 4.3.5 aborts the
-process when its ipc listener finds no descriptor for a connection (``ipc_listener.cpp``; a tcp listener survives).
+Only trusted clients can connect: an ipc socket has mode 0600 from its first instant, and TCP always needs CURVE keys
+(:mod:`eitskin.messaging.endpoints`). Trusted clients make mistakes, though: a program that leaks connections can use up
+the files of the process, and libzmq 4.3.5 aborts the process when its ipc listener finds no descriptor for a connection
+(``ipc_listener.cpp``; a tcp listener survives).
 
-So libzmq never accepts at an ipc path while somebody may come. A listener of ours lies there; once somebody waits, and
-there are files for all who may, another one takes its place, and libzmq gets the first one, which nobody reaches any
-more: it accepts those who wait, and never more than the queue holds. ::
+So libzmq never accepts at an ipc path that clients can reach. A listener of this class is bound there. Once a client
+waits, and there are enough files, a second listener replaces it at the path, and libzmq gets the first one, which new
+clients can no longer reach: it accepts the waiting clients, and never more than the queue holds. ::
 
     path -> L1    A, B wait
     path -> L2    L1 goes to libzmq, which accepts A and B        L2 is renamed onto the path: no gap for C
     path -> L2    C waits
 
 libzmq ends a listener's connections with it, so each is kept until all of its own have left. On TCP libzmq accepts
-everybody, and the one that is too many is ended. A thread counts connections, as libzmq's monitor reports them; it does
-nothing else, because libzmq waits for a monitor that nobody reads.
+every connection, and those beyond the limit are ended. A thread only counts connections as libzmq's monitor reports
+them, because libzmq blocks when its monitor is not read.
 """
 
 import errno

@@ -1,13 +1,13 @@
 r"""Publishes frames: one part a message, to all subscribers, without waiting for any.
 
-The socket is an XPUB: it tells who subscribes, so that a frame nobody wants costs no inference. Every subscriber has a
-bounded queue; a slow one loses frames there, and neither the loop nor its neighbours notice.
+The socket is an XPUB, which reports subscriptions, so that a frame without subscribers costs no inference. Every
+subscriber has a bounded queue; a slow one loses frames there, and neither the loop nor its neighbours notice.
 
-Topics say what a subscriber needs. Who takes the first two bytes of a frame gets every frame with its whole map; so
-does the empty topic, with all that others ask for besides. A subscriber that takes the first byte alone declares by
-topics of its own whether it does without a map that has not changed (:mod:`eitskin.messaging.regions`). So does a
-patient one, which takes three bytes: libzmq hands a message to the shortest topic first, so robots, whose topics are
-shorter, do not wait for it. ::
+Topics say what a subscriber needs. A topic of the first two bytes of a frame selects every frame with its whole map.
+The empty topic does too, and also selects everything that others ask for. A subscriber to the first byte alone declares
+by further topics whether it needs unchanged maps (:mod:`eitskin.messaging.regions`). So does a patient one, with topics
+of three bytes: libzmq hands a message to the shortest topic first, so robots, whose topics are shorter, do not wait for
+it. ::
 
     b"\xde\x00"                    every frame with its map, always
     b""                            all that is sent
@@ -15,17 +15,18 @@ shorter, do not wait for it. ::
     b"\xde\x00\x18"                ... likewise, after the others; and so on to b"\xde\x00\x23"
     b"eitskin/region/..."          nothing: earlier releases computed only a part of the map
     b"eitskin/unchanged"           ... or b"eitskin/always"
-    b"eitskin/touches"             besides: the list of touches, in every frame
+    b"eitskin/touches"             also: the list of touches, in every frame
     b"\xdf"                        touches without maps, alone
     b"\x86\xa4wire"                what was measured (:mod:`eitskin.messaging.streams.envelope` has the list)
-    b"\x8f\xa8verified"            what physics says of frames (:mod:`eitskin.messaging.streams.verified`)
+    b"\x8f\xa8verified"            verdicts of the verifier (:mod:`eitskin.messaging.streams.verified`)
 
-Those with the empty topic get touch messages and streams too, and leave them alone for their version. Touch messages
-are sent first, so that who keeps one message keeps the frame; streams go behind the frame, unless there is such a one.
+Subscribers with the empty topic get touch messages and streams too, and ignore them by their version. Touch messages
+are sent first, so that a subscriber that keeps one message keeps the frame. Streams follow the frame, unless there is a
+subscriber with the empty topic.
 
-All that subscribers send is subscriptions, and none of these takes anything from others: what was asked for stays asked
-for until libzmq says by itself that the last who had it has left. An unsubscription that a subscriber sends is not
-believed, since it may be of a topic that it never had, and others have it.
+A subscriber cannot take a topic away from others: a topic stays in use until libzmq itself reports that its last
+subscriber has left. The publisher ignores unsubscriptions that a subscriber sends, because they may name a topic that
+only others have.
 """
 
 import time

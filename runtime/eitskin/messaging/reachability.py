@@ -1,7 +1,7 @@
-"""Whether anybody is at an endpoint: what a subscriber is told to whom nothing came.
+"""Finds out why a subscriber got nothing: whether any program is at the endpoint.
 
-A ZeroMQ socket connects to nobody as readily as to somebody, so silence has many causes that look alike. They are told
-apart by connecting to the address once more, without ZeroMQ, and leaving at once.
+A ZeroMQ socket connects to an empty address without an error, so silence has many causes that look alike. This module
+distinguishes them by connecting once more, without ZeroMQ, and leaving at once.
 """
 
 import os

@@ -1,8 +1,8 @@
-"""What all subscriptions have in common: a socket that is connected, connected anew and given back, and the next item.
+"""The base of all subscriptions: it connects a socket, reconnects it, closes it, and returns the next item.
 
-libzmq connects again by itself when the other side ended a connection, but never when it ended one itself: after a
-message beyond all bounds, or something that is no ZMTP, such as another program on the port. So a waiting subscriber
-looks after its connection: nobody waits longer than ``LONGEST_WAIT_MS`` at a time.
+libzmq reconnects when the other side ended a connection, but not when it ended one itself: after a message beyond all
+bounds, or bytes that are not ZMTP, such as those of another program on the port. So a waiting subscriber checks its
+connection at least every ``LONGEST_WAIT_MS``.
 """
 
 import math

@@ -3,12 +3,12 @@
 ``latest`` keeps one frame, the newest, however slow the loop is: a robot that takes 50 ms a frame sees one that is a
 frame old, not seconds. ``all`` queues frames for a recorder and counts the gaps when it is too slow even for that.
 
-A subscriber may say that it does without maps that have not changed; it still finds one in every ``frame.map``. The
-runtime does less if all its subscribers say so. Then ``latest`` reads all that waits and returns the newest: libzmq's
-own way of keeping one message would keep only one of the topics as well.
+A subscriber may declare that it needs no unchanged maps; every ``frame.map`` still has one. The runtime saves work if
+all its subscribers declare this. Then ``latest`` reads all waiting messages and returns the newest, because libzmq's
+own option to keep one message keeps one of all topics.
 
-Nobody waits for ever on an address where nobody is: unless told otherwise, the first frame must come within 5 s. Once
-one has come, the next may take as long as it likes.
+A subscription to an unused address ends: unless ``timeout_s`` says otherwise, the first frame must come within 5 s.
+Later frames may take any time.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Messages of any origin, unpacked within bounds: data and nothing else."""
+"""Unpacks messages of any origin within bounds, as data only."""
 
 from typing import Any, Final
 

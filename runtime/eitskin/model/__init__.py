@@ -1,1 +1,1 @@
-"""What turns changes of voltage into maps: the bundle, its engines and its gate."""
+"""From changes of voltage to maps: the bundle, its engines and its gate."""

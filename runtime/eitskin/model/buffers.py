@@ -1,4 +1,4 @@
-"""The memory that all engines share: what a frame and a cloud bring, and the map that comes of it."""
+"""The memory that all engines share: the inputs of a frame and a cloud, and the map."""
 
 from typing import Protocol
 

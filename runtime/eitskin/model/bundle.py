@@ -1,21 +1,21 @@
-"""Reads a bundle: the one file with everything that turns voltages into maps, checked before any of it is used.
+"""Reads a bundle, the file with everything needed to turn voltages into maps, and checks it before use.
 
 ::
 
     NAME.eitskin (ZIP)
       manifest.json     format, version, ids, labels, touches, recipe, seeds, metrics, sha256 of every file
-      skin.toml         which skin it is for (optional; without it, the paper's, whose sizes stand below)
+      skin.toml         which skin it is for (optional; without it, the paper's, whose sizes are below)
       geometry.onnx     cloud (1, 3, 30, 45) -> bias (1, H)                   runs when a cloud arrives
       head.onnx         dv (1, 104) [, log_predicted (1, 104)], bias (1, H) -> map (1, 1350)   runs a frame
       head_int8.onnx    the same, dynamic int8 (optional)
       small_*.onnx      both graphs of a smaller network, gentle_*.onnx of one for faint touches (optional)
       tikhonov.npy      (1350, 104) the projection for the flat sheet
       gate.npz          the touch gate (optional)
-      consistency.npz   what healthy frames look like: failing electrodes and drift are told by it (optional)
+      consistency.npz   statistics of healthy frames, to detect failing electrodes and drift (optional)
 
 A bundle is data: nothing in it is executed or unpickled, sizes are bounded before anything is read. Its id is the
 SHA-256 of the manifest, which holds the SHA-256 of everything else. Files are read when they are asked for, and checked
-each time: a session keeps its own copy of the weights, so that another one in Python would only cost memory.
+each time: a session keeps its own copy of the weights, so a second copy in Python would only cost memory.
 """
 
 from collections.abc import Iterator, Mapping

@@ -1,9 +1,9 @@
-"""Keeps denormals from the arithmetic: float32 below 1.2e-38, which a processor takes many times as long to compute.
+"""Keeps denormals out of the arithmetic: float32 below 1.2e-38, which a processor computes many times slower.
 
-They cannot come in with a frame. Whatever writes dV writes it as V / V0 - 1 in double precision, and next to 1 such
-numbers lie 2**-53 apart: dV is 0 or at least 1.1e-16. Clouds, predictions and what a bundle holds are numbers of
-somebody else; in them everything below ``SMALLEST`` counts as 0, once, where it comes in. A product of the two is then
-0 or at least 1e-36. A frame pays nothing.
+They cannot come in with a frame. Code that writes dV computes V / V0 - 1 in double precision, and next to 1 such
+numbers are 2**-53 apart: dV is 0 or at least 1.1e-16. Clouds, predictions and a bundle's numbers come from elsewhere;
+in them every number below ``SMALLEST`` is set to 0 once, on input. A product of the two is then 0 or at least 1e-36. A
+frame pays nothing.
 """
 
 from typing import Final, TypeVar

@@ -1,7 +1,7 @@
 """Turns dV into a map: the network's head, its int8 twin, or one matrix; all read and write the same fixed memory.
 
 :class:`eitskin.model.buffers.Buffers` is made once. Every engine is bound to it, so that a frame costs one call and no
-array. What a cloud means was computed before (:mod:`eitskin.model.geometry`). ::
+array. The cloud's inputs were computed before (:mod:`eitskin.model.geometry`). ::
 
     cloud --GeometryGraph--> Geometry(bias, log_predicted) --Buffers.use_geometry--> bias, log_predicted
     dV ------------------------------------------------------------------> change --Engine.infer--> map

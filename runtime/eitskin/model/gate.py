@@ -1,8 +1,8 @@
-"""Is the sheet touched at all? A small network on dV that must hold at every deformation, also at ones it never saw.
+"""Decides whether the sheet is touched: a small network on dV that must hold at every deformation, unseen ones too.
 
-A distance to the reference cannot tell: bending changes dV up to nine times as much as a touch. The gate is trained on
-untouched and touched sheets at many deformations; its manifest entry states the false-alarm rate on deformations that
-it was not trained on. A frame that it calls untouched costs no inference. ::
+The distance to the reference cannot decide this: bending changes dV up to nine times as much as a touch. The gate is
+trained on untouched and touched sheets at many deformations; its manifest entry states the false-alarm rate on
+deformations that it was not trained on. A frame that it calls untouched costs no inference. ::
 
     dV (104) -> [dV, log max(1 + dV, floor)] -> (x - mean) / scale -> relu(. w1 + b1) [-> relu(. w2 + b2)] -> logit
     touched: logit > threshold
@@ -11,43 +11,43 @@ With one hidden layer the last weights are w2 and b2, with two they are w3 and b
 second layer is written out: a frame reads a third of the weights. Everything
 is written into arrays made at the start.
 
-Gates of matched filters: what they are made of, and what is left of them where rows are missing.
+**Gates of matched filters**, complete and with missing rows.
 
 With w the whitened logarithms of a frame, W^T l + b, and p the unit pattern of a touch in them ::
 
     first layer: (w, -w, f),  f = p^T w         touched: max f > c (mean |w| + a)
 
-A response is (w, f): that is half of the weights, and what the layer behind them makes of it is written out.
+A response is (w, f), which needs half of the weights; the second layer is written out.
 
-What a frame says without the rows m is w with the rows filled in as the gate's own Gaussian expects them. That is a
-projection of w, off the space that the rows m span ::
+Without the rows m, w has these rows filled in with the expectation of the gate's own Gaussian. That projects w off the
+space that the rows m span ::
 
     Q = 1 - W_m^T (W_m W_m^T)^-1 W_m            w' = Q w            f' = (p^T Q p)^-1/2 p^T Q w            a' = r a
 
-So a filter's noise is what it was, and a touch that shows in the other rows is found by them. The size |w'| of noise
-is r = mean (diag Q)^1/2 of what it was. It is left so, and ``a`` follows: of a bend that is not in the Gaussian, most
-is in few directions, and its strongest filter over its size goes as the root of their number, as r does.
+So a filter's noise stays the same, and it finds a touch that shows in the other rows. The size |w'| of noise is r =
+mean (diag Q)^1/2 of what it was. It is left so, and ``a`` follows: of a bend that is not in the Gaussian, most is in
+few directions, and its strongest filter over its size goes as the root of their number, as r does.
 
-A press that is too faint for one frame is a change against what the same sheet read untouched.
+**Faint presses.** A press that is too faint for one frame is a change against the same sheet's untouched frames.
 
-Most of what a gate must allow for, the device and its bend, is the same from one frame to the next. A gate of matched
-filters is linear up to its first ReLU, with w the whitened logarithms and f what the filters make of them ::
+The device and its bend, for which a gate must allow, are the same from one frame to the next. A gate of matched filters
+is linear up to its first ReLU, with w the whitened logarithms and f what the filters make of them ::
 
     p = (w, f)      touched: max f > c (mean |w| + a)
 
-so the same filters judge a change of p, and what the two frames share is gone from it. Two means are remembered, of
+so the same filters judge a change of p, in which the common part of both frames cancels. Two means are kept, of
 untouched frames alone: ``recent`` of the last ``FAST_FRAMES``, ``base`` of the last ``SLOW_FRAMES`` ::
 
     p - recent      a press that comes on at once; a bend has hardly moved since        limit NEW_TOUCH_LEVEL c
-    recent - base   one that takes seconds; the sheet may have been bent anew           limit c
-    p - base        one that was found: held against the frames before it, for hours    limit HELD_TOUCH_LEVEL c
+    recent - base   one that takes seconds; the sheet may have been bent again          limit c
+    p - base        one that was found: compared with frames before it, for hours       limit HELD_TOUCH_LEVEL c
 
-While a touch lies there nothing is learned. It is gone when ``RELEASE_FRAMES`` frames in a row are below the limit, or
-below ``MAX_RESIDUAL`` of its own strength: real sheets keep that much of a press for a while. Filters of one sign tell
-the end of a touch, which had been taken for the untouched sheet, from the beginning of one. No noise, however strong,
-is a touch: the strongest filter is to be ``NOISE`` times what it is on average.
+While the sheet is touched, the means stay. A touch is gone when ``RELEASE_FRAMES`` frames in a row are below the
+limit, or below ``MAX_RESIDUAL`` of its own strength: real sheets keep that much of a press for a while. Filters of one
+sign distinguish the end of a touch that was taken for the untouched sheet from the beginning of a touch. To exclude
+noise of any strength, the strongest filter must be ``NOISE`` times its average.
 
-A sheet that is bent anew under a faint press may lose it: then the single frame is all there is, as without this.
+Bending the sheet under a faint press may lose the press; then only the single frame decides.
 """
 
 from collections.abc import Mapping

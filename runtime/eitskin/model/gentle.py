@@ -1,4 +1,4 @@
-"""Touches that a network hardly shows, or shows too small, are drawn by another one, which learned all contrasts alike.
+"""A second network, trained on all contrasts alike, draws touches that the first one hardly shows or shows too small.
 
 A touch of 10 mm that doubles the conductance answers as one of 6 mm that raises it fifty times: the frame tells the
 product of size and contrast, as long as a touch is small. A network that learned hard touches draws the second one,
@@ -15,7 +15,7 @@ first, the touch is gentle ::
         broad   1 where edges are wide and more is above what hard touches have, 0 where either is not so
 
 There is no jump between 0 and 1. Where shown < MIN_TOUCH_MM2 the own map stays, with no touch in it. A frame of firm
-touches with sharp edges costs sums over the map besides, 40 us; others cost both networks.
+touches with sharp edges also costs sums over the map, 40 us; others cost both networks.
 """
 
 from typing import Final

@@ -1,4 +1,4 @@
-"""What a cloud means to the head: the geometry graph runs when a cloud arrives, in the thread that brought it.
+"""Computes the head's inputs from a cloud: the geometry graph runs when a cloud arrives, in the thread that brought it.
 
 It yields a :class:`Geometry`, which the frame loop copies in between two frames.
 """

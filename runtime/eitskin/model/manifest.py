@@ -1,4 +1,4 @@
-"""What a bundle says of itself: its manifest, read and checked."""
+"""Reads and checks a bundle's manifest."""
 
 from pathlib import Path
 from typing import Any, Final

@@ -1,13 +1,13 @@
 """Checks a bundle's ONNX graph before ONNX Runtime loads it, without the ``onnx`` package.
 
-A graph is a program. ONNX has loops that run for years, operators that make a gigabyte of two numbers, tensors that lie
-in other files, and functions in functions. ``eitskin export`` makes none of this: here a graph is a list of operators
-whose shapes all follow from its constants. :func:`check_graph` works out shapes and work beforehand, since ONNX Runtime
-would compute the constant part of a graph while it loads. The module reads only what that needs of the nested protobuf
+A graph is a program. ONNX has loops that run for years, operators that make a gigabyte from two numbers, tensors in
+other files, and nested functions. ``eitskin export`` makes none of this: here a graph is a list of operators whose
+shapes all follow from its constants. :func:`check_graph` works out shapes and work beforehand, since ONNX Runtime would
+compute the constant part of a graph while it loads. The module reads only what that needs of the nested protobuf
 messages: fields, nodes by their inputs and outputs, shapes of tensors.
 
 ``RULES`` is the list of operators that a graph may have. A rule takes :class:`Operands` and returns shapes and work. It
-need not find every mistake, which ONNX Runtime does, but it may not make a value out to be smaller than it is.
+need not find every mistake, because ONNX Runtime does, but it must not underestimate a value's size.
 
 :func:`without_small_weights` sets weights to 0 that are too small to be computed with: those of matrices and of what
 has more axes, which are multiplied with what a frame brings. A small number by itself may be the one that a division

@@ -1,10 +1,10 @@
-"""The one door to ONNX Runtime: sessions of one thread, checked against what the runtime expects, and no telemetry.
+"""The only access to ONNX Runtime: sessions of one thread, with checked inputs and outputs, and no telemetry.
 
 ONNX Runtime gets one thread that is the caller's: its own pool escapes CPU pinning and costs 8 ms at p99 under load.
 
-Left to itself the library keeps an id and a database for its maker's telemetry in the user's cache as soon as a session
-is made, and may call home. A variable stops both, if it is set before the library is loaded; so code that needs
-``onnxruntime`` takes it from here.
+By default the library creates an id and a database for telemetry in the user's cache with the first session, and may
+call home. An environment variable stops both if it is set before the library is loaded; so code that needs
+``onnxruntime`` gets it from this module.
 """
 
 import os

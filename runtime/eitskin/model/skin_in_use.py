@@ -1,7 +1,7 @@
-"""Which bundle and which skin go together.
+"""Chooses the bundle and the skin that go together.
 
-A bundle is used with its own skin, or with another description of the same sheet; where no bundle is named, the shipped
-one that knows the skin's touches is taken.
+A bundle is used with its own skin, or with another description of the same sheet. If no bundle is named, the shipped
+one that knows the skin's touches is used.
 """
 
 from pathlib import Path

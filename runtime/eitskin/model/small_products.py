@@ -1,10 +1,11 @@
-"""Matrix products in pieces so small that BLAS computes them in the caller's thread.
+"""Splits matrix products into pieces so small that BLAS computes them in the caller's thread.
 
-A threaded BLAS hands larger ones to a pool of its own and spins until all of the pool is done. On a busy machine one of
-its threads waits for a core meanwhile, and frames wait with it: a third of a second for a product of a millisecond. A
-program that hosts a skin may want that pool for its own sums, so it is left as it is, and frames do without it.
+A threaded BLAS hands larger products to its thread pool and spins until the pool is done. On a busy machine one of its
+threads waits for a core meanwhile, and frames wait with it: a third of a second for a product of a millisecond. A
+program that hosts a skin may need that pool, so its settings stay, and frames avoid it.
 
-From OpenBLAS 0.3.27 on (numpy 2.0). The one that numpy 1.26 carries hands over even a matrix of 96 rows times a vector.
+This works from OpenBLAS 0.3.27 on (numpy 2.0). The one in numpy 1.26 uses the pool even for a matrix of 96 rows times a
+vector.
 """
 
 from typing import Any, Final

@@ -1,4 +1,4 @@
-r"""The outside of a stream's message: which stream, which number, and a body that may come in parts.
+r"""The envelope of a stream's message: its stream, its number, and a body that may come in parts.
 
 A MessagePack map of six keys, the stream's name first, so that a subscriber selects a stream by a constant prefix::
 
@@ -7,8 +7,8 @@ A MessagePack map of six keys, the stream's name first, so that a subscriber sel
     b"\x86"                      all streams
     b"\x86\xa4wire"              the wire's frames; likewise cloud, conditions and state
 
-A reader of frames sees a map whose version is not 1, and leaves it alone. No message is larger than a frame may be,
-since a subscriber ends a connection over which more comes: a long body is cut into parts.
+A reader of frames ignores it, because its version is not 1. No message exceeds the limit of a frame, because a
+subscriber would end the connection: a long body is cut into parts.
 """
 
 import struct

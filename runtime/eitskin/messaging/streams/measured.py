@@ -1,8 +1,8 @@
-"""What streams carry, as Python sees it: frames of the wire, clouds, conditions.
+"""The items of streams: frames of the wire, clouds, conditions.
 
-With the bundle and the reference these are all that a map is made of: :class:`WireFrame` has the voltages and says by
-which solver and under which conditions they became a map, :class:`CloudInUse` the surface, :class:`Conditions` what the
-runtime had found out by itself. :class:`eitskin.messaging.streams.state.SkinState` says who measured.
+With the bundle and the reference they suffice to recompute a map. :class:`WireFrame` has the voltages and names the
+solver and the conditions, :class:`CloudInUse` has the surface, :class:`Conditions` the runtime's own findings.
+:class:`eitskin.messaging.streams.state.SkinState` describes the device and the runtime.
 """
 
 from collections.abc import Callable

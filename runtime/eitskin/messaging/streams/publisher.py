@@ -1,6 +1,6 @@
-"""Streams on their way to a publisher: what is asked for, the number of each message, and who makes the bodies.
+"""The publisher's side of streams: which are subscribed to, the number of each message, and the sources of the bodies.
 
-Nobody packs anything for a stream that nobody asks for; whether somebody does is a look at an attribute.
+A stream without subscribers packs nothing; the check for subscribers is one attribute.
 """
 
 from collections.abc import Callable, Collection

@@ -1,4 +1,4 @@
-"""Who measures, by what, and how it goes: told when it changes, and once a second."""
+"""The device, the runtime and their status, sent on changes and once a second."""
 
 import hashlib
 import math

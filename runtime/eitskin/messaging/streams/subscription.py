@@ -1,8 +1,8 @@
-"""``for item in eitskin.subscribe_streams(): ...``: what was measured, as it comes, none skipped on purpose.
+"""``for item in eitskin.subscribe_streams(): ...``: all measurements as they come, none skipped on purpose.
 
-What is yielded is told apart by its class: :class:`~.measured.WireFrame`, :class:`~.measured.CloudInUse`,
-:class:`~.measured.Conditions`, :class:`~.state.SkinState`. A slow subscriber loses messages at the runtime, and sees
-it: ``lost`` counts them, stream by stream, by their numbers.
+Distinguish the items by their class: :class:`~.measured.WireFrame`, :class:`~.measured.CloudInUse`,
+:class:`~.measured.Conditions`, :class:`~.state.SkinState`. A slow subscriber loses messages at the runtime; ``lost``
+counts them for each stream.
 """
 
 from dataclasses import replace

@@ -1,13 +1,13 @@
-r"""What physics says of a frame that was published, byte by byte, and what a subscriber gets.
+r"""The verifier's verdict on a published frame: its bytes, and what a subscriber gets.
 
 One MessagePack map of 15 keys, its name first, so that constant first bytes select it (firmware_proto/SPEC.md has the
 fields)::
 
     8f | a8 "verified" | number | "v" 4 | "run" | "counts" |  "seq" ... what the verifier said
 
-Its head is the runtime's, which counts and knows whether the verifier lives; the rest is the verifier's, packed there.
-A message without a verdict says how the verifier is: ``state`` and ``why``; with one that is flagged, ``why`` is the
-reason. A subscriber trusts neither.
+The runtime packs the head, with its counts and the verifier's state; the verifier packs the rest. In a message without
+a verdict ``state`` and ``why`` describe the verifier; in a flagged one ``why`` is the reason. A subscriber checks both
+halves.
 """
 
 from collections.abc import Mapping

@@ -1,8 +1,8 @@
-"""``for found in eitskin.subscribe_verified(): ...``: what physics says of frames, each with the frame that it is of.
+"""``for found in eitskin.subscribe_verified(): ...``: verdicts of the verifier, each with its frame.
 
-The fast frame comes first and waits here for its verdict, which has its ``sequence``. What is yielded has a verdict, or
-says why there is none: the verifier is not ready, or ended. Such a message comes at each change and every second, so
-that nobody takes silence for agreement.
+A frame arrives first and waits here for the verdict with its ``sequence``. An item has a verdict, or says why there is
+none: the verifier is not ready, or ended. Such an item comes at each change and every second, so that silence is not
+mistaken for agreement.
 """
 
 from collections import OrderedDict
