@@ -33,9 +33,9 @@ class Stream:
     """What the runtime says."""
     honest: list["Honest"] = field(default_factory=list)
 
-    def join(self, *keys: str) -> "Honest":
-        """Start an honest subscriber and return once it has a frame."""
-        self.honest.append(Honest(self.frames, *keys))
+    def join(self, *keys: str, number: int = 1) -> "Honest":
+        """Start honest subscribers and return once each has a frame."""
+        self.honest.append(Honest(self.frames, *keys, number=number))
         return self.honest[-1]
 
     def said(self) -> str:
@@ -44,11 +44,11 @@ class Stream:
 
 
 class Honest:
-    """An honest subscriber in a process of its own; end it with ``leave``."""
+    """Honest subscribers in a process of their own; end it with ``leave``."""
 
-    def __init__(self, endpoint: str, *keys: str) -> None:
+    def __init__(self, endpoint: str, *keys: str, number: int = 1) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.attack.honest", endpoint, *keys],
+            [sys.executable, "-m", "tests.attack.crowd", endpoint, str(number), *keys],
             stdout=subprocess.PIPE,
             text=True,
             cwd=ROOT,
@@ -56,11 +56,11 @@ class Honest:
         assert self._process.stdout is not None
         if self._process.stdout.readline().strip() != "subscribed":
             self.kill()
-            raise RuntimeError(f"no frame came from {endpoint}")
+            raise RuntimeError(f"no frame came from {endpoint} to each of {number}")
         self._found: dict[str, Any] | None = None
 
     def leave(self) -> dict[str, Any]:
-        """End it and return what it counted: frames, lost, longest_silence_s."""
+        """End it and return what it counted: frames, lost, behind, longest_silence_s."""
         if self._found is None:
             self._process.terminate()
             out, _ = self._process.communicate(timeout=PATIENCE_S)

@@ -10,12 +10,9 @@ Written from RFC 23 (ZMTP 3.0) alone. ::
 import socket
 import struct
 import time
-from collections.abc import Iterator
-from contextlib import suppress
 from typing import Final
 
 GREETING: Final = b"\xff" + bytes(8) + b"\x7f" + bytes([3, 0]) + b"NULL".ljust(20, b"\0") + bytes(32)
-MORE: Final = 1
 LONG: Final = 2
 COMMAND: Final = 4
 
@@ -102,14 +99,6 @@ class Peer:
             raise ConnectionResetError("the other side left")
         self._buffer += data
 
-    def fileno(self) -> int:
-        """For select."""
-        return self.stream.fileno()
-
-    def send(self, body: bytes, flags: int = 0) -> None:
-        """Send one frame."""
-        self.stream.sendall(packed(body, flags))
-
     def subscribe(self, *topics: bytes) -> None:
         """Subscribe as ZMTP 3.0 does, by messages."""
         self.stream.sendall(b"".join(packed(b"\x01" + topic) for topic in topics))
@@ -117,35 +106,6 @@ class Peer:
     def unsubscribe(self, *topics: bytes) -> None:
         """Unsubscribe, whether subscribed or not."""
         self.stream.sendall(b"".join(packed(b"\x00" + topic) for topic in topics))
-
-    def taken(self) -> Iterator[bytes]:
-        """Yield the messages that have arrived; waits for none.
-
-        Raises:
-            ConnectionResetError: The other side left.
-        """
-        self.stream.setblocking(False)
-        with suppress(BlockingIOError):
-            self._more()
-        yield from self._messages()
-
-    def _messages(self) -> Iterator[bytes]:
-        buffer, at = self._buffer, 0
-        while len(buffer) - at >= 2:
-            flags = buffer[at]
-            if flags & LONG:
-                if len(buffer) - at < 9:
-                    break
-                (size,) = struct.unpack_from(">Q", buffer, at + 1)
-                begin = at + 9
-            else:
-                size, begin = buffer[at + 1], at + 2
-            if len(buffer) < begin + size:
-                break
-            at = begin + size
-            if not flags & COMMAND:
-                yield bytes(buffer[begin:at])
-        del buffer[:at]
 
     def close(self) -> None:
         """Leave."""
