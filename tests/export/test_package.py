@@ -26,14 +26,14 @@ JACOBIAN = np.random.default_rng(0).standard_normal((104, 1350))
 
 @pytest.fixture(scope="module")
 def data(toy_data: Any) -> TrainingData:
-    made: TrainingData = toy_data("area", bends=12, samples=2400)
+    made: TrainingData = toy_data("area", bends=12, samples=1200)
     return made
 
 
 @pytest.fixture(scope="module")
 def run(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder: Path = tmp_path_factory.mktemp("run")
-    train.train(data, replace(recipe("tiny"), epochs=2), folder, seed=3)
+    train.train(data, replace(recipe("tiny"), epochs=1), folder, seed=3)
     return folder
 
 
@@ -41,7 +41,7 @@ def run(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def exported(run: Path, data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     out: Path = tmp_path_factory.mktemp("bundle") / "toy.eitskin"
     return out, package.export(
-        run_files.trained(run), data, out, jacobian=lambda skin: JACOBIAN, bends=bends_of, gate_steps=100
+        run_files.trained(run), data, out, jacobian=lambda skin: JACOBIAN, bends=bends_of, gate_steps=20
     )
 
 

@@ -158,7 +158,7 @@ def test_what_the_network_sees_is_a_sample_in_one_of_its_mirror_images(
 
 
 def test_an_epoch_depends_on_seed_and_number_alone(toy_data: Any) -> None:
-    data, chosen = toy_data("area"), replace(recipe("tiny"), epochs=2)
+    data, chosen = toy_data("area", samples=300), replace(recipe("tiny"), epochs=2)
 
     def learned(numbers: tuple[int, ...], seed: int = 3) -> Any:
         run = train._start(chosen, seed, data)
@@ -178,8 +178,8 @@ def test_an_epoch_depends_on_seed_and_number_alone(toy_data: Any) -> None:
 def test_it_learns_what_batches_made_beside_the_device_teach(
     labels: str, toy_data: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    data = toy_data(labels, samples=1000)
-    chosen = replace(recipe("tiny"), labels=labels, epochs=6, learning_rate=8e-3)
+    data = toy_data(labels)
+    chosen = replace(recipe("tiny"), labels=labels, epochs=4, learning_rate=8e-3)
     beside = train.train(data, chosen, tmp_path / "beside")
     monkeypatch.setattr(train, "held_by", lambda *_: True)
     told = itertools.count()

@@ -29,7 +29,7 @@ def test_a_resumed_run_equals_one_that_never_stopped(
     held: bool, toy_data: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(train, "held_by", lambda *_: held)
-    data, chosen = toy_data("area"), tiny(epochs=3)
+    data, chosen = toy_data("area", samples=300), tiny(epochs=2)
     whole = train.train(data, chosen, tmp_path / "whole", seed=5)
     train.train(data, chosen, tmp_path / "parts", seed=5, stop_after=1)
     parts = train.train(data, chosen, tmp_path / "parts", seed=5, resume=True)
@@ -39,8 +39,8 @@ def test_a_resumed_run_equals_one_that_never_stopped(
 
 
 def test_training_learns_and_the_best_epoch_is_what_is_kept(toy_data: Any, tmp_path: Path) -> None:
-    data = toy_data("area", samples=1500)
-    run = train.train(data, tiny(epochs=12, learning_rate=5e-3), tmp_path)
+    data = toy_data("area", samples=1000)
+    run = train.train(data, tiny(epochs=6, learning_rate=8e-3), tmp_path)
     losses = [epoch.validation_loss for epoch in run.history]
     assert min(losses) < 0.8 * losses[0]
     content = run_files.read(tmp_path / "best.pt")
@@ -49,7 +49,7 @@ def test_training_learns_and_the_best_epoch_is_what_is_kept(toy_data: Any, tmp_p
     assert again.loss == pytest.approx(min(losses), rel=1e-5)
     assert run.best is not None
     assert len(content["history"]) == run.best.number
-    assert json.loads((tmp_path / "history.json").read_text())[-1]["number"] == 12
+    assert json.loads((tmp_path / "history.json").read_text())[-1]["number"] == 6
 
 
 def test_a_run_is_not_overwritten_or_resumed_with_something_else(toy_data: Any, tmp_path: Path) -> None:
@@ -64,8 +64,8 @@ def test_a_run_is_not_overwritten_or_resumed_with_something_else(toy_data: Any, 
 
 
 def test_a_run_begins_where_another_ended_and_says_so(toy_data: Any, tmp_path: Path) -> None:
-    data, other = toy_data("area", samples=1500), replace(toy_data("area"), digest="other")
-    first = train.train(data, tiny(epochs=6, learning_rate=5e-3), tmp_path / "first", seed=3)
+    data, other = toy_data("area"), replace(toy_data("area"), digest="other")
+    first = train.train(data, tiny(epochs=2, learning_rate=5e-3), tmp_path / "first", seed=3)
     chosen = tiny(epochs=2, learning_rate=0.0, schedule="constant", weight_decay=0.0)
     later = train.train(other, chosen, tmp_path / "later", seed=4, start=Start.of_run(tmp_path / "first"), stop_after=1)
     kept = run_files.read(tmp_path / "first" / "best.pt")
@@ -84,7 +84,7 @@ def test_a_run_begins_where_another_ended_and_says_so(toy_data: Any, tmp_path: P
 
 
 def test_statistics_stay_where_they_are_part_of_the_weights(toy_data: Any, tmp_path: Path) -> None:
-    data, chosen = toy_data("area", samples=1500), tiny(epochs=2, learning_rate=1e-3)
+    data, chosen = toy_data("area", samples=300), tiny(epochs=2, learning_rate=1e-3)
     train.train(data, chosen, tmp_path / "first", seed=3)
     start = Start.of_run(tmp_path / "first")
     still = replace(start, facts={**start.facts, "still": True})
@@ -217,13 +217,13 @@ def test_runs_are_drawn_side_by_side(toy_data: Any, tmp_path: Path, capsys: pyte
     pytest.importorskip("matplotlib")
     from eitskin_tools.cli import main
 
-    data = toy_data("area")
+    data = toy_data("area", samples=300)
     runs = [str(tmp_path / name) for name in ("slow", "fast")]
     for run, rate in zip(runs, (1e-5, 5e-3), strict=True):
-        train.train(data, tiny(epochs=3, learning_rate=rate), Path(run))
+        train.train(data, tiny(epochs=2, learning_rate=rate), Path(run))
     assert main(["curves", *runs, "--plot", str(tmp_path / "both.png"), "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["runs"]
-    assert [(row["run"], row["epochs"]) for row in rows] == [("slow", 3), ("fast", 3)]
+    assert [(row["run"], row["epochs"]) for row in rows] == [("slow", 2), ("fast", 2)]
     assert rows[1]["validation_loss"] < rows[0]["validation_loss"]
     assert (tmp_path / "both.png").read_bytes().startswith(b"\x89PNG")
     assert main(["curves", str(tmp_path / "nothing")]) == 1

@@ -37,11 +37,10 @@ def test_doctor_lists_the_device_and_asks_it(usb):
 
 
 def test_flashing_survives_that_the_device_leaves_the_bus_when_it_restarts(usb):
-    for generation, name in enumerate(("fast", "paper"), start=1):
-        assert command(usb, "flash", "write", name)["generation"] == generation
-        assert command(usb, "flash", "verify", name)["same"] is True
-    assert command(usb, "flash", "rollback")["configuration"] == "fast"
-    assert command(usb, "flash", "write", "paper")["generation"] == 3
+    assert command(usb, "flash", "write", "paper")["generation"] == 1
+    assert command(usb, "flash", "write", "fast")["generation"] == 2
+    assert command(usb, "flash", "verify", "fast")["same"] is True
+    assert command(usb, "flash", "rollback")["configuration"] == "paper"
 
 
 def test_a_reference_is_captured_and_the_runtime_streams_over_usb(usb, tmp_path, tiny_path):

@@ -134,12 +134,10 @@ def places(images: Index) -> npt.NDArray[np.int64]:
     own = np.unique(first)
     where = np.searchsorted(own, first)
     shows = images[:, first] == np.arange(len(first))
-    most = int(shows.sum(axis=0).max())
-    found = np.empty((most, len(first)), dtype=np.int64)
-    for output in range(len(first)):
-        showing = np.flatnonzero(shows[:, output])
-        found[:, output] = np.tile(showing, most // len(showing)) * len(own) + where[output]
-    return found
+    counts = shows.sum(axis=0)
+    showing = np.argsort(~shows, axis=0, kind="stable")  # the parts that show an output come first
+    turn = np.arange(counts.max())[:, np.newaxis] % counts
+    return np.take_along_axis(showing, turn, axis=0) * len(own) + where
 
 
 def fixed(images: Index) -> npt.NDArray[np.bool_]:
