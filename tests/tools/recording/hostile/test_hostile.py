@@ -8,6 +8,7 @@ import pytest
 import zstandard
 from mcap.records import Chunk
 
+from eitskin_proto.files.digest import sha256_of, sha256_of_values
 from eitskin_tools.cli import main
 from eitskin_tools.recording.frames import number
 from eitskin_tools.recording.layout import CHANNELS, FRAME, STATE, WIRE, RecordingError
@@ -21,13 +22,16 @@ from ..conftest import TINY, Taker
 HUGE = 10**400
 
 
-def rewritten(file, changed, attached=True):
-    """Write a recording anew; ``changed(topic, data, log_ns)`` gives data and time, or None to leave one out."""
+def rewritten(file, changed, attached=True, head=None):
+    """Write a recording anew; ``changed(topic, data, log_ns)`` gives data and time, or None to leave one out.
+
+    Attachments go without ``attached``, and are the given ones where it is a dictionary.
+    """
     found = Recording(file)
     entries = list(found.entries())
     path = file.with_name("b.mcap")
-    writer = Series(path, found.head)
-    for name, data in found.attached.items() if attached else ():
+    writer = Series(path, {**found.head, **(head or {})})
+    for name, data in (found.attached if attached is True else attached or {}).items():
         writer.attach(name, "application/json", data, 0)
     channels = {channel.topic: channel for channel in CHANNELS}
     for one in entries:
@@ -97,3 +101,43 @@ def test_a_chunk_that_says_that_it_is_larger_than_any_is_not_unpacked():
     chunk = Chunk("zstd", zstandard.compress(bytes(9 << 20)), 1, 0, 0, 9 << 20)
     with pytest.raises(ValueError, match="a chunk of"):
         unpacked(chunk)
+
+
+def reinfers_or_says_why(path, capsys):
+    """Reinfer a recording: its maps, or one printable line and nothing else."""
+    status = main(["reinfer", str(path), "--bundle", str(TINY), "--quiet"])
+    out, err = capsys.readouterr()
+    if status == 0:
+        return ""
+    assert (status, out, err.count("\n")) == (1, "", 1), err
+    assert err.startswith("eitskin reinfer: ")
+    assert err.rstrip("\n").isprintable()
+    return err
+
+
+@pytest.mark.parametrize("key", ["hello", "protocol_id", "grid_id", "skin", "wall_minus_host_ns", "version"])
+@pytest.mark.parametrize("value", ["", "80ff", "9" * 400, "\x1b[2J"])
+def test_an_altered_head_is_read_or_refused_in_a_line(file, key, value, capsys):
+    path = rewritten(file, lambda _, data, ns: (data, ns), head={key: value})
+    said = reinfers_or_says_why(path, capsys)
+    assert said or key not in ("hello", "protocol_id", "version")
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [{"voltages_V": [float("nan")] * 104}, {"voltages_V": [1e300] * 104}, {"voltages_V": []}, {"voltages_V": "x"},
+     {"spread_V": None}, {"frames": -1}, {"version": 99}, {"protocol_id": "\x1b[2J"}, {"serial_number": "a\nb"},
+     {"sha256": "0" * 64}],
+    ids=str,
+)  # fmt: skip
+def test_an_altered_reference_that_the_frames_name_is_read_or_refused_in_a_line(file, fields, capsys):
+    ((name, whole),) = Recording(file).attached.items()
+    held = json.loads(whole) | fields
+    if "sha256" not in fields:
+        del held["sha256"]
+        held["sha256"] = sha256_of_values(held)
+    altered = json.dumps(held).encode()
+    old, new = (sha256_of(one).encode() for one in (whole, altered))
+    path = rewritten(file, lambda _, data, ns: (data.replace(old, new), ns), attached={name: altered})
+    said = reinfers_or_says_why(path, capsys)
+    assert said or "serial_number" in fields
