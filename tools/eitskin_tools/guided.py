@@ -216,7 +216,7 @@ class Guide:
         bends, found = self._plan.bends, self._found
         gone = found.bents.pop(number, None) if number < bends else found.presses.pop(number - bends, None)
         if gone is not None:
-            self._talk.say("what was recorded of it before is left out")
+            self._talk.say("discarding what this step recorded before")
 
     def _reference(self) -> str | None:
         how = "Lay the sheet flat" if self._plan.lying_mm is None else "Leave the sheet as it was scanned"
@@ -224,7 +224,7 @@ class Guide:
         self._watch = FrameWindow()
         frames, word = self._steady_frames(self._plan.reference_frames, lambda: True)
         if word == SKIP:
-            self._talk.say("the reference cannot be skipped: everything is held against it")
+            self._talk.say("the reference cannot be skipped: everything is compared with it")
         if word is None:
             self._found.reference = frames.mean(axis=0)
             noise = step_noise(frames)
@@ -238,7 +238,7 @@ class Guide:
         word = self._wait_until(lambda: self._watch.steady and self._watch.away > self._watch.floor)
         if word:
             return word
-        self._talk.say("it is bent and at rest. Name the scan's file (eitskin surface ... --out FILE):")
+        self._talk.say("The sheet is bent and still. Name the scan's file (eitskin surface ... --out FILE):")
         while True:
             typed: list[str] = []
             word = self._wait_until(lambda: self._talk.ended, typed)
@@ -264,7 +264,7 @@ class Guide:
         x, y = self._plan.places_mm[number]
         of = f"Press {number + 1} of {len(self._plan.places_mm)}"
         how = "flat" if self._plan.lying_mm is None else "as it was scanned first,"
-        self._talk.say(f"{of}: the sheet {how} and free. ({ANSWERS})")
+        self._talk.say(f"{of}: the sheet {how} and untouched. ({ANSWERS})")
         word = self._wait_until(lambda: self._watch.steady and self._watch.away <= self._watch.floor)
         if word:
             return word
@@ -326,7 +326,7 @@ class Guide:
                 self._talk.say(f"{word!r} is no answer here: {ANSWERS}")
             if reached():
                 return None
-        raise GuideError("no more frames come from the skin; nothing was written; look at it with 'eitskin doctor'")
+        raise GuideError("the skin sends no more frames; nothing was written; check it with 'eitskin doctor'")
 
     def _arrays(self) -> dict[str, Any]:
         found, plan = self._found, self._plan

@@ -38,7 +38,7 @@ def schedule_fifo(priority: int) -> str:
             f"SCHED_FIFO {priority}: refused; allow it with 'sudo setcap cap_sys_nice+ep' on the interpreter "
             "or rtprio in /etc/security/limits.conf"
         )
-    return f"SCHED_FIFO {priority}: got"
+    return f"SCHED_FIFO {priority}: on"
 
 
 def pin(cpus: Sequence[int]) -> str:

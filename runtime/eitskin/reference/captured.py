@@ -106,16 +106,16 @@ class Reference:
         ]
         if self.scan is not None:
             shift = float(np.sqrt(np.mean(np.log(self.scan.flattening()) ** 2)))
-            lines.append(f"reference: scanned when it was taken; a flat sheet reads {shift:.2%} (rms) otherwise")
+            lines.append(f"reference: scanned when it was captured; differs from a flat sheet by {shift:.2%} (rms)")
         if self.weak.size:
             names = ", ".join(f"{row} (drive {TABLE[row, 0]}, measure {TABLE[row, 1]})" for row in self.weak[:8])
             more = f" and {self.weak.size - 8} more" if self.weak.size > 8 else ""
             lines.append(f"reference: {self.weak.size} weak rows, filled in from the others: {names}{more}")
         weighed = int(weighed_rows(self.voltages_V, self.spread_V).sum())
         if weighed:
-            lines.append(f"reference: {weighed} rows vary by more than {WEIGHED_SPREAD:.0%} and are weighed by it")
+            lines.append(f"reference: {weighed} rows vary by more than {WEIGHED_SPREAD:.0%} and get less weight")
         if not self.spread_V.any():
-            lines.append("reference: its frames did not differ at all; a hung front end cannot be told from a sheet")
+            lines.append("reference: all its frames are identical, so a front end that hangs goes unnoticed")
         if self.judgement is not None:
             lines += [f"reference: {line}" for line in (*self.judgement.refusals, *self.judgement.remarks)]
         return lines

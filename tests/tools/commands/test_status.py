@@ -46,13 +46,13 @@ def test_a_runtime_that_goes_on_is_well(runtime, capsys):
     status, said = asked(capsys, runtime("a"))
     assert status == 0
     assert said.startswith("eitskin: ")
-    assert "frames/s, untouched, 0 lost, 0 corrupt, electrodes well" in said
+    assert "frames/s, untouched, 0 lost, 0 corrupt, all electrodes work" in said
 
 
 @pytest.mark.parametrize(("fields", "said"), [
-    ({"grows": 0}, "no frames: the device sends none"),
-    ({"grows": 0, "trouble": "stuck"}, "no frames: stuck"),
-    ({"trouble": "no signal"}, "no frame that can be used: no signal"),
+    ({"grows": 0}, "no usable frames: the device sends none"),
+    ({"grows": 0, "trouble": "stuck"}, "no usable frames: identical rows"),
+    ({"trouble": "no signal"}, "no usable frames: no signal"),
 ])  # fmt: skip
 def test_one_that_stands_or_has_no_use_of_its_frames_is_not(runtime, capsys, fields, said):
     status, text = asked(capsys, runtime("a", **fields))
@@ -83,13 +83,13 @@ def test_all_skins_of_a_robot_are_asked_and_one_that_fell_is_told_with_its_reaso
     by_name = {one["name"]: one for one in found["skins"]}
     assert by_name["left"]["well"]
     assert by_name["left"]["restarts"] == 2
-    assert "started again 2 times, last because it ended by signal 9" in by_name["left"]["text"]
+    assert "restarted 2 times, last because it ended by signal 9" in by_name["left"]["text"]
     assert by_name["right"]["text"] == "failed: ended with status 1: no port"
 
 
 @pytest.mark.parametrize(("state", "restarts", "said"), [
-    ("waiting", 0, "waiting: it ended by signal 9 (Killed); its supervisor starts it again"),
-    ("starting", 1, "starting: it ended by signal 9 (Killed), and its supervisor has just started it again"),
+    ("waiting", 0, "waiting: it ended by signal 9 (Killed); its supervisor will restart it"),
+    ("starting", 1, "starting: it ended by signal 9 (Killed), and its supervisor restarted it"),
     ("starting", 0, "starting: it is not ready yet"),
 ])  # fmt: skip
 def test_a_skin_that_its_supervisor_starts_is_not_to_be_started_by_hand(tmp_path, capsys, state, restarts, said):

@@ -53,9 +53,9 @@ def test_verified_touches_have_forces_and_nothing_is_said_twice(tmp_path, capsys
         assert cli.main([*words, "--force-table", str(table)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "1 not verified: the verifier is ready, with no new verdict"
-    assert "FLAGGED: not explained, or these not confirmed, when its time was over, p 0.046" in lines[1]
+    assert "FLAGGED: no confirmed explanation within the time limit, p 0.046" in lines[1]
     assert lines[2].endswith("strength 50 +- 20 mm2, force 1.00 +- 0.40 N")
-    assert "explained" in lines[3]
+    assert "verified" in lines[3]
     assert len(lines) == 5
 
 

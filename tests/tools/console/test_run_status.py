@@ -46,7 +46,7 @@ def test_a_healthy_stream_is_a_line_a_minute_where_nobody_looks_on():
         skin.pass_second()
         status.check()
     lines = stream.getvalue().splitlines()
-    assert lines == ["eitskin run: 200.0 frames/s, untouched, 0 lost, 0 corrupt, electrodes well"] * 2
+    assert lines == ["eitskin run: 200.0 frames/s, untouched, 0 lost, 0 corrupt, all electrodes work"] * 2
 
 
 def test_a_loss_a_withheld_frame_and_a_failed_electrode_are_said_at_once_with_their_names():
@@ -64,8 +64,8 @@ def test_a_loss_a_withheld_frame_and_a_failed_electrode_are_said_at_once_with_th
     assert len(lines) == 3
     assert "3 lost" in lines[0]
     assert "touched" in lines[1]
-    assert "2 withheld (corrupt 2)" in lines[1]
-    assert "electrodes: 5:detached:imputed" in lines[2]
+    assert "2 withheld (corrupt: 2)" in lines[1]
+    assert "electrode 5 detached (rows imputed)" in lines[2]
 
 
 def test_a_terminal_gets_one_line_that_is_rewritten():

@@ -42,8 +42,8 @@ def one_line(capsys: Capture, *words: str) -> tuple[int, str]:
         (["convert", "a.mcap", "--out", "a.xlsx"], ".parquet"),
         (["record", "--out", "a.mcap", "--every", "0"], "--every"),
         (["record", "--out", "a.mcap", "--wire-only", "--maps"], "--wire-only"),
-        (["record", "--out", "a.mcap", "--wire-only", "--pictures-hz", "5"], "--wire-only keeps neither"),
-        (["record", "--out", "a.mcap", "--every", "5"], "--every says which maps are kept: it goes with --maps"),
+        (["record", "--out", "a.mcap", "--wire-only", "--pictures-hz", "5"], "--wire-only records neither"),
+        (["record", "--out", "a.mcap", "--every", "5"], "--every chooses which maps are recorded: it needs --maps"),
         (["record", "--out", "a.mcap", "--pictures-hz", "-1"], "--pictures-hz"),
     ],
 )
@@ -57,7 +57,7 @@ def test_record_does_not_overwrite(tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "a.mcap").write_bytes(b"precious")
     status, said = one_line(capsys, "record", "--out", str(tmp_path / "a.mcap"))
     assert status == 2
-    assert "exists already" in said
+    assert "already exists" in said
     assert (tmp_path / "a.mcap").read_bytes() == b"precious"
 
 

@@ -86,7 +86,7 @@ def test_reinfer_compares_another_bundle_with_the_one_that_is_named_as_running(s
     assert found["against_recorded"]["frames"] == 45
     assert cli.main(words) == 0
     (said,) = capsys.readouterr().out.splitlines()[1:]
-    assert said.startswith("against what was running, 45 frames: ")
+    assert said.startswith("compared with the recorded bundle in 45 frames: ")
 
 
 def test_reinfer_without_the_bundle_that_ran_says_that_it_compares_with_nothing(short: Path, capsys: Capture) -> None:
@@ -97,7 +97,7 @@ def test_reinfer_without_the_bundle_that_ran_says_that_it_compares_with_nothing(
     assert not {"equal", "against_recorded", "other_bundle"} & set(found)
     assert cli.main(words) == 0
     (said,) = capsys.readouterr().out.splitlines()[1:]
-    assert said == "compared with nothing: name the bundle that was running with --recorded-bundle"
+    assert said == "not compared: name the bundle of the recording with --recorded-bundle"
 
 
 def test_a_picture_that_cannot_be_written_is_said_before_anything_is_computed(

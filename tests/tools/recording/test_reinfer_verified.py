@@ -182,7 +182,7 @@ def test_without_a_touch_and_without_a_network_it_says_so_in_a_line(
     script = Script(file)
     early_s = (list(script.steps())[20].log_ns - script.first_ns) * 1e-9
     assert cli.main([*words, "--to", f"{early_s:.9f}"]) == 0
-    assert "verified nothing: no frame of this part was touched" in capsys.readouterr().out
+    assert "nothing to verify: no frame of this part was touched" in capsys.readouterr().out
     monkeypatch.setattr(module, "NETWORK", "vd3t")
     assert cli.main(words) != 0
     said = capsys.readouterr().err

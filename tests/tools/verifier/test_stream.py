@@ -181,7 +181,7 @@ def test_subscribe_prints_verdicts_and_counts_them(streaming, capsys):
         lines = capsys.readouterr().out.splitlines()
         assert cli.main([*words, "--frames", "2", "--json"]) == 0
         found = json.loads(capsys.readouterr().out)
-    assert sum("explained, p 0.25, chi-squared 0." in line for line in lines) == 2
+    assert sum("verified, p 0.25, chi-squared 0." in line for line in lines) == 2
     assert any("behind the frame; 1 checked, 0 flagged" in line for line in lines)
     assert (found["checked"], found["flagged"], found["lost"], found["rejected"]) == (2, 0, 0, 0)
     assert found["extra_us"]["p50"] > 0

@@ -69,8 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     keys = client_keys(arguments)
     if (there := later_files(arguments.out)) and not arguments.quiet:
-        some = f"{there[0]} is" if len(there) == 1 else f"{there[0]} and {len(there) - 1} more are"
-        print(f"eitskin record: {some} there already and stay: numbers go on behind what is taken", file=sys.stderr)
+        some = there[0] if len(there) == 1 else f"{there[0]} and {len(there) - 1} more files"
+        print(f"eitskin record: keeping {some} from before; new files get the next free numbers", file=sys.stderr)
     stopped = _Stop()
     for number in endings():
         signal.signal(number, stopped)
@@ -101,7 +101,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"eitskin record: {_text(recorder)}", file=sys.stderr)
     if full:
         print(
-            f"eitskin record: the disk is full: {_text(recorder)}; the file is whole, free some room", file=sys.stderr
+            f"eitskin record: the disk is full: {_text(recorder)}; the file is complete, free some space",
+            file=sys.stderr,
         )
     return 1 if full else 0
 
@@ -148,7 +149,7 @@ def _go_on(arguments: argparse.Namespace, recorder: Any, intake: Any, stopped: _
                 return False
             if line.live and not arguments.quiet and now_s - shown_s >= 1.0:
                 shown_s = now_s
-                line.show(_text(recorder) + ("; nothing comes" if now_s - heard_s > SILENCE_S else ""))
+                line.show(_text(recorder) + ("; no frames arrive" if now_s - heard_s > SILENCE_S else ""))
     return False
 
 
@@ -158,9 +159,9 @@ def _nothing(endpoint: str | None, waited_s: float, *, silent: bool) -> NoFrame:
     from eitskin.messaging.reachability import explain_silence
 
     if not silent:
-        return NoFrame("the runtime does not say what skin it has: it is older than recordings; update it")
+        return NoFrame("the runtime is too old to be recorded: it does not describe its skin; update it")
     where = endpoint or default_publish()
-    return NoFrame(f"nothing of a stream from {where} within {waited_s:g} s: {explain_silence(where, waited_s)}")
+    return NoFrame(f"no stream from {where} within {waited_s:g} s: {explain_silence(where, waited_s)}")
 
 
 def _wait_s(series: Any) -> float:
@@ -173,7 +174,7 @@ def _text(recorder: Any) -> str:
     series = recorder.series
     if series is None:
         return "waiting for the runtime"
-    more = f" and {len(series.files) - 1} files before" if len(series.files) > 1 else ""
+    more = f" and {len(series.files) - 1} earlier files" if len(series.files) > 1 else ""
     return (
         f"{recorder.recorded_s:.1f} s, {recorder.frames} frames, {recorder.missed} missed, "
         f"{series.size / 1e6:.2f} MB in {series.path}{more}"
@@ -197,9 +198,9 @@ def _summary(recorder: Any, intake: Any) -> dict[str, Any]:
 def _check(arguments: argparse.Namespace) -> None:
     check_client_keys(arguments)
     if arguments.wire_only and (arguments.maps or arguments.pictures_hz):
-        raise UsageError("--wire-only keeps neither maps nor pictures: leave --maps and --pictures-hz out")
+        raise UsageError("--wire-only records neither maps nor pictures: leave out --maps and --pictures-hz")
     if arguments.every is not None and not arguments.maps:
-        raise UsageError("--every says which maps are kept: it goes with --maps")
+        raise UsageError("--every chooses which maps are recorded: it needs --maps")
     for name in ("every", "rotate_mb", "rotate_minutes", "seconds", "frames", "timeout_s"):
         value = getattr(arguments, name)
         if value is not None and not 0 < value < 1e9:
@@ -208,4 +209,4 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError(f"--pictures-hz is {arguments.pictures_hz:g}, expected 0 to 1000")
     files.writable(arguments.out, None)
     if arguments.out.exists():
-        raise UsageError(f"--out {arguments.out} exists already; name another file, or move it away")
+        raise UsageError(f"--out {arguments.out} already exists: name another file, or move it away")

@@ -78,8 +78,8 @@ def _capture(arguments: argparse.Namespace) -> Any:
     scan = None
     if arguments.surface is not None:
         scan = scan_of(load_surface(arguments.surface, skin), skin)
-    lies = "flat" if scan is None else "as it was scanned"
-    print(f"eitskin reference: the sheet must be {lies} and untouched now", file=sys.stderr)
+    lies = "lie flat" if scan is None else "lie as scanned"
+    print(f"eitskin reference: capturing now; the sheet must {lies}, untouched", file=sys.stderr)
     return capture(
         arguments.port,
         arguments.frames,
@@ -92,7 +92,7 @@ def _capture(arguments: argparse.Namespace) -> Any:
 
 
 def _older(arguments: argparse.Namespace, skin: Any) -> Any:
-    """The reference that was named, or the one that is about to be replaced, if it is one."""
+    """Return the reference to compare with: the named one, or the one about to be replaced."""
     from eitskin.reference import captured as references
     from eitskin_proto.errors import SkinError
 
@@ -103,7 +103,7 @@ def _older(arguments: argparse.Namespace, skin: Any) -> Any:
     try:
         return references.load(arguments.out, skin)
     except SkinError as error:
-        say(f"eitskin reference: {arguments.out} is replaced unseen: {error}", error=True)
+        say(f"eitskin reference: replacing {arguments.out} without comparing: {error}", error=True)
         return None
 
 

@@ -116,7 +116,7 @@ def _recorded(script: Any, arguments: argparse.Namespace) -> Any:
 
 
 def _lines(found: dict[str, Any]) -> list[str]:
-    """Return what people read."""
+    """Return the result as lines for people."""
     from eitskin_tools.recording.reinfer import unknown_clause
 
     lines = [
@@ -131,16 +131,16 @@ def _lines(found: dict[str, Any]) -> list[str]:
             + (f"; differing: {differing}, first at frame {found['first_differing']}" if differing else "")
         )
     elif not found["as_recorded"]:
-        lines.append("compared with nothing: name the bundle that was running with --recorded-bundle")
+        lines.append("not compared: name the bundle of the recording with --recorded-bundle")
     elif "against_recorded" not in found:
-        lines.append("the recording has no digests of its maps to compare with")
+        lines.append("not compared: the recording has no digests of its maps")
     if (against := found.get("against_recorded")) is not None:
         median, low = _number(against["cc_median"], ".3f"), _number(against["cc_p5"], ".3f")
         near, far = _number(against["centre_mm_median"], ".2f"), _number(against["centre_mm_p95"], ".2f")
         lines.append(
-            f"against what was running, {against['frames']} frames: {_share(against['touched_agreement'])} touched "
-            f"alike; {against['both_touched']} touched in both: CC {median} median, {low} lowest "
-            f"twentieth; centres {near} mm apart, median, {far} highest twentieth"
+            f"compared with the recorded bundle in {against['frames']} frames: {_share(against['touched_agreement'])} "
+            f"agree on touched or not; in the {against['both_touched']} touched in both: CC {median} median, {low} 5th "
+            f"percentile; centres {near} mm apart median, {far} mm 95th percentile"
         )
     if (verified := found.get("verified")) is not None:
         lines += _verdicts(verified)
@@ -148,16 +148,16 @@ def _lines(found: dict[str, Any]) -> list[str]:
 
 
 def _verdicts(found: dict[str, Any]) -> list[str]:
-    """Return what physics says of the frames."""
+    """Return the verifier's results, a line each."""
     lines = []
     if found["frames"]:
         lines.append(
             f"verified {found['frames']} touched frames: {_share(found['flagged_share'])} flagged; p "
-            f"{_number(found['p_value_median'], '.3g')} median; {found['ms_median']:.1f} ms a frame, median, "
-            f"{found['ms_p95']:.1f} highest twentieth"
+            f"{_number(found['p_value_median'], '.3g')} median; {found['ms_median']:.1f} ms a frame median, "
+            f"{found['ms_p95']:.1f} ms 95th percentile"
         )
     elif not found["not_verified"]:
-        lines.append("verified nothing: no frame of this part was touched")
+        lines.append("nothing to verify: no frame of this part was touched")
     return lines + [f"{count} touched frames not verified: {why}" for why, count in found["not_verified"].items()]
 
 

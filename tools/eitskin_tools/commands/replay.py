@@ -93,15 +93,15 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(found))
     else:
-        log.say(_told(found))
+        log.say(_closing(found))
     return 0
 
 
-def _told(found: dict[str, Any]) -> str:
-    """Return what became of the frames, in a line."""
+def _closing(found: dict[str, Any]) -> str:
+    """Return how many frames were played and published, in a line."""
     lost = f", {found['lost']} lost when recorded"
     if found["published"] == 0:
-        return f"{found['sent']} frames played{lost}; nobody subscribed to them"
+        return f"{found['sent']} frames played{lost}; nobody subscribed"
     return f"{found['sent']} frames played, {found['published']} published{lost}"
 
 

@@ -226,8 +226,8 @@ def _serve(
     watchdog.watch("the frame loop", line)
     if skin.reference is None:
         frames = arguments.reference_frames or DEFAULT_FRAMES
-        log.say(f"reference: capturing {frames} frames; the sheet must be flat and untouched")
-        supervisor.status("capturing the reference; the sheet must be flat and untouched")
+        log.say(f"reference: capturing {frames} frames; the sheet must lie flat, untouched")
+        supervisor.status("capturing the reference; the sheet must lie flat, untouched")
         try:
             skin.capture_reference(frames, force=arguments.force_reference)
         except BadReference:

@@ -1,6 +1,6 @@
-"""``eitskin status``: how a running runtime is, or all skins of a robot; exit status 0 only if each of them is well.
+"""``eitskin status``: the state of a running runtime, or of all skins of a robot; exits with 0 only if each is well.
 
-A runtime is well when it answers, and went through frames that can be used between two looks.
+A runtime is well if it answers and processed usable frames between two looks.
 """
 
 import argparse
@@ -88,29 +88,31 @@ def _row(
     state: "ProcessState", first: tuple[float, dict[str, Any]], second: tuple[float, dict[str, Any]]
 ) -> dict[str, Any]:
     from eitskin_tools.console.run_status import Status
+    from eitskin_tools.console.words import WITHHELD
 
     (before_s, before), (after_s, after) = first, second
     found: dict[str, Any] = {"name": state.skin.name, "control": state.skin.control, "well": False}
     if state.state:
         found |= {"state": state.state, "pid": state.pid, "restarts": state.restarts, "why": state.why}
-    again = f", started again {state.restarts} times, last because it {state.why}" if state.restarts else ""
+    again = f", restarted {state.restarts} times, last because it {state.why}" if state.restarts else ""
     if "error" in after or "error" in before:
         return found | {"text": _unanswered(state) or str(after.get("error") or before.get("error"))}
     frames = int(after.get("frames", 0)) - int(before.get("frames", 0))
     rate_hz = max(frames, 0) / max(after_s - before_s, 1e-9)
     touched = after["touched"] > before["touched"] if "touched" in after and "touched" in before else None
-    status = Status(rate_hz, touched, after)
-    text = status.text() if frames > 0 else f"no frames: {after.get('trouble') or 'the device sends none'}"
-    well = frames > 0 and not after.get("trouble")
+    status, trouble = Status(rate_hz, touched, after), str(after.get("trouble") or "")
+    why = WITHHELD.get(trouble, trouble) or "the device sends none"
+    text = status.text() if frames > 0 else f"no usable frames: {why}"
+    well = frames > 0 and not trouble
     return found | {"well": well, "text": text + again, "rate_hz": round(rate_hz, 1), "status": after}
 
 
 def _unanswered(state: "ProcessState") -> str:
-    """Return what its supervisor knows of a skin that does not answer; empty for no reason."""
+    """Return why a skin does not answer, from its supervisor; empty if it does not know."""
     if state.state in ("failed", "ended"):
         return f"{state.state}: {state.why}"
     if state.state == "waiting":
-        return f"waiting: it {state.why}; its supervisor starts it again"
+        return f"waiting: it {state.why}; its supervisor will restart it"
     if state.state == "starting" and state.restarts:
-        return f"starting: it {state.why}, and its supervisor has just started it again"
+        return f"starting: it {state.why}, and its supervisor restarted it"
     return "starting: it is not ready yet" if state.state == "starting" else ""

@@ -18,6 +18,7 @@ from typing import Any
 
 from eitskin_tools.command_line import options
 from eitskin_tools.console.terminal import say
+from eitskin_tools.console.words import event_words
 from eitskin_tools.errors import UsageError
 
 REPEAT_S = 0.1
@@ -167,10 +168,10 @@ def _verified_summary(verdicts: Any, checked: int, flagged: int, spent_us: list[
 
 def _print(frame: Any) -> None:
     peak = f"peak {frame.map.max():.2f}" if frame.touched else "untouched"
-    events = f" [{', '.join(frame.events)}]" if frame.events else ""
+    events = f" [{'; '.join(event_words(one) for one in frame.events)}]" if frame.events else ""
     say(
-        f"{frame.sequence} {peak} solver {frame.solver} age {frame.age_s * 1e3:.2f} ms latency "
-        f"{frame.latency_s * 1e3:.2f} ms cloud {frame.cloud}{events}",
+        f"frame {frame.sequence}  {peak}  {frame.solver}  age {frame.age_s * 1e3:.2f} ms  "
+        f"latency {frame.latency_s * 1e3:.2f} ms  cloud {frame.cloud}{events}",
     )
 
 
@@ -187,7 +188,7 @@ def _touch_lines(every_s: float) -> Callable[[Any], None]:
         for touch in frame.touches:
             say(f"{frame.sequence} {touch}")
         if frame.touch_list.more:
-            say(f"{frame.sequence} {frame.touch_list.more} more that are not listed")
+            say(f"{frame.sequence} and {frame.touch_list.more} more touches")
 
     return show
 

@@ -85,9 +85,9 @@ def run(arguments: argparse.Namespace) -> int:
         predict_ms = 1e3 * (time.perf_counter() - start)
         if result.prediction_rms > DOUBTFUL_RMS:
             print(
-                f"eitskin surface: the sheet's outline is sure within {result.outline_sigma_mm:.2f} mm only; V_pred is "
-                f"likely off by {100 * result.prediction_rms:.1f} %, not {100 * DOUBTFUL_RMS:g} %, and maps "
-                "may be worse with it than without: measure more densely, or leave --predict out",
+                f"eitskin surface: the sheet's outline is only known to {result.outline_sigma_mm:.2f} mm, so V_pred is "
+                f"likely off by {100 * result.prediction_rms:.1f} %, more than {100 * DOUBTFUL_RMS:g} %; it may make "
+                "maps worse: measure more densely, or leave out --predict",
                 file=sys.stderr,
             )
     save_cloud(arguments.out, result, predicted, skin)
@@ -104,10 +104,10 @@ def run(arguments: argparse.Namespace) -> int:
     if predict_ms is not None:
         print(f"V_pred added, likely off by {100 * result.prediction_rms:.1f} %, {predict_ms:.0f} ms")
     if sent is not None:
-        print(f"in use as cloud {sent}")
+        print(f"the runtime uses it as cloud {sent}")
     if result.corner != "given":
         print(
-            "the corner (0, 0) was taken from the scanner's frame; if that is not the sheet's, say --corner X Y Z",
+            "the corner (0, 0) comes from the scanner's frame; if that is not the sheet's, give --corner X Y Z",
             file=sys.stderr,
         )
     return 0

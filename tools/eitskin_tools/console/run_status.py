@@ -1,8 +1,7 @@
-"""Says once a second at most how a running stream is: rate, losses, what was withheld and why, touch, electrodes.
+"""Reports the state of a running stream: rate, losses, withheld frames and why, touch, electrodes.
 
-A thread of its own reads the skin's counters, so that no frame waits for it: 15 us a second, none of them in the frame
-loop. On a terminal a line is rewritten every second. Elsewhere one is written when something went wrong since the last
-one, and once a minute to say that nothing did.
+A thread of its own reads the skin's counters in 15 us a second, so no frame waits for it. On a terminal it rewrites a
+line every second. Elsewhere it writes a line when something went wrong, and once a minute otherwise.
 """
 
 import time
@@ -11,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from eitskin_tools.console.run_log import RunLog
+from eitskin_tools.console.words import WITHHELD, electrode_words
 from eitskin_tools.processes.periodic_thread import PeriodicThread
 
 if TYPE_CHECKING:
@@ -18,22 +18,28 @@ if TYPE_CHECKING:
     from eitskin_proto.skin.skin import Skin
 
 PERIOD_S: Final = 1.0
-"""Between two looks, and so between two lines at least."""
+"""Between two looks, and the least time between two lines."""
 
 SILENT_S: Final = 60.0
 """Longest time without a line where none is rewritten."""
 
 END_S: Final = 0.2
-"""How long the last line may take at the end: who should read it may have stopped."""
+"""How long the last line may take at the end: its reader may have stopped."""
 
 REPORTED_COUNTERS: Final = ("lost", "corrupt", "withheld_by_reason", "electrodes", "recoveries", "trouble", "resets",
                             "overruns", "level")  # fmt: skip
 """Fields of ``Skin.status()`` of which any change is worth a line."""
 
 
+COUNTED: Final = {
+    "overruns": "over the latency budget", "resets": "device restarts", "recoveries": "recoveries after silence",
+}  # fmt: skip
+"""Counters that are shown unless they are 0, in words."""
+
+
 @dataclass(frozen=True, slots=True)
 class Status:
-    """A skin's counters at a moment, and what became of them since the look before."""
+    """A skin's counters at a moment, with rates since the last look."""
 
     rate_hz: float
     """Frames a second since then."""
@@ -43,7 +49,7 @@ class Status:
     """As ``Skin.status()`` returned them."""
 
     def fields(self) -> dict[str, object]:
-        """Return what a log line holds as plain values."""
+        """Return the status as plain values for a log line."""
         shown = ("frames", "published", *REPORTED_COUNTERS, "cloud", "idle", "drift", "verifier")
         return {
             "rate_hz": round(self.rate_hz, 1),
@@ -52,7 +58,7 @@ class Status:
         }
 
     def text(self) -> str:
-        """Return what people read, in a line."""
+        """Return the status as one line for people."""
         counters = self.counters
         parts = [f"{self.rate_hz:.1f} frames/s"]
         if self.touched is not None:
@@ -60,18 +66,18 @@ class Status:
         parts += [f"{counters.get('lost', 0)} lost", f"{counters.get('corrupt', 0)} corrupt"]
         reasons = {name: count for name, count in dict(counters.get("withheld_by_reason", {})).items() if count}
         if reasons:
-            listed = ", ".join(f"{name} {count}" for name, count in reasons.items())
+            listed = "; ".join(f"{WITHHELD.get(name, name)}: {count}" for name, count in reasons.items())
             parts.append(f"{sum(reasons.values())} withheld ({listed})")
-        parts += [f"{counters[name]} {name}" for name in ("overruns", "resets", "recoveries") if counters.get(name)]
+        parts += [f"{counters[name]} {words}" for name, words in COUNTED.items() if counters.get(name)]
         if counters.get("idle"):
-            parts.append("idle")
+            parts.append("idle, scanning a few drives")
         electrodes, trouble = counters.get("electrodes"), counters.get("trouble")
         if trouble:
-            parts.append(f"no frame that can be used: {trouble}")
+            parts.append(f"no usable frames: {WITHHELD.get(trouble, trouble)}")
         if electrodes:
-            parts.append(f"electrodes: {', '.join(electrodes)}")
+            parts += [electrode_words(one) for one in electrodes]
         elif not trouble:
-            parts.append("electrodes well")
+            parts.append("all electrodes work")
         if drift := drift_text(counters.get("drift")):
             parts.append(drift)
         if verifier := verifier_text(counters.get("verifier")):
@@ -80,20 +86,20 @@ class Status:
 
 
 def drift_text(drift: Mapping[str, Any] | None) -> str:
-    """Return how far the sheet is from its reference, in a few words; nothing where it is unknown.
+    """Return the drift since the reference in a few words; nothing if it is unknown.
 
     Args:
         drift: As ``Skin.status()`` has it.
     """
     if not drift or drift.get("percent") is None:
         return ""
-    held = "" if drift["followed"] else ", held"
+    paused = "" if drift["followed"] else ", not updated while touched or bent"
     uneven = "" if drift["uneven_percent"] is None else f", uneven {drift['uneven_percent']:.1f} %"
-    return f"drift {drift['percent']:+.1f} +- {drift['sd_percent']:.1f} %{uneven}{held}"
+    return f"drift {drift['percent']:+.1f} +- {drift['sd_percent']:.1f} %{uneven}{paused}"
 
 
 def verifier_text(verifier: Mapping[str, Any] | None) -> str:
-    """Return how frames are verified, in a few words; nothing where nobody does.
+    """Return the verifier's state and counts in a few words; nothing without a verifier.
 
     Args:
         verifier: As ``Skin.status()`` has it.
@@ -102,9 +108,9 @@ def verifier_text(verifier: Mapping[str, Any] | None) -> str:
         return ""
     why = f" ({verifier['why']})" if verifier["why"] else ""
     times = f", p50 {verifier['frame_ms_p50']:.1f} p99 {verifier['frame_ms_p99']:.1f} ms" if verifier["checked"] else ""
-    again = f", started again {verifier['restarts']} times" if verifier["restarts"] else ""
+    again = f", restarted {verifier['restarts']} times" if verifier["restarts"] else ""
     return (
-        f"verify {verifier['mode']}: {verifier['state']}{why}, {verifier['checked']} checked, {verifier['flagged']} "
+        f"verifier {verifier['state']}{why}: {verifier['checked']} checked, {verifier['flagged']} "
         f"flagged, {verifier['skipped']} skipped{times}{again}"
     )
 
@@ -137,7 +143,7 @@ class RunStatus(PeriodicThread):
         self._said_s = 0.0
 
     def check(self) -> None:
-        """Take a look, and say what is worth saying."""
+        """Read the counters, and write a line if it is time or something changed."""
         counters, now_s = dict(self._read()), self._now_s()
         elapsed_s = now_s - self._before_s
         before, self._before, self._before_s = self._before, counters, now_s
@@ -165,7 +171,7 @@ class RunStatus(PeriodicThread):
 
 
 def report(skin: Any, log: RunLog) -> None:
-    """Say what was got, line by line: device, bundle, skin, gate."""
+    """Log the device, the bundle, the skin and the gate, a line each."""
     from eitskin_proto.skin.skin import PAPER
 
     hello = skin.device.hello
@@ -185,23 +191,26 @@ def report(skin: Any, log: RunLog) -> None:
         log.warn(line)
     if not hello.skin_digest and skin.description.grid_id != PAPER.grid_id:
         log.warn(
-            f'the device does not say which skin it is wired to: state skin = "{skin.description.grid_id}" in its '
-            "configuration, and 'eitskin flash write'"
+            f'the device does not name its skin: write skin = "{skin.description.grid_id}" into its configuration '
+            "with 'eitskin flash write'"
         )
     gate = skin.bundle.manifest.get("gate") or {}
     rate = gate.get("false_alarm_rate")
     stated = f"{rate:.2%}" if isinstance(rate, float) else "unknown"
-    log.say(f"gate: false-alarm rate {stated}" if gate else "gate: none in this bundle")
+    log.say(f"gate: false-alarm rate {stated}" if gate else "gate: this bundle has none")
 
 
 def bundle_doubts(bundle: "Bundle", description: "Skin") -> list[str]:
-    """Return what is odd about a skin in use and its bundle, and stops nobody."""
+    """Return warnings about a skin and its bundle that do not stop the runtime."""
     from eitskin_proto.skin.touch_kind import knows
 
     touches = description.touch_kind
     if description is bundle.skin or knows(bundle.touch_kind, touches):
         return []
-    return [f"touches of {description.name}: {touches}, of the bundle: {bundle.touch_kind}; see --touches"]
+    return [
+        f"skin {description.name} is for touches {touches!r}, the bundle for {bundle.touch_kind!r}: choose with "
+        "--touches"
+    ]
 
 
 def closing(summary: dict[str, Any]) -> str:
@@ -209,6 +218,6 @@ def closing(summary: dict[str, Any]) -> str:
     latency = summary["latency_us"]
     return (
         f"{summary['frames']} frames at {summary['rate_hz']:.1f}/s, {summary['lost']} lost, "
-        f"{summary['corrupt']} corrupt, {summary['withheld']} withheld, read to publish {latency['p50']:.0f} us p50, "
-        f"{latency['p99']:.0f} p99, {latency['max']:.0f} max"
+        f"{summary['corrupt']} corrupt, {summary['withheld']} withheld; latency from read to publish: "
+        f"{latency['p50']:.0f} us median, {latency['p99']:.0f} us p99, {latency['max']:.0f} us at most"
     )

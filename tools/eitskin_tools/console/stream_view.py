@@ -2,7 +2,7 @@
 
 ::
 
-    199.8 frames/s  touched  peak 0.93 at x 45.0, y 35.0 mm  vd2t-int8  age 1.3 ms  lost 0  electrodes well
+    199.8 frames/s  touched  peak 0.93 at x 45.0, y 35.0 mm  vd2t-int8  age 1.3 ms  lost 0
 """
 
 import time
@@ -16,6 +16,7 @@ from eitskin.touches.force import ForceTable
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.console.terminal import StatusLine
+from eitskin_tools.console.words import electrode_words, event_words
 
 REDRAW_S: Final = 0.1
 """Between two texts on a terminal."""
@@ -109,18 +110,18 @@ def describe(frame: Any, rate_hz: float, grid: Grid = PAPER.grid) -> str:
     if frame.drift_percent is not None and frame.drift_sd_percent is not None:
         parts.append(f"drift {frame.drift_percent:+.1f} +- {frame.drift_sd_percent:.1f} %")
     if frame.electrodes:
-        parts.append(f"electrodes {', '.join(frame.electrodes)}")
+        parts += [electrode_words(one) for one in frame.electrodes]
     if frame.events:
-        parts.append(f"[{', '.join(frame.events)}]")
+        parts.append(f"[{'; '.join(event_words(one) for one in frame.events)}]")
     return "  ".join(parts)
 
 
 FLAGGED: Final = {
-    UNEXPLAINED: "FLAGGED: physics cannot explain it by these",
-    CONTESTED: "FLAGGED: the network plainly shows one that is not among these, or one is too small",
-    TIME: "FLAGGED: not explained, or these not confirmed, when its time was over",
+    UNEXPLAINED: "FLAGGED: these touches do not explain the frame",
+    CONTESTED: "FLAGGED: the network clearly shows a touch that is missing here, or a touch is too small",
+    TIME: "FLAGGED: no confirmed explanation within the time limit",
 }
-"""By why; an older runtime does not say why."""
+"""By reason; an older runtime gives none."""
 
 
 def describe_verdict(found: Any, table: ForceTable | None = None) -> list[str]:
@@ -132,7 +133,7 @@ def describe_verdict(found: Any, table: ForceTable | None = None) -> list[str]:
     """
     if not found.verified:
         return [f"{found.sequence} not verified: {state_text(found.state, found.why)}"]
-    said = FLAGGED.get(found.why, "FLAGGED") if found.flagged else "explained"
+    said = FLAGGED.get(found.why, "FLAGGED") if found.flagged else "verified"
     behind_ms = (found.host_ns["end"] - found.host_ns["publish"]) * 1e-6
     head = (
         f"{found.sequence} {said}, p {found.p_value:.3g}, chi-squared {found.chi_squared:.1f} for "
@@ -154,18 +155,18 @@ def force_text(touch: Any, table: ForceTable | None) -> str:
         return ""
     force = table.newtons(touch.strength_mm2, touch.strength_error_mm2 or 0.0)
     if force is None:
-        return f", force unknown: the table is of {table.rows[0][0]:g} to {table.rows[-1][0]:g} mm2"
-    more = " by the table alone" if touch.strength_error_mm2 is None else ""
+        return f", force unknown: the table covers {table.rows[0][0]:g} to {table.rows[-1][0]:g} mm2"
+    more = " from the table alone" if touch.strength_error_mm2 is None else ""
     return f", force {force[0]:.2f} +- {force[1]:.2f} N{more}"
 
 
 def state_text(state: str, why: str) -> str:
     """Return how a verifier is, in a few words."""
     words = {
-        "starting": "the verifier starts",
-        "preparing": "the model of the surface in use is being made",
+        "starting": "the verifier is starting",
+        "preparing": "the verifier is modelling the current surface",
         "ready": "the verifier is ready, with no new verdict",
-        "waiting": "the verifier has ended",
-        "failed": "the verifier cannot go on",
+        "waiting": "the verifier ended and will restart",
+        "failed": "the verifier failed",
     }
     return words[state] + (f": {why}" if why else "")

@@ -234,7 +234,7 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
 
 def show_page(address: str) -> None:
     """Say where the page is, and open it where somebody sits in front of a browser."""
-    print(f"look at it: {address}", file=sys.stderr, flush=True)
+    print(f"watch it at {address}", file=sys.stderr, flush=True)
     if has_display(sys.stderr):
         webbrowser.open(address)
 
@@ -279,7 +279,7 @@ def _going_on(children: list[Child], end: float) -> bool:
     for child in (subscriber, *children):
         child.check()
     if time.monotonic() > end:
-        raise SkinError("the stream went on without the subscriber's clock; stop the demonstration and try again")
+        raise SkinError("the subscriber did not finish in time; run the demonstration again")
     return True
 
 
@@ -415,21 +415,22 @@ def print_summary(summary: dict[str, Any]) -> None:
         return f"{value / 1000:.2f}"
 
     out = sys.stdout
-    print(f"{summary['frames']} frames at {summary['rate_hz']:g} frames/s; {summary['lost']} lost, "
+    verdict = "The skin works" if not (summary["lost"] or summary["corrupt"]) else "Frames are missing"
+    print(f"{verdict}: {summary['frames']} frames at {summary['rate_hz']:g} frames/s, {summary['lost']} lost, "
           f"{summary['corrupt']} corrupt", file=out)  # fmt: skip
-    print(f"wire to subscriber: p50 {ms(latency['p50'])} ms, p99 {ms(latency['p99'])} ms, max {ms(latency['max'])} ms",
-          file=out)  # fmt: skip
+    print(f"latency, wire to subscriber: p50 {ms(latency['p50'])} ms, p99 {ms(latency['p99'])} ms, "
+          f"max {ms(latency['max'])} ms", file=out)  # fmt: skip
     if alone := summary["latency_inferred_us"]:
-        print(f"  the {summary['inferred']} frames that a solver ran for: p50 {ms(alone['p50'])} ms, "
+        print(f"  with a solver ({summary['inferred']} frames): p50 {ms(alone['p50'])} ms, "
               f"p99 {ms(alone['p99'])} ms", file=out)  # fmt: skip
     parts = ", ".join(f"{name} {spans['p50']:.0f}/{spans['p99']:.0f}" for name, spans in stages.items() if spans)
-    print(f"stages, us p50/p99: {parts}", file=out)
+    print(f"stages in us, p50/p99: {parts}", file=out)
     if summary["cc_median"] is not None:
         split = [f"{name} {summary[key]:.3f}" for name, key in (("flat", "cc_median_flat"), ("bent", "cc_median_bent"))
                  if summary[key] is not None]  # fmt: skip
-        print(f"correlation with the truth: median {summary['cc_median']:.3f} over {summary['scored']} touched frames "
-              f"({', '.join(split)})", file=out)  # fmt: skip
+        print(f"maps: correlation with the truth {summary['cc_median']:.3f}, median of {summary['scored']} touched "
+              f"frames ({', '.join(split)})", file=out)  # fmt: skip
     gate = [f"{name} {100 * summary[key]:.2f} %" for name, key in (("missed touches", "missed"),
             ("false alarms", "false_alarms")) if summary[key] is not None]  # fmt: skip
     print(f"touches: {summary['touches']}", file=out)
-    print(f"gate: {', '.join(gate)}; clouds used: {summary['clouds']}", file=out)
+    print(f"touch detection: {', '.join(gate)}; clouds used: {summary['clouds']}", file=out)
