@@ -50,10 +50,10 @@ GIVE_WAY_S: Final = 0.001
 
 
 class DeferredWork:
-    """Keeps what is left to do of one frame.
+    """Keeps the remaining work of one frame.
 
     Args:
-        done: Told when it began and when it ended, on ``perf_counter_ns``; None if nobody wants to know.
+        done: Called with its begin and end, on ``perf_counter_ns``; None for no call.
     """
 
     __slots__ = ("_arguments", "_done", "_then", "_work")
@@ -107,11 +107,11 @@ OLD_FRAMES_S: Final = 1.0
 
 
 class FirstFrame:
-    """Tells whether a frame may be the first one.
+    """Decides whether a frame may be the first one.
 
     Args:
-        clock: Says when frames were scanned.
-        now_ns: When somebody asked, on ``perf_counter_ns``.
+        clock: The device clock, which dates scans.
+        now_ns: Time of the request, on ``perf_counter_ns``.
     """
 
     __slots__ = ("_awaited", "_begun_ns", "_clock", "backlog")
@@ -120,7 +120,7 @@ class FirstFrame:
         self._clock, self._begun_ns = clock, now_ns
         self._awaited = True
         self.backlog = True
-        """What waits is from before somebody asked: of all that waits, the newest alone may be the first."""
+        """Waiting frames are older than the request: only the newest of them may be the first."""
 
     def is_old(self, scanned_ns: int, read_ns: int) -> bool:
         """Return whether a frame is too old to be the first; the one that is not is the first.
@@ -142,7 +142,7 @@ LINE_REST_S: Final = 0.001
 """The line rests if nothing comes for so long; what was published has been handed over by then."""
 
 MAX_GREETINGS: Final = 5
-"""How often a device is greeted anew without a single frame of its configuration in between."""
+"""Most handshakes in a row without a frame of the device's configuration in between."""
 
 FIRST_AGAIN_S: Final = 0.1
 """After which a device is greeted a second time that sends frames of another generation; doubles up to a second."""
@@ -177,7 +177,7 @@ class FrameSource:
         self.deferred = DeferredWork(done)
         """What is left to do of the frame that was yielded last; done while the line rests, or before the next one."""
         self.recoveries = 0
-        """How often the device was greeted anew after silence, a reset, or frames that could not be used."""
+        """Handshakes repeated after silence, a reset, or unusable frames."""
         self._stopping = self._started = self._reading = self._failed = False
         self._fruitless = 0
         self._fit_ns = self._greeted_ns = self._patient_ns = self._looked_ns = time.perf_counter_ns()
@@ -199,7 +199,7 @@ class FrameSource:
 
     @property
     def trouble(self) -> str:
-        """Why no frame that can be used has come for ``silence_s`` / 2; "" while they come, or nobody asks for them.
+        """Why no usable frame has come for ``silence_s`` / 2; "" while they come, or while there is no subscriber.
 
         ``silent``, ``front_end_failed`` or one of :data:`eitskin.pipeline.intake.REASONS`; from any thread.
         """
@@ -277,7 +277,7 @@ class FrameSource:
         return silence_s if until_ns is None else min(silence_s, (until_ns - time.perf_counter_ns()) * 1e-9)
 
     def _look_after(self, now_ns: int) -> None:
-        """Greet the device anew if no frame that can be used came for too long."""
+        """Repeat the handshake if no usable frame came for too long."""
         intake, silence_ns = self._pipeline.intake, self._device.silence_s * 1e9
         if self._fit_ns != self._looked_ns:  # a frame came that could be used, since the last look
             self._looked_ns, self._fruitless, self._failed, self._bad_s = self._fit_ns, 0, False, FIRST_BAD_S
@@ -308,7 +308,7 @@ class FrameSource:
         return [] if self._stopping else self._device.payloads(wait_s)  # what woke the moment's wait wakes no other
 
     def _start(self) -> None:
-        """Start the stream with the first frame that is asked for: what nobody reads would only grow old."""
+        """Start the stream with the first request for frames; earlier frames would only grow old."""
         if self._started:
             return
         try:
@@ -353,10 +353,11 @@ class FrameSource:
             self.on_withheld(withheld, read_ns)
 
     def _recover(self) -> None:
-        """Greet the device anew, and let it start anew.
+        """Repeat the handshake and restart the stream.
 
         Raises:
-            NotReady: It does not answer, or was greeted ``MAX_GREETINGS`` times for nothing, and nobody waits longer.
+            NotReady: It does not answer, or ``MAX_GREETINGS`` handshakes brought no frame, and the time to wait is
+                over.
             HandshakeError: It is another device, or measures in another way.
             PortLost: The port is gone.
         """
@@ -381,10 +382,10 @@ class FrameSource:
         self._greeted_ns = time.perf_counter_ns()
 
     def _bear(self, error: NotReady) -> None:
-        """Open the line anew for a device that hangs, as long as somebody wants to wait for it; else raise.
+        """Open the line again for a hung device while there is time to wait; else raise.
 
         Raises:
-            NotReady: Nobody waits, or not any longer.
+            NotReady: The time to wait is over.
         """
         patience_s = self._device.patience_s
         last_ns = max(self._pipeline.intake.heard_ns, self._patient_ns)
@@ -426,10 +427,10 @@ FRAMES_ONLY: Final = Demand()
 
 
 class Taker(Protocol):
-    """Who takes the messages of frames: a publisher, or this process.
+    """A consumer of frame messages: a publisher, or this process.
 
-    One may also have ``asked``, an :class:`eitskin.messaging.frame_message.Demand`; one without takes frames, and no
-    touches. One may have ``streams`` (:mod:`eitskin.messaging.streams.publisher`).
+    It may have ``asked``, an :class:`eitskin.messaging.frame_message.Demand`; without it, it takes frames and no
+    touches. It may have ``streams`` (:mod:`eitskin.messaging.streams.publisher`).
     """
 
     @property
@@ -466,7 +467,7 @@ class FrameLoop:
         self.feed: StreamFeed | None = None
         """Of what was measured, where a taker has streams."""
         self.verifier_status: Callable[[], dict[str, Any]] = dict
-        """What who verifies frames says of itself; from any thread. Nothing where nobody does."""
+        """The verifier's status; empty without a verifier; from any thread."""
 
     @property
     def run_id(self) -> str:
@@ -479,10 +480,10 @@ class FrameLoop:
         return self._messages.published
 
     def run(self, taker: Taker, until_ns: int | None = None) -> Generator[FrameRecord, None, None]:
-        """Take frames through, and yield each one's record when it is done; the next frame overwrites it.
+        """Process frames, and yield each one's record when it is done; the next frame overwrites it.
 
         Args:
-            taker: Who takes their messages.
+            taker: The consumer of their messages.
             until_ns: When to end, on ``perf_counter_ns``; None goes on until ``stop``.
 
         Raises:
@@ -564,7 +565,7 @@ class FrameLoop:
             taker.send(message)
 
     def _look_for_touches(self, *, wanted: bool) -> None:
-        """Put the touches into the record, or forget them when nobody asks any more."""
+        """Put the touches into the record, or forget them once there is no request for touches."""
         pipeline, record, touches = self._pipeline, self._pipeline.record, self._touches
         if touches is None:
             self._touches = touches = TouchWatch(pipeline.bundle.skin.grid)
@@ -584,7 +585,7 @@ class FrameLoop:
         return self._messages.finish(record)
 
     def _finish(self, feed: StreamFeed | None, number: int | None) -> None:
-        """Take note of the frame, after it was handed over; what it was computed under is told before that changes."""
+        """Record the frame after it was handed over, and send its conditions before they change."""
         record = self._pipeline.record
         self.statistics.add(record.stamps, record.solver, record.touched, record.skipped, record.events)
         if feed is None:

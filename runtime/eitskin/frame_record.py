@@ -72,7 +72,7 @@ class FrameRecord:
         self.resets = 0
         """Totals up to this frame."""
         self.touches: tuple[bytes, bytes, int] | None = None
-        """Touches, their events, and how many are not listed (:mod:`eitskin.touches.watch`); None if nobody asks."""
+        """Touches, their events, and how many are not listed (:mod:`eitskin.touches.watch`); None without a request."""
 
     @property
     def map_is_zero(self) -> bool:
@@ -86,7 +86,7 @@ class FrameRecord:
 
     @property
     def map_key(self) -> tuple[int, int]:
-        """What tells its map from all others of this run: a device that starts anew numbers its frames anew."""
+        """Identifies its map in this run, because a restarted device counts its frames from 0 again."""
         return self.resets, self.map_sequence
 
     def note(self, *events: str) -> None:

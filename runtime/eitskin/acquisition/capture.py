@@ -37,12 +37,12 @@ def capture(
 
     Args:
         port: Serial port's path, or ``usb:SERIAL``.
-        frames: How many, at least 2.
+        frames: Number of frames to average, at least 2.
         baud: Bits per second on a real UART.
-        checks: What it is held against (:func:`eitskin.reference.judged.reference_checks`); None for nothing.
-        force: Take it even if the sheet was bent, touched or moving.
-        skin: Whose reference it is.
-        scan: Of the sheet as it lies; None for a flat one.
+        checks: Checks of the reference (:func:`eitskin.reference.judged.reference_checks`); None for no checks.
+        force: Accept it even if the sheet was bent, touched or moving.
+        skin: The skin of the reference.
+        scan: Scan of the sheet in its present shape; None for a flat one.
 
     Raises:
         TransportError: The port is missing, busy, denied or lost.

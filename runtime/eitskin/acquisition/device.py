@@ -172,19 +172,19 @@ RETRY_S: Final = 0.4
 """After which a request is sent again."""
 
 SILENCE_S: Final = 1.0
-"""A stream that is silent for so long, and for 20 frames, is looked after."""
+"""After this time, and 20 frame periods, without a frame the device is greeted again."""
 
 IDLE_SILENCE_S: Final = 5.0
 """The same in the idle mode."""
 
 LEAVE_S: Final = 0.2
-"""How long who leaves waits for the device's word that it stopped: it stops without, too."""
+"""Longest wait for the device to confirm STOP on closing; it stops without, too."""
 
 TIME_QUESTIONS: Final = 5
-"""Asked before each stream; the shortest round trip bounds the clock best."""
+"""Number of time requests before each stream; the shortest round trip bounds the clock best."""
 
 TIME_ANSWER_S: Final = 0.1
-"""A device that does not answer this question within this time is not asked again: it only makes ages better."""
+"""Longest wait for TIME; a device that misses it is not asked again, since the answer only refines ages."""
 
 
 class Wanted(Protocol):
@@ -199,10 +199,10 @@ class Device:
 
     Args:
         transport: An open line.
-        skin: What the device must be configured for, if it says; None for any.
+        skin: The skin for which the device must be configured, if it states one; None for any.
 
     Raises:
-        HandshakeError: Nobody answered, or the device measures in a way this runtime cannot use.
+        HandshakeError: The device did not answer, or measures in a way this runtime cannot use.
         ProtocolError: It speaks another major version.
         MismatchError: It was built for another protocol_id, or is configured for another skin.
         PortLost: The line is gone.
@@ -214,15 +214,15 @@ class Device:
         self.read_ns = 0
         """``perf_counter_ns`` when the bytes behind the last ``payloads`` were in hand."""
         self.held: deque[bytes] = deque()
-        """Payloads that came behind the one that was waited for, or that their taker left: ``payloads`` has them."""
+        """Payloads that arrived after the expected one or were not consumed; ``payloads`` returns them first."""
         self.idle = False
-        """It scans a few drives only, at a rate that HELLO does not tell."""
+        """It scans a few drives only, at a rate that HELLO does not state."""
         self.stopping = False
-        """Nobody waits for answers any more; may be set from another thread, which then wakes the transport."""
+        """Stop waiting for answers; another thread may set it, and then wakes the transport."""
         self._tag = 0
         self._returned: PortReturned | None = None
         self.hello = self._greeted()
-        """What the device said about itself."""
+        """The device's last HELLO."""
         self.time_sample: TimeSample | None = None
         """Its clock, asked just before the stream was started; None if it gave no answer."""
 
@@ -233,14 +233,14 @@ class Device:
 
     @property
     def silence_s(self) -> float:
-        """How long without a frame is too long."""
+        """Time without a frame after which the stream counts as silent."""
         if self.idle:
             return IDLE_SILENCE_S
         return max(SILENCE_S, 20e3 / max(self.hello.rate_mHz, 1))
 
     @property
     def patience_s(self) -> float:
-        """How long a device that does not answer is waited for; 0 where nobody asked for that."""
+        """How long to wait for a device that does not answer; 0 by default."""
         return float(getattr(self.transport, "patience_s", 0.0))
 
     @property
@@ -249,7 +249,7 @@ class Device:
         return float(getattr(self.transport, "pause_s", 0.0))
 
     def reopen(self) -> None:
-        """Close the line and open it anew, where the transport can; a hung device may then recover.
+        """Close the line and open it again, where the transport can; a hung device may then recover.
 
         Raises:
             PortReturned: The line is open again.
@@ -331,18 +331,18 @@ class Device:
         """
         self.stopping = False
         if getattr(self.transport, "gone", False):
-            return  # there is nothing to stop, and nobody waits for it to come back
+            return  # there is nothing to stop, so do not wait for its return
         self._request(messages.Stop(self._next_tag()), LEAVE_S)
         if self.idle:
             self.ask_mode(Mode.ACTIVE)
 
     def ask_mode(self, mode: Mode) -> None:
-        """Ask for another mode and return at once; the frames say when it has come about.
+        """Request another mode and return at once; the frames show when the device has switched.
 
-        If the line vanished and is back, the next ``payloads`` says so.
+        If the line vanished and is back, the next ``payloads`` raises it.
 
         Raises:
-            PortLost: The line is gone, and nobody stops.
+            PortLost: The line is gone, and the device is not being stopped.
         """
         self.idle = mode == Mode.IDLE
         try:

@@ -20,7 +20,7 @@ RATE_MHZ: Final = (100, 100_000_000)
 """Least and most, in thousandths of a hertz: one frame in 10 s, and 100,000 a second."""
 
 FIXED_FIELDS: Final = ("volts_per_count", "rows", "sample_bytes", "drives", "idle_drives", "rate_mHz")
-"""What belongs to a configuration, or to the electronics: a device that is greeted anew must not change it."""
+"""Fields of the configuration or the electronics, which must not change between two HELLOs."""
 
 
 def check_usable(hello: Hello, line_bytes_per_s: int) -> None:

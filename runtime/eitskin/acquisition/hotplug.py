@@ -144,10 +144,10 @@ class HotPlug:
         return self._line is None
 
     def reopen(self) -> None:
-        """Close the port and open it anew: a device that hangs behind it may come to.
+        """Close the port and open it again; a hung device may then recover.
 
         Raises:
-            PortReturned: It is open again: shake hands anew.
+            PortReturned: It is open again: repeat the handshake.
             PortLost: It did not come back in time.
         """
         self._wait(None)

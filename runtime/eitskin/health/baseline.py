@@ -49,7 +49,7 @@ UNEVEN_STEP: Final = 0.0007
 """Rms of the uneven part of drift from before a press to after it, as measured on real sheets."""
 
 UNEVEN_WALK: Final = 2e-10
-"""Variance a frame that it gains besides: a fifth of the common part's."""
+"""Additional variance a frame: a fifth of the common part's."""
 
 MAX_UNEVEN: Final = 0.002
 """Rms by which a sheet may come back unlike itself: less than half of the weakest touch that must stay one."""
@@ -99,13 +99,13 @@ class UntouchedBaseline:
     """Follows the untouched sheet.
 
     Attributes:
-        known: The sheet has been untouched, and still, ever since this was last known for sure.
+        known: Whether the sheet has been untouched and still since that was last certain.
         after_effect: Share of the last press that stayed behind; 0 before the first.
         left: Frames since the sheet was known to be untouched.
         span: Frames that the running mean is of, at rest.
         steady: Frames in a row that were like the ones before, touched or not.
-        base: (104,) log(V / V0) of the untouched sheet as it lies.
-        scene: (104,) what of ``base`` is the sheet's shape.
+        base: (104,) log(V / V0) of the untouched sheet in its present shape.
+        scene: (104,) part of ``base`` that the sheet's shape causes.
     """
 
     def __init__(self) -> None:
@@ -206,10 +206,10 @@ class UntouchedBaseline:
             self._slow, self._slow_share, self.steady = logs.copy(), share, 0  # what came before says nothing now
 
     def enter(self, common: float) -> None:
-        """Take the sheet as it lies for untouched, because a scan says so.
+        """Accept the present sheet as untouched, because a scan says so.
 
         Args:
-            common: What its drift has moved besides, in log.
+            common: Its common drift, in log.
         """
         drift = self.drift + common
         self.base = self._slow.copy()
@@ -219,7 +219,7 @@ class UntouchedBaseline:
         self._know()
 
     def _average(self, logs: Array, share: float, frames: int) -> None:
-        """Add a look to the running mean, which begins anew wherever the sheet moves."""
+        """Add a group of frames to the running mean, which restarts whenever the sheet moves."""
         if self._slow_share and self.split(logs - self._slow, share + self._slow_share).still:
             part = max(2.0 * frames / (self.span + frames), self._slow_share / (self._slow_share + share))
             self._slow = self._slow + part * (logs - self._slow)
@@ -255,7 +255,7 @@ class UntouchedBaseline:
         returned = min(allowed, MAX_DIFFERENCE_AT_RETURN**2 * self._square(self._peak))
         crept = min(CREEP_WALK * self.left, MAX_CREEP**2)
         press = max(self._press, self._peak, key=self._square)
-        if now.chi <= MAX_CHI2:  # an even change proves nothing here: drift adds up while something lies there
+        if now.chi <= MAX_CHI2:  # an even change proves nothing here: drift adds up while the sheet is touched
             self.base = self.base + now.common
         elif touched:
             return

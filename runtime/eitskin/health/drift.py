@@ -31,16 +31,17 @@ from eitskin.health.untouched import Untouched
 from eitskin_proto.sensor.table import N_ROWS
 
 REST_FRAMES: Final = 400
-"""Frames at rest before a scan is believed, or drift reported by it: two seconds at 200 frames/s."""
+"""Frames at rest before a scan is used or drift is reported from it: two seconds at 200 frames/s."""
 
 MAX_SCAN_D: Final = 0.7
 """D of a scan that explains the sheet; of sheets as modelled nine in ten are below, of touches those of 1 % rms."""
 
 UNEVEN_FACTOR: Final = 2.0
-"""Times the limit: one in nine bends of family B, whose clouds tell less than A's, lies between once and 1.7 times."""
+"""Multiple of the limit: one in nine bends of family B, which clouds describe worse than A's, is 1 to 1.7 times the
+limit."""
 
 EVENT_SIGMAS: Final = 3.0
-"""Drift is an event above so many of its standard deviations, and above ``MIN_COMMON``."""
+"""Drift is an event above this many of its standard deviations, and above ``MIN_COMMON``."""
 
 MIN_COMMON: Final = 0.02
 """Smallest common drift worth an event, and the smallest that is taken over from a scan, in log."""
@@ -52,10 +53,10 @@ COMMON_WALK: Final = 1e-9
 """Variance of common drift a frame: 0.1 % a press and a press in five seconds, at 200 frames/s."""
 
 FILE_PRIOR: Final = 0.1
-"""Standard deviation of what a sheet may have drifted since a reference that comes from a file."""
+"""Standard deviation of a sheet's drift since a reference from a file."""
 
 EXPECTED_PERCENT: Final = (0.0, 100.0 * FILE_PRIOR)
-"""Drift and its standard deviation before a frame has told anything."""
+"""Drift and its standard deviation before the first frame."""
 
 CAPTURE_PRIOR: Final = 5e-4
 """Standard deviation of what is followed from the reference on."""
@@ -207,7 +208,7 @@ class Drift:
         return self._news()
 
     def _enter(self, more: float, distance: float, sigma: float, *, touched: bool) -> None:
-        """Go on from the sheet as it lies if its scan explains it, and take its common factor over if that is large."""
+        """Continue from the present sheet if its scan explains it, and adopt its common factor if that is large."""
         clear = abs(more) >= MIN_COMMON
         if distance > MAX_SCAN_D or more**2 > 16.0 * (self._variance + sigma**2) or (touched and not clear):
             return

@@ -27,7 +27,7 @@ BATCH_FRAMES: Final = 5
 """Frames whose electrodes are looked at together: a failure is named at most 4 frames later than by looking at each."""
 
 MAX_BATCH: Final = BATCH_FRAMES + 1
-"""The line may never rest: so many frames are looked at in any case."""
+"""Frames after which they are examined even if the line never rests."""
 
 DRIFT_TOGETHER: Final = 24
 """The same for drift, which moves in minutes; a multiple of ``MAX_BATCH``."""
@@ -76,17 +76,17 @@ class Health:
         frames: int = 100,
         fresh: bool = False,
     ) -> None:
-        """Hold frames against another reference from now on.
+        """Compare frames with another reference from now on.
 
-        The gate's threshold is set at once. If the same rows were missing before, as where a reference is taken anew
-        amid frames, none of them waits for it: the threshold before holds, and it is set while the line rests.
+        The gate's threshold is set at once. If the same rows were missing before, as when a reference is replaced
+        between frames, no frame waits for this: the old threshold holds, and the new one is set while the line rests.
 
         Args:
             reference_V: (104,) V.
             spread_V: (104,) V, standard deviation of its single frames.
-            gate: What judges the frames; its threshold is set by what they can show.
-            frames: Of which the reference is the mean.
-            fresh: It was taken of the sheet as it is now.
+            gate: The gate of the frames; its threshold depends on their rows.
+            frames: Number of frames of which the reference is the mean.
+            fresh: Whether it was captured just now.
         """
         by_hand = tuple(finding.electrode for finding in self.electrodes.findings if finding.state == "excluded")
         self.electrodes = ElectrodeWatch(self._consistency, reference_V, spread_V, by_hand)
@@ -144,11 +144,11 @@ class Health:
             self.electrodes.imputation.fill(change, predicted)
 
     def put_aside(self, counts: npt.NDArray[np.int32] | None = None, *, touched: bool) -> bool:
-        """Keep the frame that was corrected last, to be looked at, and return whether that must be done now.
+        """Queue the frame corrected last for examination, and return whether that is due now.
 
         Args:
-            counts: Of the frame: (208,) are held against each other at once.
-            touched: What the gate said.
+            counts: Of the frame; (208,) are checked for reciprocity at once.
+            touched: The gate's decision.
         """
         if counts is not None and len(counts) == N_FULL_ROWS:
             self.reciprocity.add(counts, frozenset(finding.electrode for finding in self.electrodes.findings))
@@ -159,7 +159,7 @@ class Health:
 
     @property
     def due(self) -> bool:
-        """Whether enough frames wait, or the gate's threshold is to be set, or somebody wants electrodes left out."""
+        """Whether enough frames wait, or the gate's threshold is to be set, or electrodes are to be excluded."""
         calibrating = self.gate_without_rows is not None and self.gate_without_rows.due
         return self._waiting >= BATCH_FRAMES or self._wanted is not None or calibrating
 

@@ -30,7 +30,7 @@ LARGEST_RECORDED_GAP: Final = 0.02
 what comes of it is no more than advice. So it may be stricter."""
 
 AGREEING_FRAMES: Final = 12
-"""Frames in a row with the same suspect; what 104 rows can tell by themselves is told after ten."""
+"""Frames in a row with the same suspect; failures that 104 rows show are reported after ten."""
 
 Array = npt.NDArray[np.float64]
 

@@ -173,7 +173,7 @@ class ControlServer:
         return True
 
     def _say_farewell(self) -> None:
-        """Answer who still waits."""
+        """Answer the clients that still wait."""
         waiting = self._slow.waiting
         if waiting is None:
             return
@@ -181,7 +181,7 @@ class ControlServer:
             if not self._answer_finished(FAREWELL_S):
                 self._send(waiting, False, refusal("the runtime takes no more requests; ask again once it runs"))
         except zmq.ZMQError:
-            return  # nobody can be reached any more
+            return  # no client can be reached any more
 
     def _end(self) -> None:
         self._context.term()  # wakes the authenticator; waits until sockets are closed and answers sent
@@ -206,9 +206,9 @@ class _SlowRequest:
         self.wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         """To wait on: something is finished, or ``ring`` was called."""
         self.waiting: Route | None = None
-        """Who waits for an answer."""
+        """A client that waits for an answer."""
         self.asker: int | None = None
-        """Descriptor of the connection of who asked last."""
+        """Descriptor of the connection of the last request."""
         self._done: SimpleQueue[tuple[bool, bytes]] = SimpleQueue()
         self._lock = threading.Lock()
 
@@ -232,7 +232,7 @@ class _SlowRequest:
         self.ring()
 
     def ring(self) -> None:
-        """Wake who waits on ``wake``."""
+        """Wake the thread that waits on ``wake``."""
         with self._lock:
             if self.wake >= 0:
                 os.eventfd_write(self.wake, 1)

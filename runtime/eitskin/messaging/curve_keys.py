@@ -35,12 +35,12 @@ PUBLIC_KEY: Final = re.compile(rb'^\s*public-key\s*=\s*"([0-9a-zA-Z.:+=^!/*?&<>(
 """Of a file; the key is in Z85."""
 
 DOMAIN: Final = "eitskin"
-"""What the runtime's sockets call themselves when they ask who may enter."""
+"""ZAP domain of the runtime's sockets."""
 
 
 @dataclass(frozen=True, slots=True)
 class ServerKeys:
-    """The runtime's keys and who may connect."""
+    """The runtime's keys, and the clients that may connect."""
 
     public: bytes
     secret: bytes
@@ -163,7 +163,7 @@ def _public_key(path: Path) -> bytes:
 
 
 def _refuse_if_others_write(path: Path, found: os.stat_result) -> None:
-    """Refuse what somebody else could have changed, who would then choose who enters."""
+    """Refuse a file that another user could have changed and so choose the clients."""
     if found.st_mode & 0o022:
         raise EndpointError(f"{path} can be written to by others, who could let themselves in; run: chmod go-w {path}")
     if found.st_uid not in (os.geteuid(), 0):
@@ -228,7 +228,7 @@ def _answer(authenticator: Any, question: list[bytes]) -> None:
 
 
 def _auth() -> Any:
-    """Return pyzmq's keys module, which loads logging and hashing: only who uses keys pays for it."""
+    """Return pyzmq's keys module, imported late because it loads logging and hashing."""
     from zmq import auth  # noqa: PLC0415
 
     return auth

@@ -39,10 +39,10 @@ its sockets."""
 
 
 def runtime_folders() -> list[Path]:
-    """Return the folders in which sockets may lie by default, the one in use first; makes none of them.
+    """Return the default folders of sockets, the one in use first, without making them.
 
-    The first is in ``XDG_RUNTIME_DIR``, where a session has one. The other stands in without, as under ``cron`` or
-    ``sudo``: who runs there and who subscribes from a desktop do not meet, and are told so.
+    The first is in ``XDG_RUNTIME_DIR``, where a session has one. The other replaces it under ``cron`` or ``sudo``: a
+    runtime there and a subscriber on a desktop use different folders, and messages say so.
     """
     base = os.environ.get("XDG_RUNTIME_DIR")
     session = Path(base) if base else Path(f"/run/user/{os.getuid()}")
@@ -51,10 +51,10 @@ def runtime_folders() -> list[Path]:
 
 
 def runtime_folder() -> Path:
-    """Return a folder that only this user can enter, made if need be.
+    """Return a folder that only this user can enter; make it if necessary.
 
     Raises:
-        EndpointError: It exists and belongs to somebody else, or others may enter.
+        EndpointError: It exists and belongs to another user, or others may enter.
     """
     folder = runtime_folders()[0]
     with suppress(FileExistsError):
@@ -144,7 +144,7 @@ def clear_path(path: Path) -> None:
     """Remove a socket that was left behind at a path.
 
     Raises:
-        EndpointError: Somebody listens there, or it is another file.
+        EndpointError: A program listens there, or it is another file.
     """
     try:
         mode = path.lstat().st_mode
@@ -160,7 +160,7 @@ def clear_path(path: Path) -> None:
                 path.unlink()
             return
         except BlockingIOError:
-            pass  # so many wait there that nobody else may: it lives
+            pass  # its queue is full, so a program still listens
         except OSError as error:
             raise EndpointError(f"ipc://{path} cannot be taken over: {error.strerror or error}") from error
     raise EndpointError(f"ipc://{path} is in use: stop the program that serves it, or name another endpoint")

@@ -47,7 +47,7 @@ TOUCH_FIRST_BYTE: Final = b"\xdf"
 """A touch message, which has no map, begins with it: the same, with a wider count."""
 
 TOUCH_VERSION: Final = 2
-"""Of a touch message: who reads version 1 only leaves it alone."""
+"""Version of a touch message; readers of version 1 ignore it."""
 
 LARGEST_MAP: Final = 4 * MOST_PIXELS[0] * MOST_PIXELS[1]
 """Bytes; the paper's has 5400."""

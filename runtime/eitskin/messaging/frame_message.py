@@ -260,8 +260,8 @@ class FrameMessages:
 
         Args:
             record: The frame.
-            short: Leave the map out if it is that of the frame before, which every subscriber has.
-            frames: Whether somebody takes frames; else only the touch message will be asked for, and no map is copied.
+            short: Omit the map if it is that of the previous frame, which every subscriber has.
+            frames: Whether frames have subscribers; else only the touch message is needed, and no map is copied.
         """
         self.published += 1
         if not frames:
@@ -300,14 +300,14 @@ class FrameMessages:
 
 
 class Demand(NamedTuple):
-    """What takers of messages ask for besides."""
+    """What consumers request in addition to frames."""
 
     frames: bool = True
-    """Somebody takes frames, with their maps."""
+    """Frames with their maps are requested."""
     touches: bool = False
-    """Somebody needs touches."""
+    """Touches are requested."""
     alone: bool = False
-    """Somebody takes touches without maps."""
+    """Touches without maps are requested."""
 
 
 class LastMessage:

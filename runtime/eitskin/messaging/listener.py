@@ -47,7 +47,7 @@ GRACE_S: Final = 0.5
 """How long a newcomer may say nothing before it makes room for others, and how long a listener is kept at least."""
 
 PAUSE_S: Final = 0.05
-"""How long those who wait are not looked at again when there was no room for them."""
+"""Pause before the next look at waiting clients when there was no room for them."""
 
 RESERVE: Final = 24
 """Files that stay free for what the process opens itself, and for connections that another address lets in just now."""
@@ -81,7 +81,7 @@ class _Connection:
 class Listener:
     """Binds a ZeroMQ socket, bounds its connections, and closes it; leave it with ``close``.
 
-    For the thread that uses the socket.
+    Use it only in the thread of the socket.
 
     Args:
         context: Of the socket.
@@ -91,8 +91,8 @@ class Listener:
         most: Connections at once; fewer where few files may be open.
 
     Raises:
-        EndpointError: The endpoint is not allowed like this, or in use, or cannot be bound; or the process may open so
-            few files that nobody could connect. The socket is closed.
+        EndpointError: The endpoint is not allowed like this, or in use, or cannot be bound; or the process may open too
+            few files for a connection. The socket is closed.
     """
 
     def __init__(self, context: Any, socket_: Any, endpoint: str, *, keys: ServerKeys | None, most: int) -> None:
@@ -108,9 +108,9 @@ class Listener:
         """Connections that were ended because there were too many."""
         self._ipc = endpoint.startswith(IPC)
         self._waiting: socket.socket | None = None
-        """Lies at the ipc path."""
+        """The listener at the ipc path."""
         self._next_s = 0.0
-        """When those who wait are looked at again."""
+        """Time of the next look at waiting clients."""
         self._given: dict[str, tuple[int, float]] = {}
         """Of each listener that libzmq has got: its descriptor, and when."""
         monitor = f"inproc://monitor-{id(self)}"
@@ -196,7 +196,7 @@ class Listener:
         return PAUSE_S if time.monotonic() < self._next_s else None
 
     def admit(self) -> None:
-        """Let in who waits at an ipc address, if there is room; takes microseconds while nobody waits."""
+        """Accept waiting clients at an ipc address if there is room; takes microseconds while none waits."""
         if self._waiting is None or not can_be_read(self._waiting.fileno()) or self.pause_s is not None:
             return
         self._release()
@@ -211,7 +211,7 @@ class Listener:
             self._let_in(self._waiting, Path(self.endpoint.removeprefix(IPC)))
 
     def _let_in(self, waiting: socket.socket, path: Path) -> None:
-        """Put another listener at the path, and give libzmq the one at which somebody waits."""
+        """Put another listener at the path, and give libzmq the one at which clients wait."""
         beside = path.with_name(f".{next(_NUMBERS) % 0x100000:x}")
         try:
             another = listening(beside)
@@ -256,7 +256,7 @@ class Listener:
 
     @property
     def empty(self) -> bool:
-        """Whether nobody is connected."""
+        """Whether no client is connected."""
         return not self._connections
 
     def close(self) -> None:
@@ -274,7 +274,7 @@ class Listener:
 
 
 def listening(path: Path) -> socket.socket:
-    """Return a listener that lies at a path, in nobody's reach but its owner's.
+    """Return a listener at a path that only its owner can reach.
 
     Raises:
         OSError: It cannot be bound.
@@ -291,7 +291,7 @@ def listening(path: Path) -> socket.socket:
 
 
 def can_be_read(descriptor: int) -> bool:
-    """Return whether something waits at a descriptor: at a listener, somebody to be accepted."""
+    """Return whether a descriptor is readable: for a listener, whether a client waits."""
     poll = select.poll()
     poll.register(descriptor, select.POLLIN)
     return any(event & select.POLLIN for _, event in poll.poll(0))

@@ -46,8 +46,8 @@ QUEUE_FRAMES: Final = 400
 """Frames that may wait for one subscriber, and none is lost: 2 s at 200 frames/s."""
 
 MOST_WAITING: Final = 2 * QUEUE_FRAMES
-"""What libzmq is told, 4.8 MB. It hears of what a subscriber took only at every half of it, and takes the rest to be
-waiting still: for who is just short of a half, half the room is there (libzmq 4.3.5)."""
+"""High-water mark for libzmq, 4.8 MB. A subscriber acknowledges messages only at every half of it, and libzmq counts
+the rest as waiting: just before an acknowledgement only half the room is left (libzmq 4.3.5)."""
 
 LARGEST_SUBSCRIPTION: Final = 512
 """Bytes; a subscription to everything has 1, but CURVE's handshake, which counts as well, has up to 260."""
@@ -63,12 +63,12 @@ MOST_TOPICS: Final = 512
 """Topics that are remembered; beyond it everything counts as asked for."""
 
 MOST_SUBSCRIBERS: Final = 128
-"""At once; who comes then is ended."""
+"""Subscribers at once; further connections are ended."""
 
 _EVENTS, _POLLIN, _NOBLOCK = zmq.EVENTS, int(zmq.POLLIN), int(zmq.NOBLOCK)  # an enumeration's & takes microseconds
 
 DESERTED_S: Final = 2.0
-"""How long nobody must be connected until nothing counts as asked for any more."""
+"""Time without any connection after which all topics are forgotten."""
 
 DECLARING: Final = frozenset((FIRST_BYTE, *patient_topics(FIRST_BYTE)))
 """Topics of frames for subscribers that say by topics of their own what they need of them."""
@@ -91,20 +91,20 @@ class Publisher:
         """Frames that the socket did not take."""
         self._authenticator = CurveAuthenticator(self._context, keys) if keys is not None else None
         self.wanted = False
-        """Whether anybody subscribes, as of the last ``update``."""
+        """Whether there is a subscriber, as of the last ``update``."""
         self.asked = Demand()
-        """What else is asked for."""
+        """What is requested in addition."""
         self.verified = False
-        """Whether anybody asks for what physics says of frames."""
+        """Whether verified messages have a subscriber."""
         self.takes_short = False
-        """Whether every subscriber does without a map that has not changed."""
+        """Whether no subscriber needs unchanged maps."""
         self.joined = True
-        """Somebody came or went since the last frame was sent: the next one must carry its map."""
+        """A subscriber came or went since the last frame: the next one must carry its map."""
         self.streams = StreamPublisher(self.send_beside)
-        """Where messages of what was measured are handed in."""
+        """The streams of measurements."""
         self._topics: set[bytes] = set()
         self._asked_s = 0.0
-        """When somebody last asked for something."""
+        """Time of the last subscription."""
         self._socket: Any = self._context.socket(zmq.XPUB)
         self._send = super(zmq.Socket, self._socket).send  # without the wrapper, which is for other kinds of sockets
         self._socket.setsockopt(zmq.SNDHWM, MOST_WAITING)
@@ -139,7 +139,7 @@ class Publisher:
             self._update_demand()
 
     def _receive(self, message: Any) -> bool:
-        """Take one message of the socket; return whether somebody came or went."""
+        """Read one message from the socket; return whether a subscriber came or went."""
         said = message.bytes
         kind, topic = said[:1], said[1:]
         sender = sender_of(message)

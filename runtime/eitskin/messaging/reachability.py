@@ -24,10 +24,10 @@ def explain_silence(endpoint: str, waited_s: float, what: str = "frame", likely:
     """Return why nothing may have come from an endpoint, and what to do about it, without a full stop.
 
     Args:
-        endpoint: Where frames were waited for: ``ipc:///path`` or ``tcp://address:port``.
-        waited_s: How long; looking takes at most a quarter of that, and 0.3 s.
+        endpoint: The endpoint of the subscription: ``ipc:///path`` or ``tcp://address:port``.
+        waited_s: Time waited; the check takes at most a quarter of that, and 0.3 s.
         what: Was waited for.
-        likely: What is the first to be thought of where somebody listens, as a clause.
+        likely: The likeliest cause if a program listens, as a clause.
     """
     found = _nobody(endpoint, min(LONGEST_PROBE_S, waited_s / 4))
     if found is None:
@@ -41,10 +41,10 @@ def explain_silence(endpoint: str, waited_s: float, what: str = "frame", likely:
 
 
 def other_runtimes(endpoint: str, name: str) -> str:
-    """Return which of this user's runtimes run elsewhere, and how to see one, as a clause; empty where none does.
+    """Return which of this user's runtimes run at other endpoints, and how to see one, as a clause; empty if none does.
 
     Args:
-        endpoint: Where nobody was found.
+        endpoint: The unused endpoint.
         name: Of its kind of socket, ``FRAMES`` or ``CONTROL``.
     """
     does, command = KINDS[name]
@@ -77,7 +77,7 @@ def running(name: str) -> dict[str, str]:
 
 
 def _nobody(endpoint: str, patience_s: float) -> str | None:
-    """Return in what way nobody listens at an endpoint; None where somebody does, or that cannot be told."""
+    """Return why no program listens at an endpoint; None if one does, or if that is unknown."""
     scheme, _, rest = endpoint.partition("://")
     if scheme == "ipc":
         return _nobody_at_path(Path(rest))

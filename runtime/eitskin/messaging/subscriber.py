@@ -87,7 +87,7 @@ class Subscriber(Generic[Item]):
         self.received = 0
         """Items returned so far."""
         self.reconnected = 0
-        """How often the connection was made anew because it was gone, or nothing had ever come over it."""
+        """Reconnections because the connection was gone, or nothing had ever come over it."""
         self.rejected = 0
         """Messages that were not what was subscribed to, or were damaged."""
         self._timeout_s = math.inf if timeout_s is None else timeout_s
@@ -99,13 +99,13 @@ class Subscriber(Generic[Item]):
         self._unusable: tuple[int, str] = (0, "")
         """Messages that were rejected since the last one that was taken, and what the last of them was."""
         self._connection: Connection | None = None
-        """Over which the last message came, as far as it is known; looked at anew after silence."""
+        """The connection of the last message, if known; checked again after silence."""
         self._patience_s = PATIENCE_S
         self._heard_ns = time.perf_counter_ns()
         """When the last message came."""
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self.socket: Any = self._context.socket(zmq.SUB)
-        """For who waits for several."""
+        """For waiting on several sockets."""
         self.socket.setsockopt(zmq.LINGER, 0)
         self.socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_TAKEN)
         self.socket.setsockopt(zmq.RCVHWM, queue)
@@ -216,7 +216,7 @@ class Subscriber(Generic[Item]):
         return bytes(message.bytes)
 
     def check_connection(self) -> None:
-        """Connect anew if nothing has come for a while, and the connection was lost for good."""
+        """Connect again if nothing has come for a while, and libzmq has given up the connection."""
         if time.perf_counter_ns() - self._heard_ns < self._patience_s * 1e9:
             return
         if self._connection is not None and connection_at(self._connection[0]) == self._connection:
@@ -247,7 +247,7 @@ class Subscriber(Generic[Item]):
 
 
 def connection_at(descriptor: int) -> Connection | None:
-    """Return which socket lies at a descriptor now; None if there is none."""
+    """Return which socket a descriptor now refers to; None if there is none."""
     try:
         found = os.fstat(descriptor)
     except OSError:

@@ -26,8 +26,8 @@ class Buffers:
     """The memory that all engines share.
 
     Args:
-        bundle: Says how wide the bias and how large the map is.
-        change: (104,) memory for dV that somebody else reads as well; None makes it.
+        bundle: Gives the width of the bias and the size of the map.
+        change: (104,) memory for dV that is shared; None makes it.
     """
 
     __slots__ = ("beside", "bias", "change", "geometry", "log_predicted", "map", "revision", "surface")

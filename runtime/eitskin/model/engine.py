@@ -23,7 +23,7 @@ from eitskin.model.manifest import GENTLE, SMALL
 from eitskin.model.session import check_signature, checked_graph, first_line, onnxruntime, open_session
 
 VD2T_SMALL: Final = "vd2t-small"
-"""The head of a smaller network, which some bundles have besides."""
+"""The head of a smaller network, which some bundles have in addition."""
 
 HEADS: Final = {"vd2t": "head.onnx", "vd2t-int8": "head_int8.onnx", VD2T_SMALL: graphs_of(SMALL)[1]}
 """What frames call a head, and its file; from the most accurate to the fastest."""

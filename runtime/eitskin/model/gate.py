@@ -120,7 +120,7 @@ class Filters:
         return self.limit / self.whitened * size + self.limit * self.still
 
     def once(self, first: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the (n + 1, h) weights of responses, of a first layer that has those of -w besides."""
+        """Return the (n + 1, h) weights of responses from a first layer that also has those of -w."""
         return np.hstack([first[:, : self.whitened], first[:, 2 * self.whitened :]])
 
     def without(
@@ -186,7 +186,7 @@ SETTLED_LEVEL: Final = 0.4
 """Mean |w| over a, up to which the sheet has not moved from ``base``."""
 
 NOISE: Final = 2.25
-"""Of noise alone one frame in 20,000 has a filter that is above so many times the average of the strongest."""
+"""Noise alone exceeds this multiple of the strongest filter's average in one frame of 20,000."""
 
 LEVEL_WEIGHT: Final = 1.0 / 256.0
 """Share of a frame in that average."""
@@ -219,7 +219,7 @@ class ChangeDetector:
         self.begin(filters)
 
     def begin(self, filters: Filters) -> None:
-        """Begin anew, with filters of as many numbers that look for the same touches.
+        """Restart with other filters of the same size for the same touches.
 
         Args:
             filters: The gate's from now on.
@@ -228,13 +228,13 @@ class ChangeDetector:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew: what the untouched sheet reads is not known."""
+        """Restart: the untouched sheet's voltages are not known."""
         self.seen = 0
         """Untouched frames that are remembered."""
         self.level = 0.0
         """What the strongest filter is on average, of untouched frames."""
         self.held = False
-        """A touch lies there: nothing is learned."""
+        """Whether the sheet is touched; the means then stay."""
         self.strength = 0.0
         """Of the last change that was looked at: its strongest filter."""
         self._peak = 0.0
@@ -282,7 +282,7 @@ class ChangeDetector:
         return False
 
     def _learn(self, response: Array) -> None:
-        """Take a frame that was held against ``recent``, and is untouched, into it."""
+        """Add an untouched frame to ``recent``, with which it was compared."""
         self.seen += 1
         if self.seen > 1:
             self.level += (self.strength - self.level) * max(LEVEL_WEIGHT, 1.0 / (self.seen - 1))
@@ -346,7 +346,7 @@ FIELDS: Final = ("mean", "scale", "w1", "b1", "w2", "b2", "threshold")
 """Arrays of gate.npz."""
 
 EXTRAS: Final = ("floor", "w3", "b3")
-"""Arrays that a gate may have besides."""
+"""Optional arrays of a gate."""
 
 
 _ZERO: Final = np.zeros((), dtype=np.float32)
@@ -509,7 +509,7 @@ class RememberingGate(Gate):
         return at_once if self.changes is None else self.changes.step(self.response, at_once) or at_once
 
     def reset(self) -> None:
-        """Begin anew: the reference, or what the rows mean, is another one."""
+        """Restart, because the reference or the meaning of the rows has changed."""
         if self.changes is not None and self.filters is not None:
             self.changes.begin(self.filters)
 

@@ -27,13 +27,13 @@ from eitskin.model.buffers import Engine
 from eitskin_proto.skin.skin import Skin
 
 WINDOW_MM: Final = 15.0
-"""Side of the window: a touch of 10 mm between pixels lies in it."""
+"""Side of the window, which holds a touch of 10 mm between pixels."""
 
 SHOWN_BOUNDS_MM2: Final = (65.0, 85.0)
 """Bounds of what is shown, mm2: a touch of 10 mm has 100."""
 
 MIN_TOUCH_MM2: Final = 1.0
-"""Less than so many mm2 is no touch."""
+"""Smallest area of a touch, mm2."""
 
 EDGES_PX: Final = (0.26, 0.30)
 """Bounds of an edge's width: hard touches of 10 to 20 mm have 0.22 to 0.24, gentle ones of 20 mm 0.4."""

@@ -24,7 +24,7 @@ GEOMETRY_FILE: Final = "geometry.onnx"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GivenCloud:
-    """A surface as somebody gave it."""
+    """A surface as it was sent."""
 
     cloud: npt.NDArray[np.float32] | None
     """(3, rows, columns) mm; None for the flat sheet."""

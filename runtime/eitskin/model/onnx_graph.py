@@ -386,7 +386,7 @@ RULES: Final[dict[str, Rule]] = {
 
 IR_VERSION, OPSETS, METADATA = 1, 8, 14
 MODEL_FIELDS: Final = frozenset({IR_VERSION, 2, 3, 4, 5, 6, GRAPH, OPSETS, METADATA})
-"""Of a model: who made it, its graph, its operators' version, metadata. No functions, no training."""
+"""Fields of a model: producer, graph, version of the operators, metadata. No functions, no training."""
 
 INPUT, GRAPH_NAME, GRAPH_DOC = 11, 2, 10
 GRAPH_FIELDS: Final = frozenset({NODE, GRAPH_NAME, INITIALISER, GRAPH_DOC, INPUT, OUTPUT, VALUE_INFO, 14, 16})

@@ -46,7 +46,7 @@ from eitskin_proto.wire.frames import full_scale
 from eitskin_proto.wire.messages import Hello
 
 AUDIT_FRAMES: Final = 50
-"""Of so many untouched frames one is inferred: four a second at 200 frames/s, for 2 % of an inference a frame."""
+"""One of this many untouched frames is inferred: four a second at 200 frames/s, for 2 % of an inference a frame."""
 
 WITHOUT_ROWS: Final = 4
 """The same while rows are missing: then the gates of random devices miss more of the light touches, beside the gap."""
@@ -77,7 +77,7 @@ def audit_pixels(arrays: Mapping[str, npt.NDArray[np.generic]] | None, n_pixels:
 
 
 class MissingRows(Protocol):
-    """Who knows whether rows are missing."""
+    """An object that knows whether rows are missing."""
 
     @property
     def lacks_rows(self) -> bool:
@@ -85,10 +85,10 @@ class MissingRows(Protocol):
 
 
 class GateAudit:
-    """Counts untouched frames and judges the maps of those that are looked at; allocates nothing a frame.
+    """Counts untouched frames and judges the maps of the inferred ones; allocates nothing a frame.
 
     Args:
-        pixels: A map with at least so many pixels above ``STRONG_VALUE`` shows a strong touch; None to look at none.
+        pixels: Number of pixels above ``STRONG_VALUE`` that shows a strong touch; None for no audit.
         n_pixels: Of a map.
     """
 
@@ -103,10 +103,10 @@ class GateAudit:
         """Frames in which a map overruled the gate so far."""
 
     def is_due(self, rows: MissingRows | None) -> bool:
-        """Return whether an untouched frame is to be inferred all the same; asked once for each of them.
+        """Return whether an untouched frame is to be inferred; called once for each of them.
 
         Args:
-            rows: Knows whether some are missing; None where nobody does.
+            rows: Knows whether some are missing; None if unknown.
         """
         if self._pixels is None:
             return False
@@ -130,11 +130,11 @@ class GateAudit:
 
 
 class FrontEndWatch:
-    """Judges the frame in hand.
+    """Runs the gate on the current frame.
 
     Args:
         sample_bytes: Of the device's samples.
-        intake: Has the frame's counts; is told how many repetitions are chance.
+        intake: Has the frame's counts, and gets the number of repetitions that chance allows.
         idle_gate: Has the rows of a scan of a few drives.
     """
 
@@ -186,11 +186,11 @@ def prediction_against(
     Args:
         predicted: (104,) V of a surface untouched.
         predicted_flat: (104,) V of the flat sheet by the same model; None takes the reference.
-        reference: What frames are held against; None while there is none.
-        fills: Whether weak rows are filled in, and so can be held against a whole prediction; else they say nothing.
+        reference: The reference of the frames; None while there is none.
+        fills: Whether weak rows are filled in and can be compared with a whole prediction; else they are ignored.
 
     Raises:
-        BadReference: There is nothing to hold it against.
+        BadReference: There is no reference to compare it with.
         ValueError: The voltages are malformed, or cannot be of one sheet.
     """
     against = predicted_flat
@@ -205,7 +205,7 @@ def prediction_against(
 
 
 class GeometryInUse:
-    """Gives a pipeline's buffers geometries whose predictions are held against the reference in use.
+    """Gives a pipeline's buffers geometries whose predictions are relative to the reference in use.
 
     Args:
         buffers: Of the pipeline.
@@ -256,8 +256,8 @@ class Pipeline:
         budget_ns: From read to publish; None for no budget.
         solver: The most accurate solver to use; None for the bundle's own choice
             (:func:`eitskin.model.engine.default_solver`) or, with a budget, its most accurate one.
-        skip_unchanged: Whether a touched frame keeps the map of an earlier one if only noise lies between them.
-        health: Watches over electrodes and drift; None where the bundle cannot.
+        skip_unchanged: Whether a touched frame keeps the map of an earlier one if they differ only by noise.
+        health: Monitors electrodes and drift; None if the bundle cannot.
         idle_gate: Judges frames of a few drives; without one they are withheld.
         decisions: Filled in before each frame where frames are computed again as a recording says; None decides now.
         skin: The one in use, if it is known better than when the bundle was made; None for the bundle's.
@@ -313,7 +313,7 @@ class Pipeline:
         return self.maps.engines
 
     def greet(self, hello: Hello) -> None:
-        """Take over what a device said after it was greeted anew."""
+        """Adopt the HELLO of a repeated handshake."""
         self.intake.greet(hello)
         self._reset_gates()
         self.normaliser.use_scale(hello.volts_per_count)
@@ -368,7 +368,7 @@ class Pipeline:
         intake, record = self.intake, self.record
         if not intake.accept(payload, read_ns):
             return False
-        if record.resets != self.counter.resets:  # frames are numbered anew, and a map is known by its frame
+        if record.resets != self.counter.resets:  # frames are counted from 0 again
             record.resets = self.counter.resets
             self.maps.drop_map()
         if record.idle and self.idle_gate is not None:
@@ -398,7 +398,7 @@ class Pipeline:
         """Normalise, judge and infer the accepted frame, and return whether it is fit to publish.
 
         Args:
-            wanted: Somebody takes frames; otherwise the gate is all that runs.
+            wanted: Whether frames have a subscriber; otherwise only the gate runs.
         """
         record = self.record
         stamps = record.stamps

@@ -1,4 +1,4 @@
-"""From a payload to counts that belong to a time, or a reason why not.
+"""From a payload to counts with a time, or the reason to withhold the frame.
 
 A frame that is not fit to publish is withheld, with a reason and a count:
 
@@ -49,7 +49,7 @@ _FULL: Final = int(FrameFlag.FULL)
 
 
 class Intake:
-    """Decodes frames and counts those that are not fit to publish.
+    """Decodes frames, and withholds and counts those unfit to publish.
 
     Args:
         hello: Of the device.
@@ -100,7 +100,7 @@ class Intake:
         return self._view.saturation
 
     def greet(self, hello: Hello) -> None:
-        """Take over what a device said after it was greeted anew."""
+        """Adopt the HELLO of a repeated handshake."""
         self.generation = hello.generation
         self.generation_differs = False
 
@@ -189,11 +189,11 @@ class Intake:
         return False
 
     def add_event(self, event: str, most: int | None = None) -> None:
-        """Let the next published frame say that something happened; in the frame loop's thread.
+        """Add an event to the next published frame; in the frame loop's thread.
 
         Args:
-            event: What.
-            most: Leave it out where so many are told already; None for an event that is never left out.
+            event: The event.
+            most: Omit it if there are this many events already; None for an event that is never omitted.
         """
         if event not in self._since and (most is None or len(self._since) < most):
             self._since += (event,)

@@ -28,16 +28,16 @@ WARM_UPS: Final = 10
 
 
 class MapSource:
-    """Engines, and what their common memory holds.
+    """Engines, and the state of their common memory.
 
     Args:
         bundle: The solvers.
-        buffers: What they read and write.
-        record: The frame in hand; solver, map_sequence and inferred are set in it.
+        buffers: The engines' memory.
+        record: Record of the current frame; solver, map_sequence and inferred are set in it.
         budget_ns: From read to publish; None for no budget.
         solver: The most accurate solver to use; None for the bundle's own choice
             (:func:`eitskin.model.engine.default_solver`) or, with a budget, its most accurate one.
-        skip_unchanged: Whether a map is kept while only noise lies between two frames.
+        skip_unchanged: Whether a map is kept while only noise changes between two frames.
 
     Raises:
         BundleError: A solver of the bundle cannot be used.
@@ -67,7 +67,7 @@ class MapSource:
         self.engines: list[Engine] = engines(bundle, buffers, best=solver, alone=budget_ns is None)
         self._named = {engine.name: engine for engine in self.engines}
         self.stillness = Stillness() if skip_unchanged else None
-        """Judges whether only noise lies between two frames; None where no map is kept."""
+        """Judges whether two frames differ only by noise; None if no map is kept."""
         self._held = ""
         """The solver of the map that is held; empty if none is."""
         self._held_sequence = 0
@@ -106,7 +106,7 @@ class MapSource:
 
     @property
     def keeps_unchanged(self) -> bool:
-        """Whether a map is kept while only noise lies between two frames."""
+        """Whether a map is kept while only noise changes between two frames."""
         return self.stillness is not None
 
     @property
@@ -126,7 +126,7 @@ class MapSource:
         self._held = ""
 
     def compute_next(self) -> None:
-        """Compute the next map whatever its frame is: somebody came who does not have the frame of the map so far."""
+        """Compute the next map in any case, because a new subscriber lacks the present one."""
         if self.stillness is not None:
             self.stillness.reset()
 

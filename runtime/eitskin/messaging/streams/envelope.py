@@ -51,7 +51,7 @@ _WHOLE: Final = _PART + b"\x00" + _PARTS + b"\x01" + _BODY
 
 
 def asked_for(name: str, topic: bytes) -> bool:
-    """Return whether who subscribes to a topic is sent a stream and means it; the empty topic means frames."""
+    """Return whether a topic asks for a stream; the empty topic gets streams but does not ask for them."""
     prefix = TOPICS[name]
     return topic[:1] == FIRST_BYTE and (prefix.startswith(topic) or topic.startswith(prefix))
 

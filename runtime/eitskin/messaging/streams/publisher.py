@@ -23,13 +23,13 @@ class StreamPublisher:
         self.numbers = dict.fromkeys(NAMES, 0)
         """Bodies of each stream so far."""
         self.run = ""
-        """Differs after each start of the runtime; who hands in bodies sets it."""
+        """Differs after each start of the runtime; the source of the bodies sets it."""
         self.asked = self.wire = self.cloud = self.conditions = self.state = False
-        """Whether somebody asks for any stream, and for each."""
+        """Whether any stream has a subscriber, and each."""
         self.first = False
-        """Streams go before the frame: somebody takes all that is sent, and may keep one message only."""
+        """Streams go before the frame, because a subscriber takes every topic and may keep one message only."""
         self.joined = False
-        """Somebody came since this was last set to False: what is only told when it changes must be told again."""
+        """A subscriber came since this was last set to False: send again what is otherwise sent on changes."""
 
     def set_topics(self, topics: Collection[bytes]) -> None:
         """Take note of what is subscribed to."""
@@ -50,7 +50,7 @@ class StreamPublisher:
 
 
 class StreamFeed(Protocol):
-    """Makes the bodies of streams, and hands them to a publisher. It is only called while somebody asks for them."""
+    """Makes the bodies of streams, and hands them to a publisher; called only while a stream has a subscriber."""
 
     def begin(self, streams: StreamPublisher) -> None:
         """Send to this publisher from now on."""

@@ -152,7 +152,7 @@ def _unknown(fields: Fields, name: str) -> bool:
 
 
 def asked_for(topic: bytes) -> bool:
-    """Return whether who subscribes to a topic is sent verified messages and means it; the empty topic means frames."""
+    """Return whether a topic asks for verified messages; the empty topic gets them but does not ask for them."""
     return topic[:1] == FIRST_BYTE and (TOPIC.startswith(topic) or topic.startswith(TOPIC))
 
 

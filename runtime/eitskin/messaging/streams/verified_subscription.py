@@ -22,7 +22,7 @@ MAX_WAITING_FRAMES: Final = 512
 """Frames that wait for their verdict: 2.5 s at 200 frames/s, 3 MB."""
 
 START: Final = "start it as 'eitskin run --verify always'"
-"""What to do where nobody verifies."""
+"""Advice if no verifier runs."""
 
 
 class VerifiedSubscription(Subscriber[VerifiedFrame]):
@@ -91,7 +91,7 @@ class VerifiedSubscription(Subscriber[VerifiedFrame]):
                 self._frames.popitem(last=False)
             return None
         if message[:1] != FIRST_BYTE:
-            return None  # a topic of somebody else's that begins alike
+            return None  # another publisher's topic with the same beginning
         found = unpack_verified(message, self._heard_ns)
         run, number = self._seen
         if found.run == run and found.number > number + 1:
