@@ -56,7 +56,7 @@ def test_a_report_says_of_each_phantom_how_sure_it_is_and_of_all_what_went_unsee
     [
         (["bench", "verify", "--only", "nothing of it"], "expected a part of one of: 1 to 6 units, N1"),
         (["bench", "verify", "--each", "0"], "must be at least 1"),
-        (["bench", "verify", "--budget-ms", "-1"], "at least 0"),
+        (["bench", "verify", "--sets", "-1"], "at least 0"),
     ],
 )
 def test_bad_options_of_the_benchmark_are_one_line(
