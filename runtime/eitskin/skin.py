@@ -1,8 +1,8 @@
-"""A skin, opened: ``for frame in skin.frames()`` in this process, or the source of what ``eitskin run`` publishes.
+"""An open skin: ``for frame in skin.frames()`` in this process, or the source of the frames of ``eitskin run``.
 
-Opening does everything that may fail early, in the order in which it is cheapest to fail: bundle, port, handshake,
-solvers. Then :mod:`eitskin.frame_loop` runs. Clouds, new references and ``stop`` may come from other threads at any
-time; the loop picks them up between two frames.
+Opening first does everything that may fail, the cheapest first: bundle, port, handshake, solvers. Then
+:mod:`eitskin.frame_loop` runs. Clouds, new references and ``stop`` may come from other threads at any time; the loop
+picks them up between two frames.
 """
 
 import threading
@@ -66,17 +66,17 @@ class CloudChange:
         predicted_flat: npt.ArrayLike | None,
         reference: Reference | None,
     ) -> tuple[int, tuple[str, ...]]:
-        """Use a surface from the next frame on, and return its revision and what is doubtful; from any thread.
+        """Use a surface from the next frame on, and return its revision and warnings; from any thread.
 
         Args:
             cloud: (3, rows, columns) mm in any pose; None for the flat sheet.
             predicted: (104,) V of this surface untouched; None for no prediction.
             predicted_flat: (104,) V of the flat sheet by the same model; None takes the reference.
-            reference: What frames are held against.
+            reference: The reference of the frames.
 
         Raises:
             ValueError: The cloud or the voltages are malformed, or cannot be of this sheet; with value and bound.
-            BadReference: There is a prediction, but nothing to hold it against.
+            BadReference: There is a prediction, but no reference to compare it with.
         """
         skin, doubts = self._pipeline.skin, tuple[str, ...]()
         if cloud is not None:
@@ -330,7 +330,7 @@ class Skin:
 
 
 JOIN_NS: Final = 10_000_000
-"""How often it is asked who subscribes: so long a newcomer waits, at most, for what nobody else wanted."""
+"""Period of the check for subscribers: the longest wait of the first subscriber."""
 
 
 def serve(

@@ -70,19 +70,20 @@ def status_of(device: Device, pipeline: Pipeline, loop: FrameLoop) -> dict[str, 
 
 
 REPEAT_NS: Final = 1_000_000_000
-"""After which conditions, cloud and state are told again: who missed one waits no longer."""
+"""Period after which conditions, cloud and state are sent again, for subscribers that missed one."""
 
 FILE_REPEATS: Final = 10
-"""Of so many repetitions of the state one has the reference's file: it is the largest part."""
+"""One of this many states carries the reference's file, which is its largest part."""
 
 LEAST_NS: Final = 50_000_000
 """Between two states: changes that come faster are told together."""
 
 JOIN_NS: Final = 200_000_000
-"""In which all is told again for newcomers ``MOST_JOINS`` times: who comes and goes all the time costs no more."""
+"""Period with at most ``MOST_JOINS`` repetitions for new subscribers, which bounds the cost of frequent
+subscriptions."""
 
 MOST_JOINS: Final = 4
-"""The topics of one who comes may arrive one at a time, and a frame between each two."""
+"""The topics of a new subscriber may arrive one at a time, with a frame between each two."""
 
 MOST_WAITING: Final = 8
 """Withheld frames that wait for a frame that is published."""
@@ -117,7 +118,7 @@ class StreamSource:
             self._version = ""
 
     def begin(self, streams: StreamPublisher) -> None:
-        """Send to this publisher from now on, everything anew."""
+        """Send to this publisher from now on, starting with everything."""
         self._streams = streams
         self._conditions_key = self._state_key = ()
         self._geometry, self._repeat_ns = None, 0
@@ -202,7 +203,7 @@ class StreamSource:
             self._digest = "" if found is None else hashlib.sha256(self._file).hexdigest()
 
     def _publish_conditions(self, *, repeat: bool) -> None:
-        """Tell what decides the map of the frame in hand besides its voltages, if that has changed."""
+        """Send the conditions of the current frame if they have changed."""
         pipeline = self._pipeline
         record, health, gate = pipeline.record, pipeline.health, pipeline.gate
         threshold = None if gate is None else gate.threshold

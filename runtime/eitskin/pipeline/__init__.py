@@ -1,1 +1,1 @@
-"""What happens to a frame between the line and the packer, and what may be skipped."""
+"""The computation of a frame between the line and the packer, and the parts that may be skipped."""

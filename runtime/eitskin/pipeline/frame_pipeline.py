@@ -1,17 +1,16 @@
 """One frame through decode, normalise, gate and inference, each stage stamped, nothing allocated.
 
-The pipeline owns the memory that a frame passes through and the decisions about it; it knows no socket and no port.
-What it finds it puts into a record (:mod:`eitskin.frame_record`). What it leaves out is stated there:
-``inference:untouched``, ``inference:no_subscriber``, ``inference:unchanged``, ``map:untouched``,
-``acquisition:idle``, ``geometry:cloud_unchanged``. Frames that are not fit to publish are withheld
-(:mod:`eitskin.pipeline.intake`).
+The pipeline owns the memory that a frame passes through and the decisions about it; it knows no socket and no port. It
+puts its results into a record (:mod:`eitskin.frame_record`), together with the steps that it skipped:
+``inference:untouched``, ``inference:no_subscriber``, ``inference:unchanged``, ``map:untouched``, ``acquisition:idle``,
+``geometry:cloud_unchanged``. Frames unfit to publish are withheld (:mod:`eitskin.pipeline.intake`).
 
-:class:`GateAudit` keeps a wrong gate from hiding a touch in silence. Of the frames that the gate calls untouched, one
-in ``AUDIT_FRAMES`` is inferred all the same. If the network's map shows a strong touch, it overrules the gate: the
-frame is published with its map and the event ``gate_overruled``, and every frame is inferred until a map shows no
-strong touch. Where rows are missing, which a gate needs more than a network that learned without them, one frame in
-``WITHOUT_ROWS`` is inferred. The bundle says how many pixels make a strong touch (``audit_pixels`` in gate.npz): more
-than the network ever shows of an untouched sheet. Without that number no frame is inferred.
+:class:`GateAudit` detects a touch that the gate misses. It infers one in ``AUDIT_FRAMES`` of the frames that the gate
+calls untouched. If the network's map shows a strong touch, it overrules the gate: the frame is published with its map
+and the event ``gate_overruled``, and every frame is inferred until a map shows no strong touch. If rows are missing,
+which impairs a gate more than a network trained without them, it infers one frame in ``WITHOUT_ROWS``. The bundle says
+how many pixels make a strong touch (``audit_pixels`` in gate.npz): more than the network ever shows of an untouched
+sheet. Without that number no frame is inferred.
 """
 
 import time

@@ -1,7 +1,7 @@
 """Idle acquisition: while nothing touches the sheet the device scans a few drives only, and a gate of its own watches.
 
-A scan of few drives takes less time and less current. Which drives are scanned is the device's configuration, and which
-of them tell most about a touch was computed when the bundle was made; the two must agree. ::
+A scan of few drives takes less time and less current. The device's configuration sets these drives. ``eitskin export``
+computed which drives reveal most about a touch; both must agree. ::
 
             untouched for after_s: SET_MODE(1)
     ACTIVE ------------------------------------> IDLE      frames of a few rows, judged by the idle gate
@@ -9,8 +9,8 @@ of them tell most about a touch was computed when the bundle was made; the two m
        +-------------------------------------------+
             its gate trips: SET_MODE(0)                    the first whole frame comes one scan later
 
-An idle frame is published as untouched, or as touched without a map. In which mode the device is, its frames say; a
-request that was lost is repeated.
+An idle frame is published as untouched, or as touched without a map. The frames show the device's mode; a lost request
+is repeated.
 """
 
 from collections.abc import Mapping

@@ -1,13 +1,14 @@
-"""A latency budget as a contract: what is given up when the machine is too slow, and when it is taken back.
+"""Keeps a latency budget: switches to a faster solver when the machine is too slow, and back later.
 
 ::
 
     level 0      1            2             3 (last engine)   4
     vd2t    ->   vd2t-int8 -> vd2t-small -> tikhonov      ->  tikhonov, and of several waiting frames only the newest
 
-A bundle without a smaller network has a level less. A stream begins where an engine by itself leaves half of the
-budget. An overrun goes down one level at once. Going up takes a while of frames that use less than half of the budget,
-and twice as long each time that going up led straight to another overrun, so that it does not flutter.
+A bundle without a smaller network has one level less. A stream begins at the first level whose engine alone uses less
+than half of the budget. An overrun goes down one level at once. It goes up one level after a period of frames that use
+less than half of the budget. The period doubles each time that going up led straight to another overrun, so that the
+level does not oscillate.
 """
 
 from typing import Final

@@ -1,7 +1,7 @@
-"""Where a frame's map comes from: an engine that runs now, the memory that holds an earlier frame's, or nowhere.
+"""Provides a frame's map: from an engine, from an earlier frame, or none.
 
-The engines run from the most accurate to the fastest; which one is next, the latency budget says. What the memory holds
-is remembered by solver and frame, and forgotten whenever anything changes that the map depends on.
+The latency budget chooses the engine, from the most accurate to the fastest. The memory's map is identified by solver
+and frame, and discarded whenever anything changes on which it depends.
 """
 
 import math

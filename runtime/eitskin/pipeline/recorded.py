@@ -1,8 +1,8 @@
-"""What a recording says was decided of its frames, so that the pipeline decides the same when it computes them again.
+"""The recorded decisions about frames, so that the pipeline repeats them when it computes the frames again.
 
-The pipeline decides by the frames before: the gate holds a frame against the untouched ones, one untouched frame in 50
-is inferred all the same, a map is kept while only noise changes, electrodes and drift are found over many frames. A
-part of a recording lacks those frames. So each decision can be given to the pipeline (:class:`FrameDecisions`), and
+The pipeline's decisions depend on earlier frames: the gate compares a frame with untouched ones, one untouched frame in
+50 is inferred, a map is kept while only noise changes, and electrodes and drift are estimated over many frames. A part
+of a recording lacks those frames. So each decision can be given to the pipeline (:class:`FrameDecisions`), and
 electrodes and drift are taken from the recorded conditions (:class:`RecordedHealth`).
 """
 

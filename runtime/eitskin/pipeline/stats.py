@@ -1,9 +1,9 @@
-"""What a run was like: latencies of the last frames by stage, and counts of everything that was decided.
+"""Statistics of a run: latencies of the last frames by stage, and counts of all decisions.
 
 Stamps go into a ring that is made once, so that a run of days costs as much memory as one of minutes. A tail is
 reported as p50, p99, p99.9 and maximum; a mean would hide it.
 
-What comes behind publishing is no frame's latency, but the next frame's: it is told apart, and so is what was left. ::
+Work after publishing delays the next frame, not this one; it is reported separately, and so is the remaining time. ::
 
     read ... publish | rest | gives way | streams | ........ left ........ read ... publish
 """

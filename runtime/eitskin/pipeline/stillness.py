@@ -1,4 +1,4 @@
-"""Has anything changed since the frame whose map was computed last, beyond what noise alone changes?
+"""Decides whether a frame differs by more than noise from the frame whose map was computed last.
 
 The captured reference says how much each row of a resting sheet varies from frame to frame. The difference of two
 frames of an unchanged scene then has a known size, and over n rows its mean square is 1, give or take sqrt(2 / n)::
@@ -9,8 +9,8 @@ frames of an unchanged scene then has a known size, and over n rows its mean squ
 variance are used. A row of which the converter shows only a few steps may rest on one and then flip between two, so no
 spread is less than half a step.) About one in 700 frames of a resting scene is computed needlessly, and what can stay
 unseen is a change of 0.9 of a frame's own noise (rms over rows), for ``REFRESH_FRAMES`` at most. The kept frame does
-not move along, so a touch that grows slowly adds up until it is seen. A spread above ``LARGEST_SPREAD`` is not
-believed: with such a reference little would ever count as a change.
+not move along, so a touch that grows slowly adds up until it is seen. A spread above ``LARGEST_SPREAD`` is not used,
+because with such a reference hardly anything would count as a change.
 """
 
 from typing import Final

@@ -1,1 +1,1 @@
-"""What voltages are compared with: the one captured reference, and the predicted one of the bent sheet."""
+"""The references of voltages: the captured one of the flat sheet, and the predicted one of the bent sheet."""

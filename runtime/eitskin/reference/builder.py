@@ -1,4 +1,4 @@
-"""Frames into a reference: their mean and spread, and how far the sheet moved, without keeping any of them."""
+"""Averages frames into a reference: mean, spread, and how far the sheet moved, without keeping the frames."""
 
 import time
 from dataclasses import replace
@@ -22,12 +22,12 @@ MOST_UNFIT: Final = 200
 
 
 class ReferenceBuilder:
-    """Takes frame after frame and makes the reference; keeps a number of each (Welford's running mean).
+    """Makes a reference from frame after frame, by Welford's running mean; keeps one number of each.
 
     Args:
-        frames: How many to take, at least 2.
-        skin: Whose reference it is.
-        scan: Of the sheet as it lies now; None for a flat one.
+        frames: Number of frames, at least 2.
+        skin: The skin of the reference.
+        scan: Scan of the sheet in its present shape; None for a flat one.
     """
 
     __slots__ = (
@@ -82,12 +82,12 @@ class ReferenceBuilder:
             )
 
     def finish(self, hello: Hello, checks: ReferenceChecks | None = None, *, force: bool = False) -> Reference:
-        """Return the reference of what was taken.
+        """Return the reference of the frames.
 
         Args:
             hello: Of the device.
-            checks: What it is held against (:func:`eitskin.reference.judged.reference_checks`); None for nothing.
-            force: Take it even if the sheet was bent, touched or moving, or all frames were the same.
+            checks: Checks of the reference (:func:`eitskin.reference.judged.reference_checks`); None for no checks.
+            force: Accept it even if the sheet was bent, touched or moving, or all frames were the same.
 
         Raises:
             BadReference: All voltages are zero, or rows are alike as no sheet's are; or the sheet was bent, touched or

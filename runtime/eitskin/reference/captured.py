@@ -12,9 +12,9 @@ old reference or the new one, never half of one. ::
 ``scan`` is there where the sheet was scanned when the reference was taken (:mod:`eitskin.reference.scanned`); such a
 file has version 2, so that releases that would ignore the scan refuse it.
 
-A row whose voltage is under a ten-thousandth of the largest, or that does not stand out of its own noise, is *weak*: it
-carries nothing, is filled in from the others (:mod:`eitskin.reference.row_noise`), and is named wherever a reference is
-reported.
+A row is *weak* if its voltage is under a ten-thousandth of the largest or not above its own noise. It carries no
+information, is filled in from the others (:mod:`eitskin.reference.row_noise`), and every report of a reference names
+it.
 """
 
 import json

@@ -1,8 +1,8 @@
-"""Is this what a living front end reads off a sheet? Rows that cannot be so alike, and frames that cannot come twice.
+"""Detects a stuck or hung front end: rows that are too much alike, and frames that repeat.
 
-No sheet gives many rows one count: its rows span a factor of hundreds, and each has noise of its own. Of n rows spread
-with at most ``MAX_DENSITY`` to a factor of e, the chance that m rows read the same x counts, at some x of this size, is
-about ::
+On no sheet do many rows read the same count: rows span a factor of hundreds, and each has its own noise. Of n rows
+spread with at most ``MAX_DENSITY`` to a factor of e, the chance that m rows read the same x counts, at some x of this
+size, is about ::
 
     x (MAX_DENSITY / x)^m / m!                  ln p is summed over all groups of rows with one count; below -20
                                             (2e-9) the converter is stuck, or a drive's rows repeat
@@ -11,10 +11,10 @@ Rows that read alike in the reference are one row here, since a symmetric sheet 
 all are those of an electrode that is off, and rows that the device marks as cut off are counted by themselves. Wires
 that are stuck before the converter have noise: there the rows of all drives, or of all measurements, are nearly alike.
 
-Nor does a frame come twice, bit by bit, if its rows have noise: a row of spread s counts repeats in one of 2 sqrt(pi) s
-scans. With the spread of the reference's frames, taken ``MAX_CONTRAST`` times smaller for the sake of a touch that
-leaves every row so much of its voltage, that says how many repetitions chance can give. Noise under one count says
-nothing, and there a front end that hangs cannot be told from a sheet at rest.
+A frame whose rows have noise does not repeat bit by bit either: a row of spread s counts repeats in one of 2 sqrt(pi) s
+scans. The spread of the reference's frames then gives the number of repetitions that chance allows. It is divided by
+``MAX_CONTRAST`` for a touch that lowers every voltage by this factor. With noise under one count a hung front end
+cannot be distinguished from a sheet at rest.
 """
 
 import math

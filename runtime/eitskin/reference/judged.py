@@ -1,8 +1,8 @@
-"""Was the sheet flat, untouched and still while its reference was captured? What frames, model and past say of it.
+"""Judges whether the sheet was flat, untouched and still while its reference was captured.
 
-Every dV divides by the reference, so one that was taken of a bent, touched or moving sheet makes all maps wrong until
-the next. Four things are looked at; each has a bound beyond which a reference is refused (``force`` takes it all the
-same), and most a lower one beyond which it is remarked on::
+Every dV divides by the reference, so a reference of a bent, touched or moving sheet makes all maps wrong until the
+next. Four quantities are checked. Each has a bound beyond which the reference is refused (``force`` accepts it anyway),
+and most have a lower one beyond which a remark is made::
 
     median spread of a frame      refused above 5 %, remarked above 2 %: noise, or a sheet that trembles
     movement                      refused above 0.5 %: how far the means of tenths of the capture wander beyond what
@@ -12,12 +12,12 @@ same), and most a lower one beyond which it is remarked on::
     the reference before this     refused above 10 %, remarked above 3 %, the same way; or if the bundle's gate says
                                   that the sheet is touched
 
-Bounds come from sheets of our own drawing. An honest sheet whose electrodes are placed to 0.5 mm (1 mm) and sized to
-0.5 mm (1 mm), with contacts from a tenth to ten times the model's, is 2 to 7 % (4 to 12 %) off the model. Half of the
-bends of family A, and two of three with a touch, are more than 20 % off; a touch alone on the flat sheet seldom is, so
-the first reference of a sheet that is bent a little, or touched and held still, is not caught. Against an earlier
-reference of the same device all of 320 touched captures were, and none of 1040 honest captures was refused, with noise
-of 50 dB of all three kinds. A bend that stretches nothing changes no voltage: it is as good as a flat sheet.
+The bounds come from simulated sheets. An honest sheet whose electrodes are placed to 0.5 mm (1 mm) and sized to 0.5 mm
+(1 mm), with contacts from a tenth to ten times the model's, is 2 to 7 % (4 to 12 %) off the model. Half of the bends of
+family A, and two of three with a touch, are more than 20 % off; a touch alone on the flat sheet seldom is, so the first
+reference of a sheet that is bent a little, or touched and held still, is not caught. Against an earlier reference of
+the same device all of 320 touched captures were, and none of 1040 honest captures was refused, with noise of 50 dB of
+all three kinds. A bend that stretches nothing changes no voltage: it is as good as a flat sheet.
 """
 
 from dataclasses import dataclass
@@ -65,7 +65,7 @@ OTHER_SHEET_HINT: Final = "a sheet that the bundle was not made for needs a bund
 
 @dataclass(frozen=True, slots=True)
 class ReferenceChecks:
-    """What a captured reference is held against; all of it may be missing."""
+    """What a captured reference is compared with; each part may be missing."""
 
     flat_V: Array | None = None
     """(104,) V of the model's flat sheet, of any current."""
@@ -96,13 +96,13 @@ def reference_checks(
 
 
 def judge(found: Reference, movement: float, checks: ReferenceChecks, refused: tuple[str, ...] = ()) -> Judgement:
-    """Return what there is to say of a captured reference.
+    """Return the findings about a captured reference.
 
     Args:
-        found: The reference; one with a scan is looked at as the flat one that it makes.
+        found: The reference; one with a scan is judged as the flat one computed from it.
         movement: Of its capture, relative.
-        checks: What it is held against.
-        refused: Reasons that were found already.
+        checks: What it is compared with.
+        refused: Reasons for refusal found already.
     """
     found, refusals, remarks = found.flat(), list(refused), []
     usable = ~lost_rows(found.voltages_V, found.spread_V)

@@ -1,4 +1,4 @@
-"""What was found of a reference when it was captured."""
+"""The findings about a reference at its capture."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Did the sheet move while frames were taken? The means of parts of a capture wander further than noise lets them.
+"""Measures whether the sheet moved during a capture: the means of its parts then vary by more than noise.
 
 With b parts of n frames, noise of variance s^2 a frame gives their means the variance s^2 / n. A sheet that bends, or a
 touch that comes or goes, adds to it. Of every row, ::
@@ -6,7 +6,7 @@ touch that comes or goes, adds to it. Of every row, ::
     moved^2 = variance of the parts' means - s^2 / n        s^2 = mean of (frame - frame before)^2 / 2
 
 and the movement is the root of the mean of moved^2 / V^2 over the rows, each with the weight 1 / (1 %^2 + s^2 / n V^2),
-so that rows that drown in noise count little. Steps from frame to frame hardly see what moves slowly, and see all of
+so that rows that drown in noise count little. Differences of successive frames hardly contain slow movement but all of
 the noise; mains hum, which changes as fast, counts as noise.
 """
 
@@ -24,8 +24,8 @@ MIN_PART_FRAMES: Final = 4
 """Most parts of a capture, and fewest frames in one; fewer than two parts say nothing."""
 
 MAX_VARIANCE_RATIO: Final = 3.0
-"""Noise alone makes the variance of ten means so many times what is expected of it once in a thousand captures, even
-where it is the same in all rows."""
+"""Noise alone exceeds this multiple of the expected variance of ten means once in a thousand captures, even if it is
+the same in all rows."""
 
 EQUAL_WEIGHT_SPREAD: Final = 0.01
 """Rows whose parts are known better than this all count the same."""

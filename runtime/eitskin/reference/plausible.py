@@ -1,7 +1,7 @@
-"""Can this prediction be of this cloud, and of this device? V_pred against the flat sheet's voltages.
+"""Checks whether a prediction can belong to its cloud and to the device: V_pred against the flat sheet's voltages.
 
-A prediction in other units, of another table of rows, or of nothing, has 104 finite numbers like any other. What
-deformations do was measured on 810 of them (the paper's ten, 400 draws each of the families A and B; see
+A prediction in other units, of another table of rows, or of nothing, has 104 finite numbers like any other. The range
+that deformations cause was measured on 810 of them (the paper's ten, 400 draws each of the families A and B; see
 :mod:`eitskin_proto.skin.sheet_cloud`)::
 
     V_pred / V_flat                                              drawn            refused outside
@@ -9,16 +9,16 @@ deformations do was measured on 810 of them (the paper's ten, 400 draws each of 
     median of log, less what the cloud's size explains           -0.09 to 0.09    -0.25 to 0.25
 
 The second is 0.08 log(stretch along x) + 1.88 log(stretch along y): sixteen electrodes are nearer to each other across
-the sheet than along it. It tells a prediction of another scale; one of another cloud mostly passes.
+the sheet than along it. It detects a prediction of another scale; one of another cloud mostly passes.
 
 That is the paper's skin, 1.5 times as long as wide; of other proportions the two numbers are interpolated, since a
 sheet that is 1.5 times as wide as long has them exchanged. A gauge factor adds itself to both.
 
-Where the captured reference stands in for V_flat, the device's gain and current come in, and its contacts: bounds are
-then 3 times as wide, and all rows may have the other sign. Where both are given, the model's flat sheet is held
-against the captured one: with a common factor taken out, the median row of an honest device is within 8 % (electrodes
-placed to 1 mm, contacts from a tenth to ten times the model's), and with another table of rows hundreds of per cent
-off; more than ``LARGEST_SHAPE`` is refused. The look takes 0.15 ms.
+Where the captured reference replaces V_flat, the device's gain and current come in, and its contacts: bounds are then 3
+times as wide, and all rows may have the other sign. Where both are given, the model's flat sheet is compared with the
+captured one: with a common factor taken out, the median row of an honest device is within 8 % (electrodes placed to 1
+mm, contacts from a tenth to ten times the model's), and with another table of rows hundreds of per cent off; more than
+``LARGEST_SHAPE`` is refused. The check takes 0.15 ms.
 """
 
 from typing import Final
@@ -68,7 +68,7 @@ def check_prediction(
         predicted: (104,) V, of this cloud, by the forward model.
         predicted_flat: (104,) V, of the flat sheet, by the same model; None takes the captured reference.
         captured: The device's reference; None if there is none.
-        skin: Whose surface it is.
+        skin: The skin of the surface.
 
     Raises:
         ValueError: With what was found, what was expected and what to do.
@@ -89,8 +89,8 @@ def scan_of(surface: Surface, skin: Skin) -> ReferenceScan:
     """Return the scan of a reference that is about to be captured.
 
     Args:
-        surface: Of the sheet as it lies, with its prediction.
-        skin: Whose surface it is.
+        surface: The sheet's present surface, with its prediction.
+        skin: The skin of the surface.
 
     Raises:
         BadReference: It has no prediction, or that cannot be of this cloud.

@@ -1,6 +1,6 @@
-"""The bytes of a reference's file, or why there are none and what to do: never to capture over a file that is no such.
+"""Reads the bytes of a reference's file, or says why it cannot; never advises to overwrite a file of another kind.
 
-Reference files are their owner's alone (mode 0600), so that one which another user captured is met often.
+Only their owner can read reference files (mode 0600), so another user's file is a common case.
 """
 
 import os
@@ -65,7 +65,7 @@ def _denied(where: Path) -> str:
 
 
 def _user(number: int) -> str:
-    """Return a user's name, or the number of one who has none, as in a container."""
+    """Return a user's name, or the number of a user without one, as in a container."""
     try:
         return pwd.getpwuid(number).pw_name
     except KeyError:

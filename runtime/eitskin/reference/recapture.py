@@ -1,7 +1,7 @@
-"""A reference that another thread asked for while frames go on, and waits for.
+"""A reference that another thread requests and waits for while frames continue.
 
-What it waits on is a ``SimpleQueue``, which a signal handler may put into: an ``Event`` that is just being set by the
-interrupted thread would be waited for, for ever.
+The thread waits on a ``SimpleQueue``, which a signal handler may fill; an ``Event`` that the interrupted thread is
+setting at that moment would deadlock.
 """
 
 from queue import Empty, SimpleQueue
@@ -14,12 +14,12 @@ from eitskin_proto.wire.messages import Hello
 
 
 class Recapture:
-    """What the frame loop fills and the asking thread waits for.
+    """A request that the frame loop fills and the requesting thread waits for.
 
     Args:
-        builder: Of as many frames as were asked for.
-        checks: What the reference is held against.
-        force: Whether it is taken whatever is found.
+        builder: Builder for the requested number of frames.
+        checks: What the reference is compared with.
+        force: Whether it is accepted whatever the findings.
     """
 
     __slots__ = ("_checks", "_force", "_outcome", "builder", "settled")

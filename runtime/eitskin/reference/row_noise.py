@@ -1,4 +1,4 @@
-"""What each row of a reference is worth, by its own spread: read as it is, weighed, or filled in like a missing one.
+"""Sorts the rows of a reference by their noise: used as measured, weighted, or filled in like missing ones.
 
 The reference is a mean of many frames, so it knows how much each row of a resting sheet varies. Noise that is the same
 in all rows, as an amplifier's is, drowns the weakest, which are 500 times smaller than the strongest: dV = V / V0 - 1
@@ -9,11 +9,11 @@ of such a row is noise divided by nearly nothing. With sigma = spread of a singl
                                                   that noise, and from all other rows
     sigma > 0.3, or |V0| < 1e-4 of the largest    lost: filled in from the others alone, like a failed electrode's
 
-Above 0.3 a reading is within 3.3 standard deviations of zero and has no logarithm worth the name. The weighing is the
+Above 0.3 a reading is within 3.3 standard deviations of zero, so its logarithm is meaningless. The weighing is the
 Gaussian's of :mod:`eitskin.health.imputation`; a bundle without ``consistency.npz`` has none, and lost rows then have
-dV = 0. Both bounds were chosen on sheets of our own drawing (``docs/results/robustness.md`` has
-what they gain); anything from 0.01 to 0.06 and from 0.2 to 0.5 does as well within 0.01 of CC. The gate's noisy rows
-stay as they are measured, since its threshold follows the noise (:mod:`eitskin.health.gate_without_rows`).
+dV = 0. Both bounds were chosen on simulated sheets (``docs/results/robustness.md`` shows their gain); any values from
+0.01 to 0.06 and from 0.2 to 0.5 are equal within 0.01 of CC. The gate's noisy rows stay as they are measured, since its
+threshold follows the noise (:mod:`eitskin.health.gate_without_rows`).
 """
 
 import math

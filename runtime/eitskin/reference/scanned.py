@@ -1,12 +1,12 @@
-"""The scan of the sheet when its reference was taken, and what a flat sheet would have read then.
+"""Converts a reference of a scanned, bent sheet into the one of a flat sheet.
 
-A sheet that lay stretched when its reference was taken makes every dV wrong by what the stretch did. Where it was
-scanned at that moment, the forward model says what that was, and the reference becomes that of a flat sheet::
+If the sheet was stretched when its reference was captured, the stretch makes every dV wrong. With a scan of that moment
+the forward model computes its effect, and the reference becomes that of a flat sheet::
 
     V0_flat = V0 * V_model(flat) / V_model(scan)
 
 Both inputs of a network, dV and log(V / V_pred), are shifted by it alike. The model's own error and the device's gain
-drop out of the ratio. What is stored stays as it was captured; frames are held against the flat one.
+drop out of the ratio. The file keeps the captured voltages; frames are compared with the flat ones.
 """
 
 from dataclasses import dataclass

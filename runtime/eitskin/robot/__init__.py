@@ -1,1 +1,1 @@
-"""Several skins on one robot: which they are, where they sit on it, and their frames in one iterator."""
+"""Several skins on one robot: their list, their poses, and their frames in one iterator."""

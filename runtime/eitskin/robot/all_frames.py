@@ -3,7 +3,7 @@
 Each skin is a subscription of its own; one poll waits for all of them. A skin with frames waiting gets its turn in
 order, so a fast skin starves no slow one. In mode ``latest`` each turn takes the newest frame of its skin.
 
-A skin that falls silent is named by an error, and the others go on when the iterator is asked again.
+An error names a skin that falls silent; the next call of the iterator continues with the others.
 """
 
 import math
@@ -165,7 +165,7 @@ class RobotSubscription:
             return
         for name in (name for name in self.skins if name not in self._turns and now_s >= self._due_s[name]):
             if self._subscriptions[name].waits:
-                self._turns.append(name)  # it was us who did not ask
+                self._turns.append(name)  # the program itself did not ask
                 continue
             allowed_s = self._timeout_s if self._subscriptions[name].received else self._first_s
             self._due_s[name] = now_s + allowed_s

@@ -1,4 +1,4 @@
-"""``robot.toml``: the skins of a robot, each with its port, its files, where it publishes and where it sits.
+"""``robot.toml``: the skins of a robot, each with its port, files, endpoints and pose.
 
 ::
 
@@ -16,8 +16,8 @@
     [skins.realtime]
     affinity = [2]
 
-An unknown key is an error; what is left out has the default of ``eitskin run``. A program that subscribes reads the
-same file: nothing that it names has to be there but the endpoints.
+An unknown key is an error; a missing key has the default of ``eitskin run``. A subscribing program reads the same file,
+of which it needs only the endpoints to exist.
 """
 
 import os
@@ -260,7 +260,7 @@ def _verify(table: Fields) -> Verify:
 
 
 def _path(table: Fields, key: str, beside: Path) -> Path | None:
-    """Return a path; a relative one lies beside the file."""
+    """Return a path; a relative one is relative to the file's folder."""
     value = table.text(key, None)
     return None if value is None else beside / Path(value).expanduser()
 

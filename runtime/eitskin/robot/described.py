@@ -1,7 +1,7 @@
-"""``robot.json``: what ``eitskin run --config`` tells, in its folder, of the skins that it runs.
+"""``robot.json``: the state of the skins that ``eitskin run --config`` runs, in its folder.
 
-The parent writes it whole, whenever a process starts, is ready or ends. A program that knows the folder finds names,
-endpoints and poses in it; it needs no robot.toml::
+The parent writes it whole, whenever a process starts, is ready or ends. It gives programs the names, endpoints and
+poses, so that they need no robot.toml::
 
     {"format": "eitskin-robot-state", "version": 1, "pid": 4711,
      "skins": [{"name": "left-arm", "publish": "ipc://...", "control": "ipc://...", "rotation": [[...]],

@@ -1,4 +1,4 @@
-"""Where a skin sits on a robot: the rotation and the translation that take its places into the robot's frame.
+"""The pose of a skin on a robot: the rotation and translation from the skin's frame to the robot's.
 
 ::
 
@@ -129,7 +129,7 @@ class Pose:
         return hash(self.matrix.tobytes())
 
     def __str__(self) -> str:
-        """Return one line: where the origin lies, and how it is turned."""
+        """Return one line: the origin and the rotation."""
         x, y, z = self.translation_mm.tolist()
         quaternion = " ".join(f"{part:.3f}" for part in self.quaternion_wxyz)
         return f"at {x:g} {y:g} {z:g} mm, turned by {quaternion} (w x y z)"

@@ -1,1 +1,1 @@
-"""Where a map is touched, on the flat sheet and on its surface, and which touch is which from frame to frame."""
+"""Finds touches in a map, on the flat sheet and on its surface, and follows them from frame to frame."""

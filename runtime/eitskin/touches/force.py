@@ -1,8 +1,8 @@
-"""From a touch's strength to newtons, by a table that its user measured. No force is measured here.
+"""Converts a touch's strength to newtons with a table that the user measured. eitskin itself measures no force.
 
 The table is CSV with the columns ``strength``, ``newtons`` and ``newtons_error`` (one standard deviation), one line a
-load, by rising strength. Between two lines it is linear; beyond the first and the last one it says nothing. Strength is
-that of verified touches, in mm2: ``table.newtons(touch.strength_mm2, touch.strength_error_mm2 or 0.0)``.
+load, by rising strength. Between two lines it is interpolated linearly; outside the table there is no value. The
+strength is that of verified touches, in mm2: ``table.newtons(touch.strength_mm2, touch.strength_error_mm2 or 0.0)``.
 """
 
 import csv

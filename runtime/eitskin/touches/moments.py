@@ -1,13 +1,12 @@
-"""Where each touch is, how large, and along which axes: moments of the map over its pixels.
+"""Computes place, area and axes of each touch from moments of the map over its pixels.
 
-A pixel's value is the touched share of it. So a touch's area is the sum of its pixels' shares, and its centre their
-mean, whichever side of one half the pixels lie on that its border cuts: the pixels right around a piece count as well,
-by equal parts where they are right around several. Of a map of touched shares both are exact but for what a border
-does within one pixel.
+A pixel's value is its touched share. So a touch's area is the sum of its pixels' shares, and its centre their mean.
+Pixels cut by the border may be below one half, so the pixels right around a piece count as well, divided equally where
+they are around several pieces. For a map of touched shares both are exact except for the border within one pixel.
 
-The axes are those of the ellipse with the same second moments: a disc of 10 mm has two of 10 mm, a square of side s
-two of 1.155 s. Shares in pixels of side p spread a touch by p^2 / 12 along x and y, on average over where it lies; so
-much is taken off.
+The axes are those of the ellipse with the same second moments: a disc of 10 mm has two of 10 mm, a square of side s two
+of 1.155 s. Shares in pixels of side p spread a touch by p^2 / 12 along x and y, on average over its position; this is
+subtracted.
 """
 
 import math
@@ -23,7 +22,7 @@ from eitskin_proto.skin.grid import Grid
 Array = npt.NDArray[np.float64]
 
 MOST_TOUCHES: Final = 16
-"""Touches of one map that are listed: those whose pixels of at least one half sum up to most."""
+"""Most touches of one map that are listed: those with the largest sum of pixels of at least one half."""
 
 BELOW_PI: Final = float(np.nextafter(np.float32(np.pi), np.float32(0.0)))
 """The largest angle of a message, in which the next number of 4 bytes is more than pi."""
@@ -34,7 +33,7 @@ Row = tuple[float, float, float, float, float, float, float]
 
 @dataclass(slots=True, eq=False)
 class Found:
-    """The touches of one map, in the order of their first pixels; nobody changes them."""
+    """The touches of one map, in the order of their first pixels; not modified."""
 
     rows: list[Row]
     """Of each touch."""
@@ -130,7 +129,7 @@ class TouchFinder:
         if more > 0:
             core, of = _largest(core, of, np.bincount(of, flat[core], count))
             count = MOST_TOUCHES
-        # Each touch has its own pixels, and a part of those around them that are nobody's own.
+        # Each touch has its own pixels, and a part of the pixels around them that belong to no touch.
         touched = np.zeros(count * flat.size, dtype=bool)
         own = of * flat.size
         own += core
@@ -167,7 +166,7 @@ class TouchFinder:
 
 
 def _largest(core: Indices, of: Indices, sums: npt.NDArray[Any]) -> tuple[Indices, Indices]:
-    """Return pixels and pieces of those of the largest sums, numbered anew; of equal ones, the first."""
+    """Return pixels and pieces of those with the largest sums, renumbered; of equal ones, the first."""
     kept = np.sort(np.argsort(-sums, kind="stable")[:MOST_TOUCHES])
     rank = np.full(sums.size, -1, dtype=np.intp)
     rank[kept] = np.arange(kept.size)

@@ -1,11 +1,11 @@
-"""Connected pieces of a map: labelled in runs of pixels, and taken apart where a saddle divides two peaks.
+"""Finds connected pieces of a map from runs of pixels, and splits them where a saddle divides two peaks.
 
-A piece is made of the pixels that are at least ``HALF``, neighbours along rows and columns. It is two where
-the way from one peak to the other leads down by ``SADDLE`` at least from the lower one: two touches that run together
-in the map are thus two, and noise on the flat top of one makes no second one. ``tools/studies/touches.py`` counts both.
+A piece is made of the pixels that are at least ``HALF``, neighbours along rows and columns. It is split where every
+path from one peak to the other leads at least ``SADDLE`` below the lower one: this separates two touches that merge in
+the map, while noise on the flat top of one makes no second touch. ``tools/studies/touches.py`` counts both.
 
-The time is bounded: a map of more than ``MOST_RUNS`` runs is taken for no picture of touches, and a piece of more than
-``MOST_DIVIDED`` pixels is not looked at for saddles.
+The time is bounded: a map of more than ``MOST_RUNS`` runs is not analysed, and a piece of more than ``MOST_DIVIDED``
+pixels is not searched for saddles.
 """
 
 from collections.abc import Sequence
@@ -18,16 +18,16 @@ HALF: Final = 0.5
 """A touch is where the map is at least one half."""
 
 SADDLE: Final = 0.25
-"""How far below the lower of two peaks the way between them leads, at least, where they are two touches."""
+"""Smallest depth of the saddle below the lower of two peaks that separates two touches."""
 
 DIVIDED_LEVEL: Final = HALF + SADDLE
 """Two peaks of one piece, of values up to 1, that a saddle divides are apart above this level as well."""
 
 MOST_RUNS: Final = 1024
-"""Runs of pixels, row by row, of a map that is still taken apart."""
+"""Most runs of pixels, row by row, of a map that is analysed."""
 
 MOST_DIVIDED: Final = 1024
-"""Pixels of a piece that is still looked at for saddles."""
+"""Most pixels of a piece that is searched for saddles."""
 
 Indices = npt.NDArray[np.intp]
 

@@ -1,8 +1,8 @@
-"""The surface under a map: where a place of the flat sheet lies in space, which way it faces, and how it is stretched.
+"""The surface under a map: for a place on the flat sheet, its position in space, its normal and its stretch.
 
-The cloud's points lie under the pixels' centres. Between four of them the surface is bilinear, and so are the
-directions in which it faces at the points; beyond the outermost points, half a pixel, it goes on straight. It faces the
-way in which the flat sheet faces z: along the direction of x times that of y. The pose is the cloud's own.
+The cloud's points are the pixels' centres. Between four of them the positions and the normals are bilinear; half a
+pixel beyond the outermost points they are extrapolated. The normal is the direction of x times that of y, as z is on
+the flat sheet. The pose is the cloud's own.
 """
 
 import math
@@ -44,9 +44,9 @@ class Surface:
         """(pixels,) surface over flat area at each pixel of a map with a border, whose own is 0."""
 
     def at(self, x_mm: Sequence[float], y_mm: Sequence[float]) -> list[list[float]]:
-        """Return six numbers for each place: where it lies in space in mm, and the unit vector in which it faces there.
+        """Return six numbers for each place: its position in space in mm, and its unit normal.
 
-        A direction is 0, 0, 0 where the surface has none.
+        A normal is 0, 0, 0 where the surface has none.
 
         Args:
             x_mm: (n,) on the flat sheet.

@@ -1,15 +1,15 @@
-"""Which touch is which from one frame to the next: each keeps its number while it moves.
+"""Follows touches from frame to frame: each keeps its number while it moves.
 
-A touch goes on as the one that is nearest, if that is within ``GATE_MM`` or one lies where the other was; the nearest
-pairs first. What goes on as nothing, and what begins::
+A touch continues as the nearest one of the next frame, if that is within ``GATE_MM`` or covers the same place; the
+nearest pairs are matched first. Touches without a match begin or end::
 
-    born      no touch before it lay here, and it rises to ``BIRTH`` at least
-    split     it lies where another touch was, which goes on elsewhere: its parent
-    merged    another touch now lies where this one was; its number is never seen again
+    born      no touch was here before, and it rises to ``BIRTH`` at least
+    split     it is where another touch was, its parent, which continues elsewhere
+    merged    another touch is now where this one was; its number is never seen again
     died      not seen for ``HOLD_FRAMES`` frames; until then it is not listed, but keeps its number if it is back
 
-A touch is listed in the first frame that shows it: who wants no flicker looks at its age. Numbers begin with 1 and are
-never used twice, until there are no more of them.
+A touch is listed in the first frame that shows it; to avoid flicker, check its age. Numbers begin with 1 and are not
+used twice until they run out.
 """
 
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ from eitskin.touches.touch import BORN, DIED, MERGED, SPLIT
 from eitskin_proto.skin.grid import Grid
 
 MAX_ID: Final = 2**32 - 1
-"""The largest number of a message, behind which they begin again: shreds of a map take a month to get there."""
+"""The largest number of a message, after which they begin again; a fragmented map takes a month to get there."""
 
 GATE_MM: Final = 10.0
-"""How far a touch moves from one frame to the next: 2 m/s at 200 frames/s. Nearer ones are not told apart anyway."""
+"""How far a touch moves from one frame to the next: 2 m/s at 200 frames/s. Nearer touches are not resolved anyway."""
 
 BIRTH: Final = 0.6
 """The peak of a new touch; one that is known goes on down to one half."""
@@ -92,14 +92,14 @@ class Tracker:
             found: The frame's touches.
             device_us: When it was scanned.
         """
-        if device_us < self._device_us:  # a device that started anew counts from 0; ages go on
+        if device_us < self._device_us:  # a restarted device counts from 0; ages continue
             for track in self._tracks:
                 track.born_us += device_us - self._device_us
         self._device_us = device_us
         xs, ys, peaks = ([row[column] for row in found.rows] for column in (0, 1, 6))
         count = len(xs)
         now, before = self._now, self._before
-        now[found.pixels] = found.touch  # with those right around it; its own ones are nobody else's
+        now[found.pixels] = found.touch  # with those right around it; its own pixels belong to it alone
         lies_in = [int(now[self._pixel(track.x_mm, track.y_mm)]) for track in self._tracks]
         lay_in = [int(before[self._pixel(x, y)]) for x, y in zip(xs, ys, strict=True)]
         now[found.pixels] = -1
@@ -154,5 +154,5 @@ class Tracker:
         return result, taken
 
     def _pixel(self, x_mm: float, y_mm: float) -> int:
-        """Return the pixel in which a place lies, by its number in the map with its border."""
+        """Return the pixel of a place, by its number in the map with its border."""
         return (int(y_mm / self._pixel_mm[1]) + 1) * self._width + int(x_mm / self._pixel_mm[0]) + 1

@@ -1,4 +1,4 @@
-"""The touches of one frame after another, as bytes for a message; made only while somebody asks for them."""
+"""The touches of one frame after another, as bytes for a message; made only on request."""
 
 from typing import Final
 
@@ -36,7 +36,7 @@ class TouchWatch:
         self._surface: Surface | None = None
 
     def reset(self) -> None:
-        """Begin anew: nobody has asked for a while."""
+        """Restart after a time without requests."""
         self.tracker.reset()
         self._found, self._map = self._finder.nothing, None
 
