@@ -1,4 +1,4 @@
-"""Writes what must not be kept twice: the C header of the wire and the tables of SPEC.md, both from eitskin_proto.
+"""Writes the C header of the wire and the tables of SPEC.md from eitskin_proto, so that they cannot differ.
 
 ``python firmware_proto/generate.py`` writes them; tests/proto/test_generated.py regenerates and compares.
 """

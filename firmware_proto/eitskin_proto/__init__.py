@@ -1,1 +1,1 @@
-"""What both ends of the wire must agree on: the table of measurements, the grid, the normalisation, the messages."""
+"""Shared by both ends of the wire: the table of measurements, the grid, the normalisation, the messages."""

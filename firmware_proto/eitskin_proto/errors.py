@@ -11,7 +11,7 @@ The runtime grows its own branches in :mod:`eitskin.errors`. Bad arguments are p
 
 
 class SkinError(Exception):
-    """Something that eitskin found wrong; the message says what, what was expected and what to do."""
+    """An error that eitskin detected; the message says what was found, what was expected and what to do."""
 
 
 class ProtocolError(SkinError):

@@ -1,15 +1,15 @@
 """The entries of a table or an object from outside, each checked as it is read.
 
 TOML, JSON and MessagePack give tables, lists and plain values of any kind. A :class:`Fields` reads one table key by
-key; each method says which kind and which bounds it expects, and :meth:`Fields.close` refuses the keys that nobody
-read. Every error is one line that names the key, what was found and what was expected::
+key; each method says which kind and which bounds it expects, and :meth:`Fields.close` refuses keys that were not read.
+Every error is one line that names the key, what was found and what was expected::
 
     [layer] thickness_mm is 200.0, expected a number from 0.05 to 20
     skin left-arm lacks port, expected a text of at most 512 printable characters
     unknown key 'thicknes_mm' in [layer]; did you mean 'thickness_mm'?
 
-A list reads like a table whose keys are 0, 1, 2 and so on, so that lists of tables and lists of lists need no code of
-their own.
+A list reads like a table whose keys are 0, 1, 2 and so on, so that lists of tables and lists of lists need no extra
+code.
 """
 
 import math
@@ -29,7 +29,7 @@ LONGEST_TEXT: Final = 512
 """Characters of a text, unless the caller gives another bound."""
 
 SIMILARITY: Final = 0.65
-"""Share of letters that a name must have in common with what was found; ``file`` has 0.6 of ``single``."""
+"""Share of letters that a suggested name must have in common with the key found; ``file`` has 0.6 of ``single``."""
 
 Default = TypeVar("Default")
 Key = str | int
@@ -40,12 +40,12 @@ class Fields:
 
     Args:
         content: As the parser gave it.
-        where: What messages call it: ``[layer]``, ``scene.sheet``; empty for a whole file.
-        error: Class of what is raised.
-        joint: What stands between ``where`` and a key in messages.
+        where: Its name in messages: ``[layer]``, ``scene.sheet``; empty for a whole file.
+        error: Class of the errors raised.
+        joint: Text between ``where`` and a key in messages.
 
     Raises:
-        ValueError: ``content`` is no table; here and below it is of class ``error``.
+        ValueError: ``content`` is not a table; here and below the error is of class ``error``.
     """
 
     __slots__ = ("_content", "_error", "_joint", "_read", "where")
@@ -93,7 +93,7 @@ class Fields:
             raise self._error(f"format is {named}, expected {expected!r} version {version}: is it {what}?")
 
     def path(self, key: Key) -> str:
-        """Return what messages call a key."""
+        """Return a key's name in messages."""
         if isinstance(key, int):
             return f"{self.where}[{key}]"
         return f"{self.where}{self._joint}{plain(key)}" if self.where else plain(key)
@@ -180,7 +180,7 @@ class Fields:
 
         Args:
             key: Of the table.
-            where: What messages call it; None for the path of its key.
+            where: Its name in messages; None for the path of its key.
         """
         value = self.value(key, {})
         if not isinstance(value, dict):
@@ -194,7 +194,7 @@ class Fields:
             key: Of the list.
             least: Fewest items.
             most: Most items.
-            of: What messages call them.
+            of: Their name in messages.
         """
         value = self.value(key, [])
         if not isinstance(value, list | tuple) or not least <= len(value) <= most:
@@ -204,7 +204,7 @@ class Fields:
     def numbers(
         self, key: Key, count: int, default: Default = REQUIRED, *, low: float = -math.inf, high: float = math.inf
     ) -> tuple[float, ...] | Default:
-        """Return so many finite numbers."""
+        """Return the given number of finite numbers."""
         if self._defaults(key, default):
             return default
         items = self.entries(key, least=count, most=count, of="numbers")

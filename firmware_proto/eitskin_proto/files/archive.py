@@ -1,4 +1,4 @@
-"""Reads members of a ZIP file within bounds: what a file claims about sizes is never believed."""
+"""Reads members of a ZIP file within bounds: the sizes that a file states are not trusted."""
 
 import io
 import struct

@@ -1,8 +1,8 @@
 r"""Arrays packed, and read within bounds: ``.npy`` and ``.npz`` as numpy writes them, of plain numbers and texts.
 
-numpy's own reader believes a header: it sets memory aside for as many rows as the header claims, and hands a damaged
-one to Python's tokenizer, whose errors are of many kinds. Here a header is one short literal whose size must be that of
-the bytes behind it; nothing is unpickled::
+numpy's own reader trusts a header: it allocates as many rows as the header states, and hands a damaged one to Python's
+tokenizer, whose errors are of many kinds. Here a header is one short literal whose size must be that of the bytes
+behind it; nothing is unpickled::
 
     \x93NUMPY  major minor  length (2 bytes, or 4)  {'descr': '<f8', 'fortran_order': False, 'shape': (104,), }  data
 """

@@ -1,7 +1,7 @@
-r"""Texts that came from a device, a file or a network, made fit for a terminal.
+r"""Makes texts from a device, a file or a network safe to print in a terminal.
 
-A terminal obeys what it is sent: escape sequences move its cursor, set its title, or type for its user; a line break
-forges a line of a log, and marks of writing direction turn a sentence round. What could do so is shown instead::
+A terminal executes escape sequences: they move its cursor, set its title, or type for its user. A line break forges a
+line of a log, and marks of writing direction reverse a sentence. Such characters are made visible instead::
 
     ESC [ 2 J   is shown as   \x1b[2J
 """

@@ -1,8 +1,8 @@
-"""Files read within bounds: how long they are, what they are, how deep they are nested.
+"""Reads files within bounds on their length, kind and depth of nesting.
 
-A path may name anything: a device that never ends, a FIFO that nobody writes to, a file that grows while it is read.
-Only regular files are read, up to a bound; a stream that the caller hands over, ``/dev/stdin`` or ``/dev/fd/N`` as a
-shell's ``<(...)`` makes them, is read up to the same bound.
+A path may name anything: a device that never ends, a FIFO without a writer, a file that grows while it is read. Only
+regular files are read, up to a bound; a stream that the caller hands over, ``/dev/stdin`` or ``/dev/fd/N`` as a shell's
+``<(...)`` makes them, is read up to the same bound.
 """
 
 import json
@@ -122,10 +122,10 @@ def read_json(path: str | Path, largest: int = LARGEST_TEXT) -> Any:
 
 
 def parse_json(text: str | bytes, *, strict: bool = False) -> Any:
-    """Return what a JSON text says; the error's message goes on from the text's name.
+    """Return the content of a JSON text; the error's message continues after the text's name.
 
     Args:
-        text: Its length is the caller's to bound.
+        text: The text, whose length the caller bounds.
         strict: Refuse a key that an object has twice, NaN and Infinity too.
 
     Raises:
@@ -175,7 +175,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def _check_depth(value: object) -> None:
-    """Refuse what is nested too deeply, without a recursion of its own."""
+    """Refuse content that is nested too deeply, without recursion."""
     level = [value]
     for _ in range(DEEPEST):
         level = [

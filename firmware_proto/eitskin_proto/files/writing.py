@@ -1,8 +1,8 @@
-"""Files written whole or not at all: a new file beside the old one, which then takes its name.
+"""Writes files whole or not at all: it writes a new file beside the old one and renames it.
 
-A rename replaces whatever has the name: as root a device node too, and a FIFO or a socket under anybody. So only
-regular files are replaced, or new ones made. Where the name is a symbolic link, the link is replaced and what it points
-to stays as it is: nobody who can put a link into a folder decides what is overwritten elsewhere.
+A rename replaces anything with that name: a FIFO, a socket, for root even a device node. So only regular files are
+replaced, or new ones made. If the name is a symbolic link, the link is replaced and its target stays, so a link placed
+in a folder cannot cause another file to be overwritten.
 """
 
 import fcntl
@@ -36,9 +36,7 @@ def check_target(path: str | Path) -> Path:
     """
     found = Path(path)
     given = os.path.abspath(found)
-    if given.startswith(SYSTEM) and not given.startswith(
-        "/dev/shm/"
-    ):  # /dev/stdout is a link to what is a file at times
+    if given.startswith(SYSTEM) and not given.startswith("/dev/shm/"):  # /dev/stdout may be a link to a file
         raise FileError(f"{path} names a device or a stream, expected a regular file to write; name one")
     with suppress(FileNotFoundError):
         mode = found.stat().st_mode
@@ -74,7 +72,7 @@ def replacing(path: str | Path, mode: int = 0o666) -> Iterator[BinaryIO]:
         with suppress(OSError):
             beside.unlink()
         if isinstance(error, OSError) and error.filename in (None, str(beside)):
-            error.filename = str(where)  # a full disk names no file, and nobody knows the one beside
+            error.filename = str(where)  # a full disk names no file, and the new file's name means nothing to a user
         raise
     folder = os.open(where.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
@@ -84,7 +82,7 @@ def replacing(path: str | Path, mode: int = 0o666) -> Iterator[BinaryIO]:
 
 
 def is_empty(folder: Path) -> bool:
-    """Whether a folder holds nothing, but for files of which the writing was ended by force, which nobody will read."""
+    """Whether a folder is empty except for files left by killed writers."""
     return all(one.name.startswith(".") and one.name.endswith(CUT_OFF) for one in folder.iterdir())
 
 

@@ -1,4 +1,4 @@
-"""The digest of what is measured, which every artefact carries beside a skin's ``grid_id`` for where results are drawn.
+"""The digest of the measurement table, which every artefact carries beside a skin's ``grid_id``, the digest of its map.
 
 A bundle, data set, reference or device that was made for another table, sign or grid would give plausible nonsense.
 The digests make it refuse instead. They change only when the meaning of the numbers changes.

@@ -15,7 +15,7 @@ WEAK_FRACTION: Final = 1e-4
 """A reference row below this fraction of the largest is weak. A healthy sheet's smallest row is at 2e-3."""
 
 RANGE_V: Final = (1e-30, 1e30)
-"""The largest row of anything that was ever measured lies well inside; beyond, 1 / V0 would leave the numbers."""
+"""The largest row ever measured is well below; above, 1 / V0 would underflow."""
 
 
 def weak_rows(reference: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""The rows of one sheet are close to a Gaussian in l = log(V / V0): what the rows that are there say of the others.
+"""Predicts missing rows from the others: a sheet's rows are nearly Gaussian in l = log(V / V0).
 
 With P the precision (inverse covariance) and y = P (l - mean), the rows m that are missing have ::
 
@@ -7,7 +7,7 @@ With P the precision (inverse covariance) and y = P (l - mean), the rows m that 
 
 with anything at all in l_m for the first. Nothing of the block of the other rows o is ever inverted. Training fits the
 Gaussian and fills rows in with it, in NumPy and in torch; the runtime fills in the same rows from a bundle's. All of
-them take what is below.
+them use this module.
 """
 
 from dataclasses import dataclass
@@ -74,7 +74,7 @@ def _inverse(covariance: Array) -> Array:
 
 
 def missing_weights(precision: Array, missing: Rows) -> Array:
-    """Return W = P_mm^-1 P_mo, (missing, others): what the missing rows follow the others with, but for its sign.
+    """Return W = P_mm^-1 P_mo, (missing, others): minus the regression of the missing rows on the others.
 
     Args:
         precision: (104, 104) P.

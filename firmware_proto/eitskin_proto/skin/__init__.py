@@ -1,1 +1,1 @@
-"""What one skin is: a description that data, bundles, references and solvers follow, and the digest that names it."""
+"""The description of a skin, which data, bundles, references and solvers follow, and its digest."""

@@ -1,4 +1,4 @@
-"""The parts of a skin's description: what was built, how sure its builder is of it, and what it will meet.
+"""The parts of a skin's description: its construction, the uncertainty of that, and its use.
 
 Lengths are mm on the flat sheet, angles degrees. A :class:`Quantity` carries its own uncertainty. Names are the keys of
 ``skin.toml``; a field's bounds are in its metadata, for :mod:`eitskin_proto.skin.toml` to check.
@@ -79,12 +79,12 @@ class Ring:
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """The front end: how it differs from a source that gives what it says and a meter that shows what is there."""
+    """The front end: its deviations from an ideal current source and an ideal voltmeter."""
 
     gain: Quantity = _known(1.0, 0.1, 10.0, each="a measured pair")
     """Of each measured pair."""
     offset_V: Quantity = _known(0.0, -1.0, 1.0, each="a measured pair")
-    """Of each measured pair, under 1 A: of a device of 1 mA a thousand times what it adds."""
+    """Offset of each measured pair, for 1 A: at 1 mA a thousand times the real one."""
     stray_pF: Quantity = _known(0.0, 0.0, 1e5, each="an electrode")
     """Capacitance from each terminal to ground."""
     frequency_Hz: float = _of(20000.0, 1.0, 1e7)
@@ -92,7 +92,7 @@ class Instrument:
     minus_gain: Quantity = _known(1.0, 0.5, 2.0)
     """Gain of the path of V- over that of V+."""
     sink_share: Quantity = _known(1.0, 0.5, 1.5)
-    """Current that the sink takes over what the source gives; the rest returns through ground."""
+    """Current by which the sink exceeds the source; the difference returns through ground."""
     normalised: bool = False
     """Whether readings are divided by the measured current."""
     noise: Literal["N1", "N2", "N3"] = "N2"
@@ -124,7 +124,7 @@ class Deformations:
 
 @dataclass(frozen=True, slots=True)
 class Touches:
-    """What touches this skin, and which way it changes conductance."""
+    """The touches of this skin, and the direction in which they change conductance."""
 
     kind: TouchKind = "raise"
     """``lower`` where touches lower conductance, as a press on a hydrogel does; ``raise`` as the paper's do; both."""
@@ -147,7 +147,7 @@ class Touches:
 
 @dataclass(frozen=True, slots=True)
 class Doubts:
-    """What may be off and has no stated value; zero is nothing."""
+    """Deviations without a stated value; zero is none."""
 
     layer_rms: Range = _of((0.0, 0.0), 0.0, 0.5)
     """Unevenness of the layer when the reference is taken: standard deviation of log conductivity."""

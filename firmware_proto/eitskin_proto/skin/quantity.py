@@ -1,4 +1,4 @@
-"""A number that is known, or known up to something: its value, and the law by which the true one is off.
+"""A number with its uncertainty: its value, and the distribution of the true one.
 
 ::
 
@@ -7,7 +7,7 @@
     gauge_factor = {value = 0.0, normal = 0.5}              standard deviation 0.5
     contact_impedance_ohm_m2 = {value = 1e-4, log_normal = 0.5}    times exp(0.5 e)
 
-What belongs to each electrode may be one number for all or a list of sixteen; their deviations are independent.
+A quantity of the electrodes may be one number for all or a list of sixteen; their deviations are independent.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 Law = Literal["exact", "normal", "uniform", "log_normal"]
-"""How the true value lies about the stated one."""
+"""The distribution of the true value around the stated one."""
 
 LAWS: Final[tuple[Law, ...]] = get_args(Law)
 

@@ -1,7 +1,7 @@
-"""Can a cloud be of this sheet? Its size, spacing, angles and noise against what the sheet can do.
+"""Checks whether a cloud can be of this sheet: its size, spacing, angles and noise against the sheet's limits.
 
-A cloud of another size, order or scale has the right shape and no NaN, and makes every map wrong without a word. What a
-sheet can do was measured on 810 clouds with a scanner's noise of 0.1 mm: the paper's ten bends, and 400 draws each of
+A cloud of another size, order or scale has the right shape and no NaN, and silently makes every map wrong. The limits
+of a sheet were measured on 810 clouds with a scanner's noise of 0.1 mm: the paper's ten bends, and 400 draws each of
 the families A and B (:mod:`eitskin_sim.scene.family`). Lengths are in multiples of the flat sheet's::
 
                                                   drawn              refused outside     warned of outside
@@ -15,13 +15,13 @@ the families A and B (:mod:`eitskin_sim.scene.family`). Lengths are in multiples
     the same, in multiples of the noise           at most 7.7           and 12           and 9
     turn of rows and columns, towards the front   at least -15 deg                       -40 deg
 
-That is the paper's skin. Where another one is bent or stretched further by its description, its bounds are as much
-wider; where its pixels are larger than ``COARSE_MM``, neighbours may be as much further from a smooth curve.
+That is the paper's skin. If another skin's description bends or stretches it further, its bounds are wider by the same
+factor. If its pixels are larger than ``COARSE_MM``, neighbours may be further from a smooth curve by that factor.
 
 A rectangle looks the same from either side, so a flat cloud with x and y exchanged, or with its rows in reverse, *is*
-the flat sheet in another pose, and is used as it should be. Bent, it is a sheet that bends to the other side: a real
-sheet may, but no network has learned it, so it is warned of. A cloud with both orders reversed is a sheet turned by
-half a turn; no look at the cloud alone can tell. The look takes 0.6 ms.
+the flat sheet in another pose, and is used as it should be. A bent one is a sheet that bends to the other side: a real
+sheet may, but no network was trained on it, so it causes a warning. A cloud with both orders reversed is a sheet turned
+by half a turn, which the cloud alone cannot show. The check takes 0.6 ms.
 """
 
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ LINE: Final = (0.70, 1.55)
 """Mean spacing along one row or one column."""
 
 STEPS: Final = 3
-"""Spacing is looked at over so many steps: over one, noise of 0.5 mm would be a sixth of it."""
+"""Steps over which spacing is checked: over one, noise of 0.5 mm would be a sixth of it."""
 
 SPACING: Final = (0.50, 1.70)
 """Distance of two points that are ``STEPS`` apart in a row or column, and mean step to the next row or column."""
@@ -60,7 +60,8 @@ NOTED_NOISE_MM: Final = 0.25
 
 LARGEST_OFF: Final = (2.5, 12.0)
 NOTED_OFF: Final = (1.0, 9.0)
-"""How far one point lies off the curve through its neighbours: in mm, and in multiples of the noise; both count."""
+"""Distance of a point from the curve through its neighbours: in mm, and in multiples of the noise; both must be
+exceeded."""
 
 LEAST_TURN_DEG: Final = -40.0
 """How far rows and columns together turn towards the sheet's front, end to end; a network learned -15 to 205."""
@@ -69,12 +70,12 @@ COARSE_MM: Final = 10.0
 """Pixels up to here show a bend's curve; the look at noise and single points is for these."""
 
 _FOURTH: Final = float(np.sqrt(70.0))
-"""Fourth differences 1 -4 6 -4 1 have so many times the noise, and next to nothing of a sheet's shape."""
+"""Fourth differences 1 -4 6 -4 1 multiply the noise by this, and contain almost nothing of a sheet's shape."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Bounds:
-    """What a skin's clouds may be."""
+    """The limits of a skin's clouds."""
 
     grid: Grid
     mean_x: Range
@@ -107,7 +108,7 @@ def _beyond(own: Range, paper: Range) -> Range:
 
 
 def check_sheet(cloud: npt.ArrayLike, skin: Skin = PAPER) -> tuple[Array, tuple[str, ...]]:
-    """Return a cloud as float64, and lines that say what is doubtful about it.
+    """Return a cloud as float64, and warnings about it.
 
     Args:
         cloud: (3, rows, columns) mm, in any pose.

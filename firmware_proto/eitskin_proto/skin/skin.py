@@ -1,7 +1,7 @@
 """A skin: one frozen description that everything follows, and its digest.
 
-Geometry, the map and the ids of everything made for a skin come from here. What is handed on is the skin itself, never
-a constant: two skins may be used in one process.
+Geometry, the map and the ids of everything made for a skin come from here. Functions take the skin itself, never
+constants, because one process may use two skins.
 """
 
 from dataclasses import asdict, dataclass, field, replace
@@ -28,7 +28,7 @@ from eitskin_proto.skin.touch_kind import TouchKind
 
 @dataclass(frozen=True)
 class Skin:
-    """What a sheet with electrodes and its front end are, how sure that is, and what they will meet.
+    """A sheet with electrodes and its front end, their uncertainty, and their use.
 
     Args:
         name: For people; not part of the digest.
@@ -137,4 +137,4 @@ class Skin:
 
 
 PAPER = Skin()
-"""The paper's sheet: what is meant where no skin is named."""
+"""The paper's sheet, the default skin."""

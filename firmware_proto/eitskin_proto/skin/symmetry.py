@@ -1,12 +1,12 @@
-"""The mirror images of a skin: which of x, y and both take it onto itself, and what they do to the electrodes.
+"""The mirror symmetries of a skin, in x, y and both, and how they permute the electrodes.
 
 A skin whose ring is mirror-symmetric gives the same voltages, in another order, for the mirror image of a touch on the
-mirror image of a bend; so a network need learn a quarter, or a half, of it. Whether it is so is computed from the
-stated places, sizes and impedances of the electrodes. A disc is held against the same two mirrors.
+mirror image of a bend; so a network need learn only a quarter, or a half, of it. The symmetry is computed from the
+stated places, sizes and impedances of the electrodes. A disc is compared with the same two mirror images.
 
-A ring that is off by millimetres is no longer symmetric, but nearly: what the electrodes read is divided by what they
-read untouched, and little is left of where exactly they are. A network that keeps such near symmetries has a quarter of
-the weights, and knows four times as much of what it was shown.
+A ring that is off by millimetres is still nearly symmetric, because dividing by the untouched voltages removes most of
+the effect of the electrodes' exact places. A network with such near symmetries has a quarter of the weights, and four
+times the training data for each.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ NEAR_MM: Final = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """One mirror image of a skin that is the skin itself: electrode k lies where ``electrodes[k]`` was."""
+    """A mirror symmetry of a skin: electrode k is mapped to the place of ``electrodes[k]``."""
 
     x: bool
     """Whether x is mirrored (x -> length - x)."""

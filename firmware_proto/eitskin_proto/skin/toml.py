@@ -84,7 +84,7 @@ def parse(text: str) -> Skin:
     tables["touches"] = _with_kind(tables["touches"])
     parts: dict[str, Any] = {name: _part(kind, tables[name]) for name, kind in TABLES.items()}
     skin = Skin(**{**texts, "name": texts["name"] or "unnamed"}, **parts)
-    if not skin.calibrated_from:  # what was found is as uncertain as it was found
+    if not skin.calibrated_from:  # a calibrated value has the uncertainty of its calibration
         check_reach(skin)
     return skin
 

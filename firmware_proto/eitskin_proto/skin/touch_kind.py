@@ -1,6 +1,6 @@
-"""Which way touches change conductance: what a skin's touches do, and what a network knows.
+"""The direction in which touches change conductance, for a skin's touches and a network's training data.
 
-The same three words stand in a skin's file, a bundle's manifest, the option ``--touches``, robot.toml and the log.
+The same three words are used in a skin's file, a bundle's manifest, the option ``--touches``, robot.toml and the log.
 """
 
 from collections.abc import Iterable
@@ -14,7 +14,7 @@ TouchKind = Literal["lower", "raise", "both"]
 TOUCH_KINDS: Final[tuple[TouchKind, ...]] = get_args(TouchKind)
 
 EARLIER_WORDS: Final[dict[object, TouchKind]] = {"lowering": "lower", "raising": "raise"}
-"""What files of earlier releases say."""
+"""The words of earlier releases."""
 
 
 def touch_kind_of(found: object) -> TouchKind:

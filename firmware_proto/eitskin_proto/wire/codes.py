@@ -43,7 +43,7 @@ class MessageType(IntEnum):
 
 
 class Code(IntEnum):
-    """What an ACK says about a request. 0 is success; ``CODE_TEXT`` says what to do about the others."""
+    """The result of a request in an ACK. 0 is success; ``CODE_TEXT`` says what to do about the others."""
 
     OK = 0
     UNKNOWN_TYPE = 1

@@ -1,4 +1,4 @@
-"""Packets on a byte stream: COBS keeps 0x00 out of the packet, 0x00 ends it, CRC-32C tells whether it survived.
+"""Packets on a byte stream: COBS keeps 0x00 out of the packet, 0x00 ends it, CRC-32C detects damage.
 
 ::
 

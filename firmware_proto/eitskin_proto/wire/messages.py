@@ -1,4 +1,4 @@
-"""Every message of the wire as a frozen value that packs itself, and ``unpack``, which accepts nothing doubtful.
+"""Every message of the wire as a frozen value that packs itself, and ``unpack``, which checks every byte.
 
 Requests carry a ``tag`` that their answer repeats, so that an answer that comes late or twice is recognised. ::
 
