@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from tests.runtime.model import hostile_graphs
 
 from eitskin_proto.files.digest import sha256_of
 
-from . import graphs, mutations, recorded, samples
+from . import mutations, recorded, samples
 from .samples import ROOT, TINY, commanded
 
 Make = Callable[[Path, random.Random | None], tuple[Path, str]]
@@ -42,8 +43,6 @@ class Kind:
 def _file(name: str, draw: Draw) -> Make:
     def make(folder: Path, rng: random.Random | None) -> tuple[Path, str]:
         path = folder / name
-        if rng is not None and rng.random() < 0.04:
-            return path, f"not a file: {mutations.special(path, rng)}"
         content, what = draw(rng)
         path.write_bytes(content)
         return path, what
@@ -131,7 +130,7 @@ def _bundle(rng: random.Random | None) -> tuple[bytes, str]:
         return mutations.archive({"manifest.json": json.dumps(manifest).encode(), **parts}, rng), "archive"
     if how < 5:
         name = rng.choice([name for name in parts if name.endswith(".onnx")])
-        parts[name], what = graphs.hostile(parts[name], rng)
+        parts[name], what = hostile_graphs.hostile(parts[name], rng)
     else:
         name, what = rng.choice(list(parts)), "is another"
         parts[name] = mutations.array(rng) if name.endswith(".npy") else mutations.bent(parts[name], rng)

@@ -1,13 +1,10 @@
-"""Ways to damage a file, drawn from a seed: of its bytes, of its values, of what its name stands for."""
+"""Ways to damage a file, drawn from a seed: its bytes, or its values."""
 
 import copy
 import io
 import json
-import os
 import random
-import socket
 import zipfile
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -181,35 +178,3 @@ def archive(parts: dict[str, bytes], rng: random.Random) -> bytes:
     if how == 7:
         return bent(data, rng)
     return data
-
-
-SPECIAL: Final = (
-    "missing", "folder", "fifo", "socket", "unreadable", "endless", "/dev/zero", "/dev/tty", "nothing", "itself"
-)  # fmt: skip
-"""What stands in a file's place; the last four are links."""
-
-
-def special(path: Path, rng: random.Random) -> str:
-    """Put something else than a file where one is expected, and return what."""
-    kind = rng.choice(SPECIAL)
-    match kind:
-        case "folder":
-            path.mkdir()
-        case "fifo":
-            os.mkfifo(path)
-        case "socket":
-            where = os.open(path.parent, os.O_RDONLY)
-            try:
-                with socket.socket(socket.AF_UNIX) as bound:
-                    bound.bind(f"/proc/self/fd/{where}/{path.name}")  # a socket's path has at most 107 bytes
-            finally:
-                os.close(where)
-        case "unreadable":
-            path.write_bytes(b"x")
-            path.chmod(0)
-        case "endless":
-            with path.open("wb") as file:
-                file.truncate(1 << 40)  # nothing of it is on the disk
-        case "/dev/zero" | "/dev/tty" | "nothing" | "itself":
-            path.symlink_to(path.name if kind == "itself" else kind)
-    return kind

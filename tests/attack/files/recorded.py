@@ -1,4 +1,4 @@
-"""Recordings, damaged in their bytes, or written anew by who puts what he likes into one that is otherwise whole.
+"""Recordings, damaged in their bytes, or written again with other contents in their messages.
 
 The name of a damaged file says which command reads it; the whole one is read by each.
 """
@@ -71,57 +71,28 @@ def make(folder: Path, rng: random.Random | None) -> tuple[Path, str]:
     if rng is None:
         path.write_bytes(_whole())
         return path, "whole"
-    if rng.random() < 0.04:
-        return path, f"{name}, not a file: {mutations.special(path, rng)}"
     how = rng.choice(("bytes", "messages"))
-    if how == "bytes":
-        path.write_bytes(mutations.bent(_whole(), rng))
-    else:
+    path.write_bytes(mutations.bent(_whole(), rng) if how == "bytes" else _whole())
+    if how == "messages":
         _rewrite(path, rng)
     return path, f"{name}, {how}"
 
 
 def _rewrite(path: Path, rng: random.Random) -> None:
-    """Write the whole recording again with other contents in some of its messages."""
-    import io
+    """Write a recording again with other contents in messages of one channel: all alike, or each in its own way."""
+    from tests.tools.recording.conftest import rewritten
 
-    from mcap.reader import make_reader
-    from mcap.writer import Writer
+    from eitskin_tools.recording.reader import Recording
 
-    reader = make_reader(io.BytesIO(_whole()))
-    found = list(reader.iter_messages(log_time_order=False))
-    channels = {channel.id: (schema, channel) for schema, channel, _ in found}
-    messages = [(channel.id, message.data, message.log_time, message.sequence) for _, channel, message in found]
-    _bodies(messages, rng)
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        for one in reader.iter_metadata():
-            writer.add_metadata(one.name, one.metadata)
-        for one in reader.iter_attachments():
-            writer.add_attachment(0, 0, one.name, "application/json", one.data)
-        ids = {}
-        for number, (schema, channel) in channels.items():
-            of = 0 if schema is None else writer.register_schema(schema.name, schema.encoding, schema.data)
-            ids[number] = writer.register_channel(channel.topic, channel.message_encoding, of, channel.metadata)
-        for number, data, log_ns, sequence in messages:
-            writer.add_message(ids[number], log_ns, data, log_ns, sequence)
-        writer.finish()
+    channel = rng.choice(sorted({one.topic for one in Recording(path).entries()}))
+    seed, alike, share = rng.randrange(1 << 30), rng.random() < 0.5, rng.choice((0.03, 0.5, 1.0))
 
+    def changed(topic: str, data: bytes, log_ns: int) -> tuple[bytes, int]:
+        if topic == channel and rng.random() < share:
+            data = _body(data, random.Random(seed) if alike else rng)
+        return data, log_ns
 
-Message = tuple[int, bytes, int, int]
-"""Channel, data, log time in ns, sequence."""
-
-
-def _bodies(messages: list[Message], rng: random.Random) -> None:
-    """Change what messages of one channel hold: one, all of them alike, or each in its own way."""
-    channel = rng.choice(sorted({one[0] for one in messages}))
-    places = [at for at, one in enumerate(messages) if one[0] == channel]
-    places = [rng.choice(places)] if rng.random() < 0.3 else places
-    seed, alike = rng.randrange(1 << 30), rng.random() < 0.5
-    for at in places:
-        data = _body(messages[at][1], random.Random(seed) if alike else rng)
-        messages[at] = channel, data, *messages[at][2:]
+    rewritten(path, changed).rename(path)
 
 
 def _body(data: bytes, rng: random.Random) -> bytes:

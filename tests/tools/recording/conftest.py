@@ -1,5 +1,6 @@
 """Recordings made in this process: a device that is played, the tiny bundle, the real frame loop, the real recorder."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from eitskin.reference.captured import Reference
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire.frames import Frame as WireScan
 from eitskin_proto.wire.messages import Hello
+from eitskin_tools.recording.layout import CHANNELS
+from eitskin_tools.recording.reader import Recording
 from eitskin_tools.recording.recorder import Recorder, RecorderOptions
 from eitskin_tools.recording.replay import Player, RecordedLine, ReplayOptions
 from eitskin_tools.recording.script import Script, Step
@@ -121,6 +124,30 @@ def recorded(path: Path, items: list[Any], kept: RecorderOptions = RecorderOptio
         recorder.record(item)
     recorder.close()
     return recorder
+
+
+def rewritten(
+    file: Path,
+    changed: Callable[[str, bytes, int], tuple[bytes, int] | None],
+    attached: bool | dict[str, bytes] = True,
+    head: dict[str, str] | None = None,
+) -> Path:
+    """Write a recording anew; ``changed(topic, data, log_ns)`` gives data and time, or None to leave one out.
+
+    Attachments go without ``attached``, and are the given ones where it is a dictionary.
+    """
+    found = Recording(file)
+    entries = list(found.entries())
+    path = file.with_name("b.mcap")
+    writer = Series(path, {**found.head, **(head or {})})
+    for name, data in (found.attached if attached is True else attached or {}).items():
+        writer.attach(name, "application/json", data, 0)
+    channels = {channel.topic: channel for channel in CHANNELS}
+    for one in entries:
+        if (made := changed(one.topic, one.data, one.log_ns)) is not None:
+            writer.add(channels[one.topic], *made, one.sequence)
+    writer.close()
+    return path
 
 
 @pytest.fixture(scope="session")

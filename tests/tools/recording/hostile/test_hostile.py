@@ -11,34 +11,14 @@ from mcap.records import Chunk
 from eitskin_proto.files.digest import sha256_of, sha256_of_values
 from eitskin_tools.cli import main
 from eitskin_tools.recording.frames import number
-from eitskin_tools.recording.layout import CHANNELS, FRAME, STATE, WIRE, RecordingError
+from eitskin_tools.recording.layout import FRAME, STATE, WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording, unpacked
 from eitskin_tools.recording.replay import Player, ReplayOptions
 from eitskin_tools.recording.script import Script, SeekableRecording
-from eitskin_tools.recording.writer import Series
 
-from ..conftest import TINY, Taker
+from ..conftest import TINY, Taker, rewritten
 
 HUGE = 10**400
-
-
-def rewritten(file, changed, attached=True, head=None):
-    """Write a recording anew; ``changed(topic, data, log_ns)`` gives data and time, or None to leave one out.
-
-    Attachments go without ``attached``, and are the given ones where it is a dictionary.
-    """
-    found = Recording(file)
-    entries = list(found.entries())
-    path = file.with_name("b.mcap")
-    writer = Series(path, {**found.head, **(head or {})})
-    for name, data in (found.attached if attached is True else attached or {}).items():
-        writer.attach(name, "application/json", data, 0)
-    channels = {channel.topic: channel for channel in CHANNELS}
-    for one in entries:
-        if (made := changed(one.topic, one.data, one.log_ns)) is not None:
-            writer.add(channels[one.topic], *made, one.sequence)
-    writer.close()
-    return path
 
 
 def with_fields(file, topic, **fields):

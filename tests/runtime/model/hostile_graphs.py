@@ -7,8 +7,6 @@ from typing import Any, Final
 import onnx
 from onnx import TensorProto, helper
 
-from . import mutations
-
 
 def hostile(graph: bytes, rng: random.Random) -> tuple[bytes, str]:
     """Return a graph with the inputs and outputs of a given one and something else between, and what."""
@@ -143,10 +141,6 @@ def _operator(model: Any, rng: random.Random) -> bytes:
     return bytes(model.SerializeToString())
 
 
-def _bytes(model: Any, rng: random.Random) -> bytes:
-    return mutations.bent(bytes(model.SerializeToString()), rng)
-
-
 WAYS: Final[dict[str, Callable[[Any, random.Random], bytes]]] = {
     "a loop of 2^62": _loop,
     "ConstantOfShape": _huge,
@@ -158,6 +152,5 @@ WAYS: Final[dict[str, Callable[[Any, random.Random], bytes]]] = {
     "a function": _function,
     "constants that claim": _claims,
     "another operator": _operator,
-    "bytes": _bytes,
 }
 """By name."""
