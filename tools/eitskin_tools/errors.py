@@ -1,4 +1,4 @@
-"""What the command line raises on purpose, besides the errors of the packages that it calls."""
+"""The errors of the command line itself."""
 
 from eitskin_proto.errors import SkinError
 

@@ -1,4 +1,4 @@
-"""What all benchmarks have in common: how they say what they do, time ways in turn, and report rows and a summary.
+"""The frame of all benchmarks: options, timing of variants in turn, and the report as rows and a summary.
 
 A benchmark is a module of this folder with ``add_arguments(parser)`` and ``run(arguments) -> int``. Under ``--json`` it
 prints one object with ``rows``, a list of flat objects, and ``summary``. A study in ``tools/studies`` has the same two

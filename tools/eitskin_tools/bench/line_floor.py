@@ -5,9 +5,9 @@
     this process --pty-->  relay  --ipc-->  listener
                   340 B            5.6 kB
 
-The relay reads as the runtime reads and publishes as it publishes, but its message is ready made: it copies the
-frame's number into it. So this is the least that any program of this shape takes on this machine, in this hour. What
-the runtime takes beyond it is decoding, normalising, gate, inference and packing.
+The relay reads as the runtime reads and publishes as it publishes, but its message is ready made: it copies the frame's
+number into it. So this is the minimum of any program of this structure on this machine at this time. The rest of the
+runtime's time is decoding, normalising, gate, inference and packing.
 """
 
 import argparse

@@ -136,7 +136,7 @@ def theirs(python: Path, method: str) -> Reader:
 
 
 def ages(reader: Reader, frames: int, rate_hz: float) -> Row:
-    """Return how old intact frames were when the reader returned them, and how many it returned.
+    """Return the ages of intact frames when the reader returned them, and their number.
 
     Args:
         reader: Who reads.
@@ -163,7 +163,7 @@ def ages(reader: Reader, frames: int, rate_hz: float) -> Row:
 
 
 def corruption(reader: Reader, frames: int, rate_hz: float) -> dict[str, int]:
-    """Return what became of frames of which each has one bit inverted.
+    """Return how the reader handled frames with one inverted bit each.
 
     Args:
         reader: Who reads.

@@ -1,8 +1,7 @@
-"""What the verifier is put through in ``eitskin bench verify``: touches, noise, and how the true device differs.
+"""The conditions of ``eitskin bench verify``: touches, noise, and deviations of the true device.
 
-Touches are those of the trials, and two kinds of their own: the paper's phantoms, moved by up to half a pixel, at
-drawn deformations, and fingers laid across the sheet's sides, turned by any angle. True
-sheets are solved on a mesh of their own.
+Touches are those of the trials, and two more kinds: the paper's phantoms, moved by up to half a pixel, at drawn
+deformations, and fingers laid across the sheet's sides, turned by any angle. True sheets are solved on a separate mesh.
 """
 
 from collections.abc import Callable
@@ -56,7 +55,7 @@ PRESS_BORDER_MM: Final = 4.0
 """Of its graded border."""
 
 ACROSS_SEED: Final = 61_017
-"""Names where touches lie, how large they are, and how they are turned."""
+"""Names the touches' places, sizes and angles."""
 
 LONG_MM: Final = (28.0, 42.0)
 WIDE_MM: Final = (12.0, 16.0)

@@ -1,4 +1,4 @@
-"""The recipe of a bundle that goes on learning on another sheet, such as a calibrated one."""
+"""The recipe for training a bundle further on another sheet, such as a calibrated one."""
 
 import math
 from dataclasses import dataclass, field, replace

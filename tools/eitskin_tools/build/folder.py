@@ -1,4 +1,4 @@
-"""The folder of a half-made bundle: what is being made, and what is there already.
+"""The folder of an unfinished bundle: its recipe and its finished parts.
 
 ::
 

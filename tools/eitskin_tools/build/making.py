@@ -1,4 +1,4 @@
-"""A recipe's bundle in a folder: begun, scaled to a time, made step by step, or gone on with."""
+"""Makes a recipe's bundle in a folder: starts or resumes it, scales it to a time, and runs the steps."""
 
 import tempfile
 import time
@@ -17,7 +17,7 @@ FINAL_STAGES_S: Final = 600.0
 """For gate, export and card: five minutes on two quiet cores."""
 
 TRAINING_SHARES: Final = {SMALL: 0.35, GENTLE: 0.1}
-"""Of networks besides: they begin as the bundle's own and need few epochs, but data of their own take as long."""
+"""For additional networks: they start from the bundle's own and need few epochs, but their data take as long."""
 
 PROBE_SAMPLES: Final = (50, 550)
 """Samples a deformation of the two small data sets, as far from each other as tells a sample's time from noise."""
@@ -190,9 +190,9 @@ class Making:
     workers: int
     """Processes that make data."""
     tell: steps.Tell
-    """Told what is being done."""
+    """Called with each step."""
     say: steps.Tell
-    """Told how each epoch went."""
+    """Called with the result of each epoch."""
 
     def begin(self, parts: Sequence[tuple[BuildRecipe, Path, float]], given: float | None) -> None:
         """Begin the folders of half-made bundles that are none yet, once all recipes fit into their time.
@@ -224,14 +224,14 @@ class Making:
         larger: Path | None = None,
         beside: tuple[BuildRecipe, Path] | None = None,
     ) -> BuiltBundle:
-        """Make a bundle but for its card, or go on with it.
+        """Make a bundle without its card, or resume.
 
         Args:
             recipe: What is asked for.
             work: Folder of the half-made bundle.
             given: Hours to scale it to; None leaves it as it is.
             share: Of these hours.
-            presses: A recording of some, to be learned from besides; None without.
+            presses: A recording of presses for additional training; None without.
             larger: The run whose network it begins with, narrowed or as it is; None as the recipe says.
             beside: Another recipe and its folder, whose data sets are taken where they are the same.
 
@@ -262,11 +262,11 @@ class Making:
         given: float | None,
         gentle_of: Path | None = None,
     ) -> BuiltBundle:
-        """Make the networks that go into a bundle besides, or go on with them, and return it with them.
+        """Make the additional networks of a bundle, or resume, and return the bundle with them.
 
         Args:
             made: The bundle with its own network.
-            others: Recipes of those besides, each by its name, which is that of its folder in ``work`` too.
+            others: Recipes of the additional networks by name, which is that of its folder in ``work`` too.
             work: Folder of the half-made bundle.
             given: Hours to scale all of it to; None leaves it as it is.
             gentle_of: A bundle whose network for gentle touches goes in as it is; None for none.
@@ -290,5 +290,5 @@ class Making:
 
     @staticmethod
     def _of(name: str, tell: steps.Tell) -> steps.Tell:
-        """Return what tells of a network besides: by its name."""
+        """Return a callback that adds the network's name to each message."""
         return lambda text: tell(f"{name}: {text}")

@@ -132,7 +132,7 @@ class BuildRecipe:
     beside: Path = Path()
     """The folder that its files are named from."""
     presses: str = ""
-    """Id of the recorded presses that it learns from besides, where there are any."""
+    """Id of the recorded presses used for additional training, if any."""
     small: str = ""
     """Recipe of the smaller network that goes into the bundle; empty for none."""
     gentle: str = ""
@@ -140,7 +140,7 @@ class BuildRecipe:
     missing_electrodes: MissingElectrodesWork | None = None
     """The last lesson, for a network that is to learn to go on without electrodes; None for none."""
     networks: "dict[str, BuildRecipe]" = field(default_factory=dict)
-    """Recipes of networks besides, ``small`` or ``gentle``, where no file has them."""
+    """Recipes of additional networks, ``small`` or ``gentle``, that are in no file."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain values, the skin as its TOML."""
@@ -170,7 +170,7 @@ class BuildRecipe:
         return self.skin if data.skin is None else _skin(data.skin, self.beside)
 
     def others(self) -> "dict[str, BuildRecipe]":
-        """Return the recipes of the networks that go into the bundle besides, by name: ``small``, ``gentle``.
+        """Return the recipes of the bundle's additional networks by name: ``small``, ``gentle``.
 
         Raises:
             MissingFileError: There is no such file.

@@ -1,4 +1,4 @@
-"""The way from a recipe to a bundle, step by step; whatever is there already is not made again."""
+"""The steps from a recipe to a bundle; finished parts are not made again."""
 
 import os
 import time
@@ -88,7 +88,7 @@ def train_stages(
     presses: Any = None,
     larger: Path | None = None,
 ) -> Path:
-    """Train every stage, or go on with it, and return the last one's folder.
+    """Train every stage, or resume, and return the last one's folder.
 
     Args:
         recipe: What is made.
@@ -251,7 +251,7 @@ MISSING_RUN: Final = "missing-electrodes"
 
 
 def learn_missing_electrodes(work: MissingElectrodesWork, folder: Path, run: Path, tell: Callable[[str], None]) -> Path:
-    """Return the run that goes on without electrodes, with the gate of the one that it was made from.
+    """Return the run trained for missing electrodes, with the gate of the original run.
 
     Args:
         work: How long.
@@ -293,7 +293,7 @@ def learn_presses(
     tell: Callable[[str], None],
     progress: Callable[[Any], None],
 ) -> tuple[Path, Any]:
-    """Return the run that is better on presses kept apart, and what it learned from.
+    """Return the run that is better on held-out presses, and its training data.
 
     Args:
         recipe: What is made.

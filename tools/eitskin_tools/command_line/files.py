@@ -32,7 +32,7 @@ class Kind:
     suffix: str = ""
     """Of a shipped file: what its name lacks."""
     words: tuple[str, ...] = ()
-    """What may be said in place of a file besides."""
+    """Other values that may be given in place of a file."""
 
     def names(self) -> tuple[str, ...]:
         """Return the names of the shipped ones, in order."""

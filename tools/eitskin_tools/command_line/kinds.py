@@ -24,7 +24,7 @@ UNKNOWN: Final = "a file that eitskin does not know"
 
 @dataclass(frozen=True, slots=True)
 class FileKind:
-    """A kind of file, and how one is told from others."""
+    """A kind of file, and how to recognise it."""
 
     what: str
     """For people, with an article."""
@@ -81,7 +81,7 @@ def check_replaced(path: Path, written: FileKind) -> None:
 
     Raises:
         FileError: There is a file, which is of another kind.
-        OSError: It cannot be read, so nobody can tell what would be lost.
+        OSError: It cannot be read, so it is unknown what would be lost.
     """
     try:
         if not stat.S_ISREG((found := path.stat()).st_mode) or found.st_size == 0:

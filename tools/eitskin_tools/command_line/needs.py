@@ -82,7 +82,7 @@ def check(arguments: argparse.Namespace) -> None:
 
 
 def require(who: str, modules: Iterable[str]) -> None:
-    """Refuse what needs modules that are not installed.
+    """Raise an error if a feature needs modules that are not installed.
 
     Args:
         who: What needs them.

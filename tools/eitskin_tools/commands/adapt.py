@@ -1,4 +1,4 @@
-"""``eitskin adapt``: teach a trained network to go on without electrodes; minutes after the hours of training."""
+"""``eitskin adapt``: train a network further for missing electrodes; takes minutes."""
 
 import argparse
 import json

@@ -1,8 +1,8 @@
-"""``eitskin adapt-skin BUNDLE --skin calibrated.toml --out FILE``: a bundle goes on learning on one sheet's own twin.
+"""``eitskin adapt-skin BUNDLE --skin calibrated.toml --out FILE``: trains a bundle further for one calibrated sheet.
 
 It is a build (``eitskin build``) of few samples that begins with the bundle's network: stopped at any point, the same
-command goes on where it was. Presses that were recorded on the sheet itself may be learned from in the end; what they
-were worth is printed, and where physics alone is better it stays.
+command resumes. It can train on presses recorded on the sheet itself at the end; it prints their benefit, and keeps the
+network without them if that is better.
 """
 
 import argparse

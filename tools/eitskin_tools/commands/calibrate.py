@@ -175,7 +175,7 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
 
 
 def _lying(path: Path | None, skin: Any) -> Any:
-    """Return the scan (3, rows, columns) of the sheet as it lies for the reference; None where it lies flat."""
+    """Return the scan (3, rows, columns) of the sheet in its shape for the reference; None if it is flat."""
     if path is None:
         return None
     from eitskin_proto.skin.cloud_file import load_surface

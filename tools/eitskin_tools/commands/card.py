@@ -1,6 +1,6 @@
-"""``eitskin card BUNDLE``: what a bundle's network is worth at deformations, touches and devices that it never saw.
+"""``eitskin card BUNDLE``: measures a bundle's network at deformations, touches and devices that it was not trained on.
 
-``eitskin build`` ends with the same card; this is for bundles that were made otherwise.
+``eitskin build`` ends with the same card; this command is for other bundles.
 """
 
 import argparse

@@ -108,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class _Stop:
-    """Remembers that somebody wants an end."""
+    """Remembers the request to stop."""
 
     def __init__(self) -> None:
         self.asked = False

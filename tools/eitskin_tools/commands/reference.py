@@ -1,8 +1,8 @@
 """``eitskin reference``: capture the one pre-deformation reference of a skin, or show a captured one.
 
-A reference of a bent, touched or moving sheet is refused. It is held against the bundle's flat sheet, and against an
-older reference of the same device: that of ``--against``, or the file that ``--out`` is about to replace. Where the
-sheet was scanned as it lies (``--surface``), the reference carries the scan and counts as that of the flat sheet.
+A reference of a bent, touched or moving sheet is refused. It is compared with the bundle's flat sheet, and with an
+older reference of the same device: that of ``--against``, or the file that ``--out`` replaces. With a scan of the sheet
+(``--surface``) the reference includes the scan and counts as that of the flat sheet.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""``eitskin reinfer``: compute the maps of a recording once more, by what was running or by something else."""
+"""``eitskin reinfer``: compute the maps of a recording again, with the same bundle and solver or with others."""
 
 import argparse
 import json

@@ -19,7 +19,7 @@ SPEEDS = (1e-3, 1e6)
 """Frames that came 5 ms apart are 5 s apart, and all come at once."""
 
 POLL_S = 0.01
-"""Between two looks whether somebody subscribed, with --wait."""
+"""Between two checks for a subscriber, with --wait."""
 
 SETTLED_S = 0.5
 """Nothing else was subscribed to for this long: a program that wants frames and streams makes two connections."""
@@ -106,7 +106,7 @@ def _closing(found: dict[str, Any]) -> str:
 
 
 def _wait(skin: Any, publisher: Any) -> None:
-    """Return when somebody subscribed, and to nothing more for ``SETTLED_S``, or nobody waits for it any more."""
+    """Return once a program has subscribed and ``SETTLED_S`` passed without another topic, or on an end."""
     found, since_s = publisher.topics, time.monotonic()
     while not skin.stopping:
         publisher.update()

@@ -51,7 +51,7 @@ def text_of(name: str, user: str, program: str) -> str:
 
     Args:
         name: One of ``FILES``.
-        user: Who runs the skins.
+        user: The user that runs the skins.
         program: Path of the ``eitskin`` that the units start.
 
     Raises:

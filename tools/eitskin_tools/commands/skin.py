@@ -1,4 +1,4 @@
-"""``eitskin skin show|check FILE``: what a skin's description says, and whether a sheet can be like that.
+"""``eitskin skin show|check FILE``: prints a skin's description, or checks whether such a sheet is possible.
 
 ``show`` prints the whole description as TOML, what is left out of the file as well, under a head of comments; so what
 it prints is a skin.toml. ``check`` also places the electrodes on the sheet, and prints one line.

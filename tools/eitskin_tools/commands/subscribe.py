@@ -22,7 +22,7 @@ from eitskin_tools.console.words import event_words
 from eitskin_tools.errors import UsageError
 
 REPEAT_S = 0.1
-"""Between two lists of touches in mode ``latest``; what happens to touches is always told."""
+"""Between two lists of touches in mode ``latest``; events of touches are always printed."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

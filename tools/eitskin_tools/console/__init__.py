@@ -1,1 +1,1 @@
-"""What people read while a command runs."""
+"""The output of commands for people."""

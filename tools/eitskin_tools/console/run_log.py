@@ -1,9 +1,8 @@
-"""What ``eitskin run`` says on stderr: lines for people, or one JSON object a line, or nearly nothing.
+"""The log of ``eitskin run`` on stderr: lines for people, one JSON object a line, or almost nothing.
 
-Every format has the same events. ``ready`` and errors are said even when quiet: programs wait for the one, and nobody
-may miss the other. In systemd's journal each line begins with how grave it is, which the journal takes off again.
-A log that cannot be written, as on a full disk, or that nobody reads any more, stops no skin: where there is no room
-for a line, as in a pipe that nobody empties, it is left out.
+Every format has the same events. ``ready`` and errors are written even when quiet, because programs wait for ``ready``.
+In systemd's journal each line begins with its level, which the journal removes. A log that cannot be written, as on a
+full disk or in a pipe that is not read, does not stop a skin: lines without room are omitted.
 """
 
 import json
@@ -28,7 +27,7 @@ WRITE_TIMEOUT_S: Final = 0.2
 
 
 def end_unread(kind: type[BaseException] | None, *_: object) -> None:
-    """End the process here if it failed and nobody reads why: the line that says so would wait for ever."""
+    """End the process here if it failed and its log is not read: the line with the reason would block."""
     if kind is not None and not takes_more(sys.stderr, WRITE_TIMEOUT_S):
         os._exit(1)
 
@@ -59,7 +58,7 @@ class RunLog:
             self._put("info", f"{self._name}: {text}", {"text": text})
 
     def warn(self, text: str) -> None:
-        """Report something that is wrong and does not stop us; nobody may miss it."""
+        """Report a problem that does not stop the run; written even when quiet."""
         self._put("warning", f"{self._name}: {text}", {"text": text})
 
     def ready(self, publish: str, control: str) -> None:

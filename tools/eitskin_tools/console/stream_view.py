@@ -1,4 +1,4 @@
-"""What ``eitskin subscribe`` shows of the newest frames: one line, kept up to date or written every second.
+"""The line of ``eitskin subscribe`` about the newest frames, kept up to date or written every second.
 
 ::
 

@@ -1,8 +1,8 @@
-"""What people read while a command runs: lines without control characters, a status line, and the journal's levels.
+"""Output to a terminal: lines without control characters, a status line, and the journal's levels.
 
-Parts of a line may come from a device, a file or a network: what a terminal would obey is shown instead. A standard
-stream that takes no more, on a full disk or since nobody reads it, is replaced by /dev/null before the interpreter
-ends, which would else end with a status and words of its own. In systemd's journal, whose device and inode
+Parts of a line may come from a device, a file or a network, so control characters are made visible. A standard stream
+that accepts no more, on a full disk or without a reader, is replaced by /dev/null before the interpreter ends, because
+the interpreter would otherwise print an error and change the exit status. In systemd's journal, whose device and inode
 ``JOURNAL_STREAM`` names, each line begins with its level (``sd-daemon(3)``).
 """
 
@@ -18,7 +18,7 @@ from eitskin_proto.files.plain import plain
 
 
 def unread() -> bool:
-    """Return whether nobody reads standard output or standard error any more, as behind ``| head -1``."""
+    """Return whether standard output or standard error has lost its reader, as behind ``| head -1``."""
     poller = select.poll()
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):  # a test's has no file
@@ -27,7 +27,7 @@ def unread() -> bool:
 
 
 def takes_more(stream: TextIO, wait_s: float) -> bool:
-    """Return whether a stream takes a line of up to 4096 bytes at once: a pipe that nobody empties does not.
+    """Return whether a stream takes a line of up to 4096 bytes at once; a full pipe does not.
 
     Args:
         stream: One without a file always does.
@@ -90,7 +90,7 @@ def prefix(event: str) -> str:
 
 
 def has_display(stream: TextIO) -> bool:
-    """Return whether somebody sits before a stream who could see a browser too."""
+    """Return whether a stream is a terminal within a desktop session."""
     return stream.isatty() and bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
@@ -136,7 +136,7 @@ class StatusLine:
         self._stream = stream
         self._shown = False
         self.live = stream.isatty()
-        """Whether somebody looks on, so that a line can be rewritten."""
+        """Whether it is a terminal, where a line can be rewritten."""
 
     def show(self, text: str) -> None:
         """Put a text in place of the one before."""

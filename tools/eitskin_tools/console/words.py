@@ -1,4 +1,4 @@
-"""Plain words for the codes that frames, status and recordings carry; a code without words stands for itself."""
+"""Plain words for the codes that frames, status and recordings carry; a code without words is shown as it is."""
 
 from typing import Final
 

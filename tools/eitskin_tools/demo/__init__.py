@@ -1,1 +1,1 @@
-"""The main job in one command: a virtual skin, the runtime, a scanner and a subscriber, each its own process."""
+"""The demonstration in one command: a virtual skin, the runtime, a scanner and a subscriber, each its own process."""

@@ -1,4 +1,4 @@
-"""A process that takes what was measured, and does nothing with it: what one subscriber to streams costs."""
+"""A process that reads all streams and does nothing with them, to measure the cost of one subscriber."""
 
 import argparse
 import json
@@ -10,7 +10,7 @@ import eitskin
 
 
 def main() -> int:
-    """Take all streams of a runtime until told to stop, or until it is gone; say how much came."""
+    """Read all streams of a runtime until stopped, or until it is gone; report how much came."""
     parser = argparse.ArgumentParser(description="Take all streams of a runtime.")
     parser.add_argument("endpoint")
     arguments = parser.parse_args()

@@ -1,4 +1,4 @@
-"""The subscriber's process: takes every frame, notes when, keeps the maps, and writes all of it to one file at the end.
+"""The subscriber's process: records every frame's time and map, and writes one file at the end.
 
 It does nothing with a frame but copy it, so that what it measures is the stream and not itself. Memory is allocated at
 the start; of a long run every n-th map is kept, never more than ``MAX_MAPS``.
@@ -50,7 +50,7 @@ class Record:
 
     @classmethod
     def empty(cls, capacity: int, shape: tuple[int, int]) -> "Record":
-        """Return room for so many frames, whose maps have so many rows and columns."""
+        """Return arrays for the given number of frames and size of maps."""
         stride = max(1, -(-capacity // MAX_MAPS))
         whole = np.zeros(capacity, dtype=np.int64)
         return cls(

@@ -1,8 +1,8 @@
-"""The scanner's process: tells the runtime how the sheet is bent, while it runs, as a robot's camera would.
+"""The scanner's process: sends the bent sheet's clouds to the runtime, as a robot's camera would.
 
 Every period it takes the cloud of the script's moment, as a scanner gives it, and sends it over the control endpoint.
 Where the bundle asks for it, the forward model's prediction of the untouched voltages goes with the cloud. The process
-is a little nice: what it computes must not cost the stream its time, and yet be done while the bend is still the same.
+has a slightly raised nice value: it must not delay the stream, but must finish before the bend changes.
 """
 
 import argparse

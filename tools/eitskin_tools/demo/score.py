@@ -1,4 +1,4 @@
-"""What the record of a demonstration says: how fast, how complete, and how right.
+"""Scores the record of a demonstration: latency, completeness and accuracy.
 
 Latency of a frame counts from the moment before the virtual skin's write to its port to the moment after the
 subscriber's receive; both processes read the same clock (CLOCK_MONOTONIC), so nothing has to be estimated. The truth

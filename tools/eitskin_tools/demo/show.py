@@ -1,4 +1,4 @@
-"""The demonstration itself: starts the processes, draws while they run, and says in the end how it went.
+"""Runs the demonstration: starts the processes, draws while they run, and prints a summary at the end.
 
 ::
 
@@ -187,7 +187,7 @@ def _shown(options: Options, folder: Path, publish: str, control: str, children:
 
 def _start(options: Options, folder: Path, publish: str, control: str, children: list[Child]) -> None:
     """Start everything."""
-    # The skin outlives the demonstration by this much if nobody stops it; it never has to.
+    # The skin ends this much after the demonstration if it was not stopped, which should never happen.
     longest = options.seconds + START_S + READY_S
     scene, sheet = ["--scene", str(options.scene)] if options.scene else [], list[str]()
     if (described := skin_of(options.bundle, options.touches)) != PAPER:
@@ -233,7 +233,7 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
 
 
 def show_page(address: str) -> None:
-    """Say where the page is, and open it where somebody sits in front of a browser."""
+    """Print the page's address, and open it on a desktop."""
     print(f"watch it at {address}", file=sys.stderr, flush=True)
     if has_display(sys.stderr):
         webbrowser.open(address)

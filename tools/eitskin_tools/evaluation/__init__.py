@@ -1,1 +1,1 @@
-"""Solvers by name, tables and pictures of what they reach."""
+"""Solvers by name, and tables and pictures of their accuracy."""

@@ -1,12 +1,12 @@
-"""Scores a solver on measured samples, one by one and by kind, as a stream would have shown them.
+"""Scores a solver on measured samples, one by one and by kind, in the order of a stream.
 
-The samples are gone through in the order they were measured. Each is held against the one reference; the touch gate of
-the bundle judges it, and the solver makes its map, which is judged as a phantom's is. Where the reference has a scan,
-the sheet was as that scan shows when it was taken. What a flat one would have read is then
+The samples are processed in the order of measurement. Each is compared with the one reference; the bundle's touch gate
+judges it, and the solver makes its map, which is scored like a phantom's. If the reference has a scan, the scan shows
+the sheet's shape at its capture. A flat sheet would then have read
 
     V_flat = V_reference * V_model(flat) / V_model(reference's scan)
 
-and stands for the reference: both inputs of a network are shifted by it.
+which replaces the reference and shifts both inputs of a network.
 """
 
 from collections.abc import Sequence
@@ -63,7 +63,7 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
         progress: Called with the samples done and all samples.
 
     Raises:
-        ValueError: The request needs what nobody measured: the untouched, bent sheet.
+        ValueError: The request needs the untouched, bent sheet, which was not measured.
         BundleError: The bundle cannot be used.
     """
     if request.reference == "post" or request.prediction == "true":

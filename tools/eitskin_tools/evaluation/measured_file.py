@@ -1,4 +1,4 @@
-"""Reads a file of somebody's own recordings: voltages, the reference, scans, and the truth where it is known.
+"""Reads a file of measurements: voltages, the reference, scans, and the truth where it is known.
 
 ::
 
@@ -10,7 +10,7 @@
                   truth (n, 30, 45)            touched share of every pixel (optional)
                   kind (n,) text               "single", "untouched", anything; figures are by it (optional)
                   touch_kind text              "lower" or "raise": which way touches change conductance (optional)
-                  protocol_id, grid_id, skin_digest text   held against this release and its sheet (optional)
+                  protocol_id, grid_id, skin_digest text   checked against this release and its sheet (optional)
 
 A recording, ``FILE.mcap``, is read too: its first reference, its frames that were published with that, its clouds.
 
@@ -131,7 +131,7 @@ def _measured(arrays: Arrays, skin: Skin) -> Measured:
             there = ", ".join(quoted(name) for name in list(arrays)[:12]) or "no array"
             raise ValueError(f"lacks {name}; found {there}; a measured file has {', '.join(ARRAYS[:5])}")
     reference = _voltages(arrays, "reference_V", (N_ROWS,))
-    weak_rows(reference)  # refuses what nothing can be held against
+    weak_rows(reference)  # refuses a reference that cannot be used
     voltages = _voltages(arrays, "voltages_V", (None, N_ROWS))
     n = len(voltages)
     if not n:

@@ -1,4 +1,4 @@
-"""What ``eitskin evaluate`` takes, and which option belongs to which way of evaluating."""
+"""The options of ``eitskin evaluate``, and the mode to which each belongs."""
 
 import argparse
 from typing import Final

@@ -1,4 +1,4 @@
-"""What ``eitskin evaluate`` prints for people."""
+"""The output of ``eitskin evaluate`` for people."""
 
 import json
 from typing import Any, Final

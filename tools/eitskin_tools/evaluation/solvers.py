@@ -1,4 +1,4 @@
-"""Solvers by name: the classical ones of the simulation, and the network as it is deployed.
+"""Solvers by name: the classical ones of the simulation, and the deployed network.
 
 The network runs through the runtime's own engine: the bundle's graphs, the runtime's normalisation, and the one
 reference taken flat and untouched. If its head has a second input, that is fed the way a robot feeds it: V_pred by the
@@ -319,7 +319,7 @@ def judge_of(bundle: Bundle | None) -> Callable[[Array, Array], bool]:
 
 
 BINS: Final = (0.1, 0.5, 0.9)
-"""Heights that an untouched sheet's peak is held against."""
+"""Heights with which an untouched sheet's peak is compared."""
 
 
 def touched_trial(

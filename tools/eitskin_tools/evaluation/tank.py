@@ -1,4 +1,4 @@
-"""Finds the objects of a measured tank, frame by frame, and says which of those that its names tell of are right."""
+"""Finds the objects in a measured tank, frame by frame, and compares them with those named in the file."""
 
 from pathlib import Path
 from typing import Any, Final

@@ -1,8 +1,8 @@
 """The verified solver on recorded frames: ``eitskin reinfer --solver verified``.
 
-The network's map of each touched frame is where physics starts, as in ``eitskin evaluate --solver verified``. The frame
-is as the network saw it: held against the recorded reference, drift taken out; rows that were filled in are not looked
-at. Noise is what the reference's own frames showed, as for ``eitskin run --verify``.
+The search starts from the network's map of each touched frame, as in ``eitskin evaluate --solver verified``. The frame
+is the network's input: relative to the recorded reference, corrected for drift; filled-in rows are ignored. The noise
+is that of the reference's frames, as for ``eitskin run --verify``.
 """
 
 import math
@@ -51,7 +51,7 @@ class VerifiedSolver:
         self._at_rest_V: npt.NDArray[np.float64] | None = None
 
     def compute(self, step: Step) -> ComputedFrame | None:
-        """Compute a frame; None where the recording does not say what it is held against, or nothing verifies it."""
+        """Compute a frame; None if the recording lacks its reference, or nothing verifies it."""
         skin = self._bundle.skin
         if step.reference is not None:
             self._reference = reference_of(self._script, step.reference, skin).flat()

@@ -1,8 +1,8 @@
-"""How much of a map is physics', and how much the network's: each by what it does not know.
+"""Weights the maps of the verifier and of the network by their uncertainties.
 
 Both are estimates of one map whose errors are independent in part, so each counts by the inverse of its squared error.
-What physics does not know is how touches may be off, drawn: a border that may lie anywhere within a millimetre. What
-the network does not know it says itself: a value between 0 and 1.
+The verifier's uncertainty is that of the fitted touches, drawn: a border that may be anywhere within a millimetre. The
+network states its own uncertainty: a value between 0 and 1.
 """
 
 from typing import Final

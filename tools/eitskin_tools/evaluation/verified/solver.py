@@ -1,10 +1,10 @@
 """The network's map checked by physics: ``eitskin evaluate --solver verified``.
 
-Touches of the network's map, as the stream finds them, are where the search starts
+The search starts from the touches of the network's map, as the stream finds them
 (:mod:`eitskin_sim.verification.shape_verifier`). The map is drawn from the shapes that were found, with a share of the
 network's own (:mod:`eitskin_tools.evaluation.verified.share`): the two err in part independently, so both together are
-nearer to the truth than either. A map of units is snapped to units (:mod:`eitskin_sim.verification.snapped_units`).
-Where physics cannot explain the frame, or the network shows too many units, the network's own map stays, and the frame
+nearer to the truth than either. A map of units is snapped to units (:mod:`eitskin_sim.verification.snapped_units`). If
+the verifier cannot explain the frame, or the network shows too many units, the network's own map stays, and the frame
 is flagged.
 
 Making the model of a shape, once or twice more where the frame shows that the sheet is stretched otherwise than its
@@ -239,7 +239,7 @@ def noise_shown(reference_V: Array, spread_V: Array) -> Noise:
 
 
 def add_verdicts(found: dict[str, Any], results: Results, checked: dict[int, list[MapVerdict]]) -> None:
-    """Add to a report what the verifier said of each phantom, and of all of them.
+    """Add the verifier's verdicts on each phantom, and their totals, to a report.
 
     Args:
         found: The report.

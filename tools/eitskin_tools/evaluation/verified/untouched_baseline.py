@@ -1,8 +1,8 @@
-"""What the untouched sheet reads: the mean of some still frames that nothing touched, where it says something new.
+"""The untouched sheet's voltages: the mean of some still, untouched frames, when it has changed.
 
-What a sheet reads untouched tells physics how it differs from its scan
-(:mod:`eitskin_sim.verification.at_rest`). It takes a quarter of a second of rest, and is given again once it has
-changed: after a press that left something behind, or by drift.
+The untouched voltages show the verifier how the sheet differs from its scan (:mod:`eitskin_sim.verification.at_rest`).
+It takes a quarter of a second of rest, and is given again once it has changed: after a press that left something
+behind, or by drift.
 """
 
 from typing import Final
@@ -37,7 +37,7 @@ class UntouchedBaseline:
         self._last = None
 
     def reset(self) -> None:
-        """Start anew: something touched the sheet."""
+        """Restart after a touch."""
         self._stillness.reset()
 
     def add(self, change: npt.NDArray[np.float32]) -> Array | None:
