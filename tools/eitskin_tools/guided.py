@@ -1,4 +1,4 @@
-"""What a person is asked to do, step by step, and what came of it: the arrays of a recording to calibrate from.
+"""Guides a person through the steps of a calibration recording, and returns its arrays.
 
 A step ends by an event: frames that are at rest, away from the reference or back again, or a word that was typed.
 """
@@ -28,7 +28,8 @@ MIN_CHANGE_SIGMAS: Final = 4.0
 """Changes are that many times what noise alone would make."""
 
 MAX_SIGMAS: Final = 2.0
-"""Halves of a window may differ by so many times their noise; rms over a hundred rows is known to a tenth."""
+"""Largest difference between the halves of a window, in multiples of their noise; rms over a hundred rows is known to a
+tenth."""
 
 MAX_CREEP: Final = 0.05
 """Of the change itself may still be on its way: soft sheets creep."""
@@ -158,7 +159,7 @@ class Plan:
     frames: int = 40
     """That a moment is the mean of."""
     lying_mm: Array | None = None
-    """(3, rows, columns) the scan of the sheet as it lies for reference and presses; None where it lies flat."""
+    """(3, rows, columns) the scan of the sheet in its shape for reference and presses; None if it is flat."""
 
     @property
     def stamp(self) -> str:
@@ -366,7 +367,7 @@ class Terminal:
         self._line.above(plain(text))
 
     def show(self, text: str) -> None:
-        """Show how it is going in the last line; nothing where nobody looks on."""
+        """Show the progress in the last line of a terminal."""
         self._line.show(text)
 
     def answer(self) -> str | None:

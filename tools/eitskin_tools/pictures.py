@@ -25,7 +25,7 @@ MIN_COLUMNS: Final = 24
 """A narrower map shows nothing of a touch any more."""
 
 MAX_ZOOM: Final = 4
-"""A pixel is enlarged to at most so many characters across."""
+"""Most characters across of an enlarged pixel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,7 +245,7 @@ class Painter:
 
 
 def _wrapped(lines: list[str], width: int) -> list[str]:
-    """Return lines of at most so many characters."""
+    """Return lines of limited width."""
     return [part for line in lines for part in textwrap.wrap(line, max(width, 8)) or [""]]
 
 

@@ -1,4 +1,4 @@
-"""Requests and their answers over a line that may lose either: each request is asked again until its tag comes back.
+"""Requests and answers over a line that may lose either: each request is repeated until its tag comes back.
 
 An answer with another tag is one that came late or twice, and is dropped. Every request of the protocol may be asked
 twice without harm (SPEC.md, section 6), so that a lost answer costs time and nothing else.

@@ -1,12 +1,12 @@
-"""A device scans all 208 rows for a while, and then what it scanned before: what a calibration asks for.
+"""Switches a device to all 208 rows for a calibration, and back.
 
 ::
 
     show -> [its own, if that is built in] -> the same with 208 rows -> ... work ... -> rollback -> its own
 
 Both ways are those of :mod:`eitskin_tools.flash.procedure`, so the device has one whole configuration or the other at
-every instant, and its own stands beside the other all the while: a host that dies in between leaves a device that
-scans 208 rows, and ``eitskin flash rollback``, or the next calibration, brings its own back.
+every instant, and its own stays in the other slot: a host that dies in between leaves a device that scans 208 rows, and
+``eitskin flash rollback``, or the next calibration, brings its own back.
 """
 
 import signal

@@ -47,7 +47,7 @@ class Shown:
     revoked: bool = False
     """Whether the active one was rolled back and only runs until the restart."""
     being_written: bool = False
-    """Whether somebody writes the other slot."""
+    """Whether the other slot is being written."""
 
     @property
     def active_state(self) -> str:
@@ -182,11 +182,11 @@ def write(
         exchange: An open line to the device.
         configuration: What to write.
         allow_downgrade: Write even a lower revision of the same name.
-        progress: Told about every step.
+        progress: Called with every step.
         reopen: Opens the line again if it vanishes with the restart.
 
     Raises:
-        FlashError: It failed; the text says what the device is left with.
+        FlashError: It failed; the text says which configuration the device has.
         Refused: The device refused before anything changed.
     """
     hello = exchange.hello()
@@ -268,7 +268,7 @@ def _confirm(
 
 
 def wait_for_boot(exchange: Exchange, generation: int, reopen: Callable[[], Transport] | None = None) -> messages.Hello:
-    """Return the HELLO of a device that was told to restart.
+    """Return the HELLO of a restarted device.
 
     A HELLO of before the restart still shows the old generation; it is asked again until the generation is the
     expected one or the device says that it gave a trial up.

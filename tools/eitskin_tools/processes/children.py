@@ -1,7 +1,7 @@
-"""Child processes: started, watched, started again after growing pauses, ended, and what they said last.
+"""Child processes: starts, watches and ends them, restarts them after growing pauses, and keeps their last output.
 
 Each child has a process group of its own, so that Ctrl-C reaches the parent alone, which then ends its children in
-order. The kernel ends them if the parent dies without having the chance.
+order. The kernel ends them if the parent dies first.
 
 :class:`ChildProcess` is what the demonstration, ``eitskin run --config`` and the verifier have in common;
 :class:`Child` adds files for its output.
@@ -130,11 +130,11 @@ class Child(ChildProcess):
     """A Python module as a child, started at once, whose output goes to files.
 
     Args:
-        name: What messages call it.
+        name: Its name in messages.
         module: Python module that it runs.
         arguments: Of its command line.
         folder: Where its output goes, ``NAME.out`` and ``NAME.err``.
-        environment: Variables that it gets besides this process's own.
+        environment: Additional environment variables.
     """
 
     def __init__(

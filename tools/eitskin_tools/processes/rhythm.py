@@ -1,4 +1,4 @@
-"""When frames come, so that what is in no hurry is done between two of them.
+"""Predicts when frames come, so that work that can wait is done between two of them.
 
 Where cores are few, a thread that wakes just when a frame comes keeps a core from the frame loop, or from a robot that
 waits for the frame. The stamps of frames that were taken say when the next ones will be there. ::
@@ -6,7 +6,7 @@ waits for the frame. The stamps of frames that were taken say when the next ones
     frames     |computed, sent|                    |computed, sent|
     rest       ...................^ a share of the time between two frames after one of them
 
-Stamps of another machine tell nothing of it; then one rests a little longer than need be, and nothing is lost.
+The stamps of another machine are useless for this; then work waits a little longer than necessary.
 """
 
 import time
@@ -19,7 +19,7 @@ MIN_PERIOD_NS: Final = 2_500_000
 """Between two frames; where they come faster there is no time in between."""
 
 MAX_PERIOD_NS: Final = 100_000_000
-"""Between two frames; nobody waits longer for a good moment."""
+"""The longest wait for a moment between two frames."""
 
 SMOOTHING: Final = 0.1
 """Weight of the newest two frames in the time between two."""

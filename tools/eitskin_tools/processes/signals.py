@@ -1,4 +1,4 @@
-"""Signals that ask for an end, and signals that are met otherwise for a while."""
+"""Signals that request an end, and signals that are handled differently for a while."""
 
 import signal
 import threading
@@ -33,8 +33,8 @@ class EndRequested(KeyboardInterrupt):
 def end_signals_as_interrupts() -> Iterator[None]:
     """Let SIGTERM and SIGHUP raise :class:`EndRequested` while the block lasts, and Ctrl-C a plain KeyboardInterrupt.
 
-    Each once: the second one ends the process, where Python would raise amid what the first one's cleans up. One for
-    which somebody else has a handler, or that is ignored, stays as it is.
+    Each once: a second one ends the process, because Python would raise it during the cleanup of the first. A signal
+    that is ignored or has another handler stays as it is.
     """
     unmet = (signal.SIG_DFL, signal.default_int_handler)
     ours = [one for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(one) in unmet]
@@ -48,7 +48,7 @@ def _interrupt_once(number: int, frame: FrameType | None) -> None:
 
 
 class Stopped(BaseException):
-    """The process was told to end; no Exception, so that nothing on the way out takes it for a fault."""
+    """A request to end the process; not an Exception, so that no handler takes it for a fault."""
 
 
 def raise_stopped_on_signals() -> None:

@@ -1,4 +1,4 @@
-"""How many threads a command's arithmetic may take."""
+"""Limits the threads of a command's arithmetic."""
 
 import os
 import sys

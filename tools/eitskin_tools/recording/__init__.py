@@ -1,1 +1,1 @@
-"""Recordings: what a skin sent, and what it was taken for, in a file that survives power cuts."""
+"""Recordings: a skin's measurements and published frames, in a file that survives power cuts."""

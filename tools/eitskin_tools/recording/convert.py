@@ -1,9 +1,9 @@
-"""Recordings as files that other programs read: NPZ, Parquet and rosbag2.
+"""Converts recordings for other programs: NPZ, Parquet and rosbag2.
 
 NPZ and Parquet have a row a frame ::
 
     seq, device_us, read_ns, wall_ns, withheld, touched, gate_logit, solver, conditions     of every frame of the wire
-    voltages_V (n, 104) V       cloud_index (n,) into the clouds, -1 for none, or where it is not known
+    voltages_V (n, 104) V       cloud_index (n,) into the clouds, -1 for none or unknown
     map (n, rows, columns)      where the recording has it
     reference_V (104,) V        cloud_mm (k, 3, rows, columns), with predicted_V and predicted_flat_V (k, 104)
 
@@ -66,9 +66,9 @@ class Table:
     voltages_V: npt.NDArray[np.float64]
     """(n, 104)"""
     reference_V: npt.NDArray[np.float64]
-    """(104,), flat; what the first frame is held against of which that is known."""
+    """(104,), flat; the reference of the first frame whose reference is known."""
     later: npt.NDArray[np.bool_]
-    """(n,) held against another reference, which was captured later."""
+    """(n,) whether the frame belongs to a later reference."""
     clouds_mm: npt.NDArray[np.float32]
     """(k, 3, rows, columns)"""
     predicted_V: npt.NDArray[np.float64]
@@ -147,9 +147,9 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
 
 
 def measured_arrays(script: Script) -> tuple[dict[str, npt.NDArray[Any]], int]:
-    """Return what ``eitskin evaluate --measured`` takes of a recording, and how many frames had a later reference.
+    """Return samples for ``eitskin evaluate --measured``, and the number of frames with a later reference.
 
-    It takes frames that were fit to publish and were held against the first reference.
+    The samples are the publishable frames of the first reference.
 
     Raises:
         RecordingError: There is none.
@@ -180,8 +180,8 @@ def _volts(given: list[npt.NDArray[np.float64] | None]) -> npt.NDArray[np.float6
 def _maps(script: Script, numbers: list[int], columns: dict[str, npt.NDArray[Any]]) -> npt.NDArray[np.float32] | None:
     """Return the map of every frame, as far as the recording has it.
 
-    A map stands in the file once, under the number of the first published frame that had it. By ``seq`` alone it is not
-    known: a device that starts anew counts from 0 again.
+    The file has each map once, under the number of the first published frame with it. ``seq`` alone does not identify
+    it, because a restarted device counts from 0 again.
     """
     first: list[int] = []
     found: list[tuple[int, npt.NDArray[np.float32]]] = []

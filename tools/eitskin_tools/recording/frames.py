@@ -1,7 +1,7 @@
-"""The frames of a recording as a subscriber gets them: with maps and touches, computed from what was measured.
+"""The frames of a recording as a subscriber gets them: with maps and touches, computed from the measurements.
 
 Maps come from the runtime's own pipeline, so a recording without maps shows them too, also by another bundle. Where
-only noise had changed, a published frame has the map of an earlier one. If that one lies before the part that is read,
+only noise had changed, a published frame has the map of an earlier one. If that frame is before the part being read,
 the frame's own map is computed.
 """
 
@@ -80,7 +80,7 @@ class RecordedFrames:
             yield step.cloud, replace(self._blank, **told, map=values, cloud=cloud, touch_list=touches)
 
     def _with_map(self, step: Step) -> Step:
-        """Return a frame as it would be had somebody asked for its map: a recorder alone need not."""
+        """Return a frame as if its map had been requested, which a recorder alone does not do."""
         frame = step.frame
         if not frame.touched or frame.solver != NO_SOLVER:
             return step
@@ -95,7 +95,7 @@ MAX_COUNT: Final = 1 << 53
 
 
 def blank(told: SeekableRecording, nothing: npt.NDArray[np.float32]) -> Frame:
-    """Return a frame of which only that is known which all of a recording have.
+    """Return a frame with only the values common to all frames of a recording.
 
     Args:
         told: The recording.

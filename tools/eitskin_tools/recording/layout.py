@@ -1,15 +1,15 @@
-"""What a recording holds, by name: one MCAP file, in channels (firmware_proto/SPEC.md describes it for other programs).
+"""The names in a recording: one MCAP file with channels (firmware_proto/SPEC.md describes it for other programs).
 
 ::
 
     metadata    eitskin            format, version, ids, HELLO, host, clock offset
     attachment  reference-SHA.json the reference, as ``eitskin reference`` writes it
-    /eitskin/wire        msgpack   frames of the wire as they came, and what became of each
+    /eitskin/wire        msgpack   frames of the wire as they came, and their processing
     /eitskin/cloud       msgpack   the cloud in use, with its predictions
-    /eitskin/conditions  msgpack   what else decides a map
-    /eitskin/state       JSON      who measures, by what, and how it goes
-    /eitskin/frame       JSON      what was published of each frame, with a digest of its map
-    /eitskin/map         msgpack   maps, where they were asked for
+    /eitskin/conditions  msgpack   what else affects a map
+    /eitskin/state       JSON      the device, the runtime and their status
+    /eitskin/frame       JSON      each published frame, with a digest of its map
+    /eitskin/map         msgpack   maps, if requested
     /eitskin/grid        JSON      foxglove.Grid: the flat map, at most 30 a second
     /eitskin/surface     JSON      foxglove.PointCloud: the bent surface, coloured by the map
 

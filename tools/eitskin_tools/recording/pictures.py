@@ -70,7 +70,7 @@ def surface(values: npt.NDArray[np.float32], cloud_mm: npt.NDArray[np.float32], 
 
 
 def _rounded(values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """Return a map to a 1024th: nobody sees more, and its last bytes are zeros, which pack well."""
+    """Return a map rounded to a 1024th: finer steps are invisible, and zeros in its last bytes compress well."""
     return np.ascontiguousarray(np.rint(values * STEPS) / STEPS, dtype="<f4")
 
 

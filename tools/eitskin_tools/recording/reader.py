@@ -1,9 +1,9 @@
-"""Reads a recording: a whole one, one that was cut off anywhere, one of which a part is damaged.
+"""Reads a recording, also one that was cut off anywhere or is damaged in part.
 
-The heads of the file's records are read once. A chunk's head says when its first and its last message came, and the
-index behind it which channels it has: 60 bytes for each quarter of a second are kept, and any part is found without
-the file's summary. A file that ends before its time is read as far as it goes (``cut``); a chunk whose checksum is
-wrong is left out and counted (``damaged``). Sizes are bounded before anything is unpacked, and nothing is executed.
+The reader reads the heads of the file's records once. A chunk's head has the times of its first and last messages, and
+the index behind it has its channels. So it keeps 60 bytes for each quarter of a second, and finds any part without the
+file's summary. A file that was cut off is read to its end (``cut``); a chunk whose checksum is wrong is left out and
+counted (``damaged``). Sizes are bounded before anything is unpacked, and nothing is executed.
 """
 
 import struct
@@ -257,7 +257,7 @@ def check_magic(stream: BinaryIO, path: Path) -> None:
 
 
 def _bytes_of(chunk: Chunk) -> bytes:
-    """Return what a chunk holds, unpacked and held against its checksum.
+    """Return the content of a chunk, unpacked and checked against its checksum.
 
     Raises:
         ValueError: It is too large, packed in another way, or damaged.

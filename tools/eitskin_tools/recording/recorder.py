@@ -1,11 +1,11 @@
-"""From two subscriptions to a file: what was measured and what was published, and pictures for Foxglove beside it.
+"""Writes two subscriptions to a file: measurements, published frames, and pictures for Foxglove.
 
-The recorder is a process of its own: to pack a chunk and to force it onto the disk takes milliseconds, which the frame
-loop must not wait for. :class:`Recorder` knows no socket; it is given one value after the other.
+The recorder is a process of its own: packing a chunk and forcing it onto the disk takes milliseconds, for which the
+frame loop must not wait. :class:`Recorder` knows no socket; it is called with one value after the other.
 
 :class:`SubscriptionQueue` has a thread for each subscription that only takes messages from its socket, since the disk
-may hold up the writer. The threads rest between frames and then take what has come: each waking takes time from the
-frame loop where cores are few.
+may hold up the writer. The threads sleep between frames and then take all messages, because each waking takes time from
+the frame loop where cores are few.
 """
 
 import threading
@@ -74,7 +74,7 @@ class SubscriptionQueue:
         self.dropped = 0
         """Messages that were not taken because the disk was too slow."""
         self.silent: SkinError | None = None
-        """Why nothing comes, as the last source to wait in vain said it; None once something came since."""
+        """Why nothing comes, in the words of the last source that timed out; None once something came."""
         self.unusable: SkinError | None = None
         """The same of a source to which something comes that it cannot use: of another version, say."""
         self._threads = [
@@ -151,7 +151,7 @@ class RecorderOptions:
     maps: bool = False
     """The maps themselves, not their digests alone."""
     every: int = 1
-    """Of the maps one in so many."""
+    """One of this many maps is kept."""
     pictures_hz: float = 30.0
     """Pictures for Foxglove a second, at most; 0 for none."""
 
@@ -280,7 +280,7 @@ class Recorder:
         self._series_in_hand.add(WIRE, found.body(), self._now_ns, found.n)
 
     def _cloud_in_use(self, found: CloudInUse) -> None:
-        """Write a cloud once, however often it is told; by the clock of the frames, since the wall clock may jump."""
+        """Write a cloud once, however often it arrives; with the clock of the frames, since the wall clock may jump."""
         if found.revision == self._cloud_revision:
             return
         self._cloud_revision, self._cloud = found.revision, found.cloud

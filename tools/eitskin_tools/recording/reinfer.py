@@ -1,12 +1,12 @@
 """Computes a recording again from its first frame to its last, and compares the maps.
 
-Each frame is computed by the runtime's own pipeline, with the reference, the cloud and the conditions of then. With the
-bundle that was running the pipeline takes its decisions from the recording (:mod:`eitskin.pipeline.recorded`), and the
-maps come out bit by bit as they were published. Another bundle judges by its own gate, and another solver makes maps of
-its own; their maps are compared with those of the bundle that was running.
+Each frame is computed by the runtime's own pipeline, with the recorded reference, cloud and conditions. With the
+recorded bundle the pipeline takes its decisions from the recording (:mod:`eitskin.pipeline.recorded`), and the maps
+equal the published ones bit by bit. Another bundle uses its own gate, and another solver makes its own maps; these are
+compared with the maps of the recorded bundle.
 
-A recording keeps a digest of each published map. A map that only noise separates from the one before was published
-again as it was: then the digest is that of the earlier frame, which ``map_seq`` names.
+A recording keeps a digest of each published map. If only noise had changed, the runtime published the earlier map
+again: then the digest is that of the earlier frame, which ``map_seq`` names.
 """
 
 import time
@@ -178,7 +178,9 @@ class Rerun:
         decided.inferred_untouched = decided.keeps_map = False
         decided.solver = self._solver or frame.solver
         self._check(decided.solver)
-        wanted = decided.solver != NO_SOLVER and (every or frame.map_seq == frame.seq)  # else nobody asked for the map
+        wanted = decided.solver != NO_SOLVER and (
+            every or frame.map_seq == frame.seq
+        )  # else there was no request for the map
         if not pipeline.compute(wanted):
             return ComputedFrame(self._nothing, False, NO_SOLVER)
         logit = None if pipeline.gate is None else record.gate_logit
@@ -221,14 +223,15 @@ class Rerun:
 
 
 MAX_DIGESTS: Final = 256
-"""Digests of maps that a later frame may have been published with: a map is made anew every 100 frames at least."""
+"""Digests of maps that a later frame may have been published with: a map is computed again at least every 100
+frames."""
 
 UNKNOWN_REASONS: Final = {
     "no_conditions": "came before the file says what they were held against",
     "frame_missing": "have a map of a frame that the file lacks, or says nothing of",
     "region": "differ in a last bit at most: an earlier release computed some rectangles of them alone",
 }
-"""Why it cannot be told of a published map whether it is equal; and what people read."""
+"""Reasons why equality with a published map is unknown, with their texts."""
 
 TOUCHED_LEVEL: Final = 0.5
 """A pixel above it is touched."""
@@ -242,7 +245,7 @@ class Equality:
     """Frames that were published, with a digest."""
     equal: int = 0
     unknown_why: Counter[str] = field(default_factory=Counter)
-    """Of which it cannot be told, by a key of ``UNKNOWN_REASONS``."""
+    """Frames with unknown equality, by a key of ``UNKNOWN_REASONS``."""
     differing: Counter[str] = field(default_factory=Counter)
     """Why the others are not equal: ``gate``, its value is another one; ``map``."""
     first_differing: int | None = None
@@ -252,7 +255,7 @@ class Equality:
 
     @property
     def unknown(self) -> int:
-        """Frames of which it cannot be told."""
+        """Frames with unknown equality."""
         return self.unknown_why.total()
 
     def add_computed(self, sequence: int, found: ComputedFrame) -> None:
@@ -310,7 +313,7 @@ class Equality:
 
 
 def unknown_clause(found: Mapping[str, Any]) -> str:
-    """Return what people read of maps that cannot be told, as a clause; "" if there are none.
+    """Return a clause about maps with unknown equality, for people; "" if there are none.
 
     Args:
         found: ``unknown`` and ``unknown_why``, of one file or of several.
@@ -386,7 +389,7 @@ class FrameSolver(Protocol):
     """What makes a map of each frame."""
 
     def compute(self, step: Step) -> ComputedFrame | None:
-        """Return what becomes of a frame; None if it cannot be told."""
+        """Return the result of a frame; None if it is unknown."""
 
 
 Makers = Mapping[str, Callable[[Script, Bundle], FrameSolver]]
@@ -422,13 +425,13 @@ def comparison_solver(
 
 
 class SimulatedSolver:
-    """A solver of the simulation on recorded frames: what was touched is as the gate said then.
+    """A solver of the simulation on recorded frames, with the gate's recorded decisions.
 
-    It takes the untouched voltages as the forward model predicts them of the cloud in use.
+    Its untouched voltages are the forward model's prediction for the cloud in use.
 
     Args:
         script: The recording.
-        bundle: Says what labels its maps have.
+        bundle: Gives the labels of its maps.
         name: As ``eitskin evaluate --solver`` takes it.
         besides: Further names that there are.
 
@@ -568,16 +571,16 @@ def reinfer(
     keep: int = 0,
     progress: Progress | None = None,
 ) -> Reinferred:
-    """Compute a recording once more.
+    """Compute a recording again.
 
     Args:
         script: The recording.
-        bundle: The one that was running, for what is compared with it.
-        solver: Another way to a map, held against the bundle's; None for the bundle itself, held against what was
-            published.
+        bundle: The recorded one, for comparison.
+        solver: Another solver, compared with the bundle's; None for the bundle itself, compared with the published
+            maps.
         from_s: Begin so long after the first frame.
         to_s: End so long after it.
-        every: Of the frames one in so many goes to ``solver``, or into what is kept.
+        every: One of this many frames goes to ``solver``, or is kept.
         keep: How many maps may be kept; 0 for none.
         progress: Called with the frames done and all frames.
 

@@ -2,13 +2,13 @@
 
 :class:`Player` uses the bundle, the reference and the solver of the recording unless others are named. A cloud takes
 effect before the frame that met it first, and so does a reference that was captured anew. Excluded and failed
-electrodes, drift and the gate's threshold are those of the recording, and so is what was decided of each frame
-(:mod:`eitskin.pipeline.recorded`). With another bundle the runtime finds all that out by itself.
+electrodes, drift and the gate's threshold are those of the recording, and so are the decisions about each frame
+(:mod:`eitskin.pipeline.recorded`). With another bundle the runtime determines all of this itself.
 
 :class:`RecordedLine` answers the handshake with the recorded HELLO, acknowledges requests, and after START sends the
-frames at their pace, or each as soon as the one before is done. What belongs before a frame, such as a cloud, is done
-in the reader's thread when the frame before it is done. Sequence numbers and the device's clock go on when the
-recording is played again and again.
+frames at their pace, or each as soon as the one before is done. A change before a frame, such as a new cloud, takes
+place in the reader's thread after the previous frame. Sequence numbers and the device's clock go on when the recording
+is played again and again.
 """
 
 import math
@@ -50,10 +50,10 @@ class RecordedLine:
     """A :class:`eitskin.acquisition.transport.Transport` that plays steps.
 
     Args:
-        name: What people call it.
+        name: Its name for people.
         hello: Of the device.
-        steps: Gives the steps anew for every round.
-        paced: Send each frame when its time has come; else as soon as the one before is done.
+        steps: Returns the steps of one round.
+        paced: Send each frame at its time; else as soon as the previous one is done.
         loop: Begin again at the end.
         speed: How many times faster than they came.
     """
@@ -230,7 +230,7 @@ MAX_PERCENT: Final = 10**6
 """Percent; beyond it, and where it is no number, a distance is unknown."""
 
 NEVER_S = 1e8
-"""The recording says when the device idles, nobody asks it to."""
+"""The recording determines when the device idles; requests have no effect."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
-"""A recording as what happened to a runtime, frame by frame: which cloud, reference and conditions each one met.
+"""A recording as a sequence of events: each frame with its cloud, reference and conditions.
 
-:class:`SeekableRecording` returns any part: its frames, what was published of them, and what held at its beginning,
-without reading what comes before it. It keeps the clouds and conditions that were read last, so its memory does not
-grow with the file. :class:`Script` has gone through the whole file once, and knows what is wrong with it.
+:class:`SeekableRecording` returns any part: its frames, the published frames, and the state at its beginning, without
+reading earlier parts. It keeps the clouds and conditions that were read last, so its memory does not grow with the
+file. :class:`Script` has read the whole file once, and knows its faults.
 """
 
 import hashlib
@@ -126,7 +126,7 @@ class SeekableRecording:
         return max(self.last_ns - self.first_ns, 0) * 1e-9
 
     def reference(self) -> bytes:
-        """Return what the first frame is held against of which that is known, as ``eitskin reference`` writes it.
+        """Return the reference of the first frame whose reference is known, as ``eitskin reference`` writes it.
 
         Raises:
             RecordingError: There is none.
@@ -144,7 +144,7 @@ class SeekableRecording:
             to_s: End so long after the first frame.
 
         Raises:
-            RecordingError: No frame lies between the two.
+            RecordingError: There is no frame between the two.
             OSError: The file cannot be read any more.
         """
         begin_ns = self.first_ns + int((from_s or 0.0) * 1e9)
@@ -258,7 +258,7 @@ class _ByRevision:
         self.topic, self._parse = topic, parse
         self._found = OrderedDict[int, Any]()
         self.missing: set[int] = set()
-        """Revisions that were searched for in vain."""
+        """Revisions that were not found."""
         self.malformed = 0
         """Messages that make no sense."""
 

@@ -1,4 +1,4 @@
-"""Writes recordings to disk: one file or a series of them, whole also where the disk is full.
+"""Writes recordings to disk, one file or a series, complete even if the disk is full.
 
 A chunk is written at least every ``FLUSH_S`` and forced onto the disk at once; a summary follows at the end. A file
 that a kill or a power cut ends has everything up to its last chunk (:mod:`eitskin_tools.recording.reader`).
@@ -7,8 +7,8 @@ that a kill or a power cut ends has everything up to its last chunk (:mod:`eitsk
 with a frame of the wire, and none is ended before it has one. A file that exists is never overwritten: the next one
 takes the next free number.
 
-:class:`Reserve` is a second file without a name, which whatever ends this process frees. When the disk is full the
-reserve is closed, and its room takes the last chunk and the summary.
+:class:`Reserve` is a second file without a name, so that the end of this process frees it. When the disk is full the
+reserve is closed, and its space takes the last chunk and the summary.
 """
 
 import errno
@@ -36,15 +36,15 @@ CREATE_FLAGS: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O
 
 
 class Reserve:
-    """Room that is held until somebody needs it.
+    """Disk space that is reserved until it is needed.
 
     Args:
         folder: On the disk in question.
         size: Bytes.
 
     Raises:
-        RecordingError: There is not so much.
-        OSError: It cannot be held.
+        RecordingError: The disk has less space.
+        OSError: The space cannot be reserved.
     """
 
     def __init__(self, folder: Path, size: int = RESERVE_BYTES) -> None:
@@ -368,7 +368,7 @@ class Series:
             try:
                 return self._begin(path)
             except RecordingError:
-                if not os.path.lexists(path):  # else somebody else made it just now
+                if not os.path.lexists(path):  # else another process made it just now
                     raise
 
     def _begin(self, path: Path) -> RecordingWriter:
@@ -400,7 +400,7 @@ class Series:
         self._writer.add(channel, data, log_ns, sequence)
 
     def begin_anew(self, head: Mapping[str, str]) -> None:
-        """Go on in a new file with another head, of a runtime that was started anew; nothing holds any more."""
+        """Continue in a new file with another head, of a restarted runtime, without the earlier state."""
         self._head, self._attached = head, None
         self._lasting.clear()
         self._next(0)

@@ -1,1 +1,1 @@
-"""``eitskin run --config``: a process for each skin of a robot, and one that supervises them."""
+"""``eitskin run --config``: a process for each skin of a robot, and their supervisor."""

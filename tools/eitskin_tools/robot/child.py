@@ -1,4 +1,4 @@
-"""The process of one skin: started, listened to, started again after growing pauses, ended."""
+"""The process of one skin: starts it, reads its output, restarts it after growing pauses, ends it."""
 
 import json
 import os
@@ -57,12 +57,12 @@ class Lines:
 
 
 class SkinProcess:
-    """A skin's process, now and after each new start.
+    """A skin's process and its restarts.
 
     Args:
         settings: Of the skin.
         backoff: Pauses between starts.
-        more: Words of the command line besides.
+        more: Additional words of the command line.
         program: What runs ``eitskin``; a test gives its own.
         hang_s: How long its frame loop may stand still, once it is ready.
     """
@@ -123,7 +123,7 @@ class SkinProcess:
         )
         try:
             self.ended = os.pidfd_open(process.pid)
-        except OSError:  # nobody could hear of its end
+        except OSError:  # its end could not be reported
             process.kill()
             process.communicate()
             self._child.process = None

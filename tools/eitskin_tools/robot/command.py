@@ -24,14 +24,14 @@ CONFIG_OPTIONS: Final = ("config", "check", "seconds", "log_format", "quiet", "j
 
 
 def run_all(arguments: argparse.Namespace, add_arguments: Callable[[Parser], None]) -> int:
-    """Run every skin of a robot.toml until told to stop; return the exit status.
+    """Run every skin of a robot.toml until stopped; return the exit status.
 
     Args:
         arguments: Of ``eitskin run``.
         add_arguments: Declares its options.
 
     Raises:
-        UsageError: An option is given that one skin alone can have.
+        UsageError: An option was given that only a single skin can have.
         RobotError: The file, or one that it names, cannot be used.
     """
     parser = Parser()
@@ -150,10 +150,10 @@ def _there(key: str, given: Path | None, kind: files.Kind) -> Path | None:
 
 
 def make_folders(robot: "Robot") -> None:
-    """Make the folder of the robot and one for each skin whose sockets lie there, for this user alone.
+    """Make the folder of the robot and one for each skin with sockets in it, for this user alone.
 
     Raises:
-        RobotError: One cannot be made, or belongs to somebody else.
+        RobotError: One cannot be made, or belongs to another user.
     """
     endpoints = [where for one in robot.skins for where in (one.skin.publish, one.skin.control)]
     homes = [Path(where.removeprefix("ipc://")).parent for where in endpoints if where.startswith("ipc://")]

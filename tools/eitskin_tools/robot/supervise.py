@@ -1,7 +1,7 @@
-"""One process that watches over those of the skins: starts them, hears them, starts again who fell, ends them all.
+"""The supervisor of the skins' processes: starts them, reads their output, restarts those that ended, ends them all.
 
-It waits in one place, for whatever comes first: a line that a skin says, the end of a process, a signal, the time of a
-new start, or of a sign of life to systemd. What becomes of one skin touches no other.
+It waits in one place for whatever comes first: a line from a skin, the end of a process, a signal, the time of a
+restart or of a watchdog message to systemd. The failure of one skin does not affect the others.
 """
 
 import os
@@ -23,7 +23,7 @@ from eitskin_tools.robot.child import SkinProcess
 from eitskin_tools.service.supervisor import Supervisor
 
 GRACE_S: Final = 6.0
-"""How long a skin may take to end once it was told to: it ends by itself within 5 s, whatever hangs (the watchdog of
+"""Longest time for a skin to end after the signal: it ends by itself within 5 s, whatever hangs (the watchdog of
 ``eitskin run``), and mostly within some tens of milliseconds."""
 
 MAX_WAIT_S: Final = 60.0
@@ -74,10 +74,10 @@ class SkinSupervisor:
     """The processes of a robot's skins.
 
     Args:
-        folder: Where what is known of them is written.
+        folder: Where their state is written.
         skins: Not started.
-        log: Takes what they say.
-        supervisor: Who started us.
+        log: Gets their output.
+        supervisor: The process that started this one, such as systemd.
         grace_s: How long ending may take before force is used.
     """
 
@@ -99,7 +99,7 @@ class SkinSupervisor:
         self._selector = selectors.DefaultSelector()
 
     def run(self) -> int:
-        """Run until told to stop by SIGTERM, SIGINT or SIGHUP, or until no skin is left; return the exit status.
+        """Run until stopped by SIGTERM, SIGINT or SIGHUP, or until no skin is left; return the exit status.
 
         Raises:
             HeldError: Another process runs skins in the folder.
@@ -239,7 +239,7 @@ class SkinSupervisor:
         self._selector.register(woken, selectors.EVENT_READ, heard)
 
     def _end_all(self) -> None:
-        """Leave nobody behind, whatever happened."""
+        """End all processes, whatever happened."""
         for one in self.skins:
             if one.runs:
                 one.signal(signal.SIGTERM)

@@ -1,1 +1,1 @@
-"""A scene that moves: which touches come and go and how the sheet bends meanwhile, solved at keyframes."""
+"""A moving scene: touches that come and go on a sheet that bends, solved at keyframes."""

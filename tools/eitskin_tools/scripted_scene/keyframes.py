@@ -1,15 +1,15 @@
-"""Voltages at a few moments, and between them by interpolating their logarithms.
+"""Solves voltages at a few moments, and interpolates their logarithms between these.
 
 The forward model needs milliseconds, the virtual skin a frame every one to five. Between events the script is smooth,
 so voltages solved every ``STEP_S`` and interpolated in log |V| follow it: a stretch multiplies voltages, which is
-linear there. A moment at which a touch comes or goes is solved twice, just before and just after, and stands twice in
-the list::
+linear there. A moment at which a touch comes or goes is solved twice, just before and just after, and is in the list
+twice::
 
     times_s   1.70  1.75  1.80 | 1.80  1.85 ...        searchsorted(side="right") falls between the two
 
 Moments whose scenes are equal are solved once. The demonstration's keyframes are shipped with the package, and others
-are kept in the user's cache; both carry a digest of the moments and of the model, so that a script that was changed is
-solved anew.
+are kept in the user's cache; both carry a digest of the moments and of the model, so that a changed script is solved
+again.
 """
 
 import hashlib

@@ -1,4 +1,4 @@
-"""A scripted scene: what the sheet looks like at every moment, and what a perfect map of it would be.
+"""A scripted scene: the sheet and its true map at every moment.
 
 A script is deterministic in time. The demonstration loops through :mod:`eitskin_tools.scripted_scene.choreography`; a
 scene from a file is held still. Both begin flat and untouched, because that is when a reference is captured. Everything
@@ -140,7 +140,7 @@ def script_of(scene: str | Path | None, skin: Skin = PAPER) -> Script:
 
 
 QUIETLY_SOLVED_MOMENTS: Final = 20
-"""So many moments are solved before anybody wonders."""
+"""Moments that are solved without a message."""
 
 
 def prepare(script: Script, until_s: float, *, workers: int | None = None, cache: bool = True) -> Keyframes:

@@ -1,1 +1,1 @@
-"""Running as a service: what a supervisor is told, and what ends a run that stands still."""
+"""Running as a service: messages to the supervisor, and the watchdog that ends a hung run."""

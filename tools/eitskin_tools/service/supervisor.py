@@ -1,12 +1,12 @@
-"""Tells systemd how the service is: ready, its status, alive, stopping (``sd_notify(3)``, ``Type=notify``).
+"""Reports the service's state to systemd: ready, status, alive, stopping (``sd_notify(3)``, ``Type=notify``).
 
 A datagram such as ``READY=1`` goes to the socket that ``NOTIFY_SOCKET`` names; ``@`` stands for the zero byte of an
-abstract address. Who was not started by a supervisor tells nobody. A supervisor that does not listen is no reason to
-stop a stream: what cannot be sent is left out.
+abstract address. Without a supervisor nothing is sent. A message that the supervisor does not take is dropped, because
+a stream must not stop for it.
 
-C code may keep Python's interpreter for ever, in a library that waits for itself for instance. systemd then misses the
-signs of life. A skin of ``eitskin run --config`` has a timer of :mod:`faulthandler` instead, which needs no
-interpreter: each sign of life sets it anew.
+C code may block Python's interpreter for ever, for example in a library that deadlocks. systemd then misses the signs
+of life. A skin of ``eitskin run --config`` has a timer of :mod:`faulthandler` instead, which needs no interpreter: each
+sign of life resets it.
 """
 
 import faulthandler
@@ -25,12 +25,12 @@ HANG_VARIABLE: Final = "EITSKIN_HANG_S"
 
 
 class Supervisor:
-    """Who started us, and how often a sign of life is wanted.
+    """The supervisor of this process, and the interval of its signs of life.
 
     Args:
         address: Of a datagram socket: a path, or a name that begins with ``@``; empty for nobody.
-        interval_s: Without a sign of life for so long we are ended; None if none is wanted.
-        hang_s: Without one for so long the process ends itself, without Python; None for never.
+        interval_s: The supervisor ends the process after this time without a sign of life; None for no limit.
+        hang_s: The process ends itself after this time without one, even if Python hangs; None for never.
     """
 
     def __init__(self, address: str = "", interval_s: float | None = None, hang_s: float | None = None) -> None:
@@ -43,7 +43,7 @@ class Supervisor:
 
     @classmethod
     def of(cls, environment: Mapping[str, str]) -> Self:
-        """Return who started us, by what systemd puts into the environment."""
+        """Return the supervisor of this process, from systemd's environment variables."""
         interval_s = None
         text, whom = environment.get(INTERVAL_VARIABLE, ""), environment.get(PID_VARIABLE, "")
         if text.isdecimal() and int(text) > 0 and whom in ("", str(os.getpid())):
@@ -53,7 +53,7 @@ class Supervisor:
 
     @property
     def listens(self) -> bool:
-        """Whether anybody is told how it is."""
+        """Whether there is a supervisor."""
         return self._socket is not None
 
     def ready(self) -> None:

@@ -1,11 +1,11 @@
-"""Ends a process whose frame loop stands still, so that a supervisor can start it anew.
+"""Ends a process whose frame loop hangs, so that a supervisor can restart it.
 
-The loop lives by its line: it reads, computes, publishes, and reads again. Every read and write is a beat, and as long
-as one of them waits the loop does not stand still, however silent the device is. A thread looks four times a second;
-without a beat in ``limit_s`` of such looks the process says why, shows what each thread is doing, and ends at once.
+The loop reads from its line, computes, publishes, and reads again. Every read and write is a beat, and while one of
+them waits the loop does not hang, however silent the device is. A thread checks four times a second; without a beat in
+``limit_s`` of such checks the process logs the reason and what each thread is doing, and ends at once.
 
-Looks are counted, not seconds: a process that was stopped (SIGSTOP, a debugger, a suspended machine) or got no core has
-not looked either, and goes on where it was.
+It counts checks, not seconds: a process that was stopped (SIGSTOP, a debugger, a suspended machine) or got no core has
+made no checks either, and continues.
 """
 
 import faulthandler
@@ -36,7 +36,7 @@ END_S: Final = 5.0
 """How long closing everything may take; it takes some tens of milliseconds."""
 
 LAST_WORDS_S: Final = 1.0
-"""How long saying why may take: nobody may be reading."""
+"""Longest time for logging the reason, because the log may have no reader."""
 
 EXIT_STATUS: Final = 70
 """Exit status, which systemd calls SOFTWARE."""

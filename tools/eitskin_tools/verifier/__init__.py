@@ -1,1 +1,1 @@
-"""Physics in the stream: a process that checks frames which have gone out, and what ties it to the runtime."""
+"""Verification in the stream: a process that checks published frames, and its connection to the runtime."""

@@ -1,4 +1,4 @@
-"""The verifier's process as the runtime sees it: started, started again after growing pauses, given up, ended."""
+"""The runtime's side of the verifier's process: starts it, restarts it after growing pauses, gives it up, ends it."""
 
 import json
 import os
@@ -58,11 +58,11 @@ class VerifierProcess(PeriodicThread):
         self._child = ChildProcess(place.program, backoff)
         self._max_failures = max_failures
         self.line: socket.socket | None = None
-        """To the present process, for who sends frames and closes it; another object for another process."""
+        """The connection to the present process, for sending frames; a new object for each process."""
         self.state, self.why = STARTING, ""
         """``starting`` while a process is there, else ``waiting`` or ``failed``, and why."""
         self.ended = ""
-        """What became of the last process that there was, for who looks only once another one runs."""
+        """How the previous process ended, for callers that look only after the next one has started."""
         self._errors = -1
         self._started_s = self._due_s = 0.0
 

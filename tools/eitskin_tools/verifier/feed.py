@@ -1,10 +1,10 @@
-"""Between the frame loop and the verifier: called after each frame that has gone out, and never waits.
+"""Feeds the verifier from the frame loop: called after each published frame, and never waits.
 
 The newest changed frame waits here until the verifier has answered the one before; those in between are skipped and
-counted. What the verifier has answered meanwhile goes to the subscribers. ::
+counted. The verifier's answers go to the subscribers. ::
 
     always    each frame whose map is another one
-    idle      such a frame once the next shows no further change: what rests, and not what moves
+    idle      such a frame once the next shows no further change: touches at rest, not moving ones
 """
 
 import math
@@ -188,7 +188,7 @@ class VerifierFeed:
             self.counts["skipped"] += 1
 
     def _send_setup(self, record: FrameRecord) -> None:
-        """Tell of another surface or reference: the model is made anew, and what rests is verified anew."""
+        """Announce another surface or reference: the verifier makes a new model and verifies resting touches again."""
         pipeline, reference = self._pipeline, self._skin.reference
         self._setup_for = pipeline.buffers.geometry, reference
         if reference is None:
@@ -240,7 +240,7 @@ class VerifierFeed:
         self._publish(message)
 
     def _report(self, record: FrameRecord, was: tuple[str, str] | None = None) -> None:
-        """Say how the verifier is, or was: when that changes, to who has just come, and every second."""
+        """Publish the verifier's state: on changes, for new subscribers, and every second."""
         found, now_ns = was or self.state, record.stamps[PUBLISH]
         if found != self._reported:
             if found[0] != self._reported[0]:

@@ -1,4 +1,4 @@
-"""What the runtime and its verifier say to each other: packets of MessagePack over one socket, in order.
+"""The messages between the runtime and its verifier: packets of MessagePack over one socket, in order.
 
 ::
 

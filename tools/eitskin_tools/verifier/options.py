@@ -1,4 +1,4 @@
-"""``--verify`` of ``eitskin run`` and ``eitskin replay``: its options, and what they start."""
+"""``--verify`` of ``eitskin run`` and ``eitskin replay``: its options, and the verifier that they start."""
 
 import argparse
 import os
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 MODES: Final = ("off", "idle", "always")
 
 NICE: Final = 10
-"""Unless told otherwise: a runtime on the same core comes first."""
+"""Default nice value, so that a runtime on the same core comes first."""
 
 
 def add_arguments(parser: Any) -> None:

@@ -1,4 +1,4 @@
-"""The verifier's process: waits for frames that have gone out, explains the newest, and answers; ends with the runtime.
+"""The verifier's process: receives published frames, explains the newest, and answers; ends with the runtime.
 
 It gets packets over a socket and answers there (:mod:`eitskin_tools.verifier.letters`).
 """

@@ -97,7 +97,7 @@ class VirtualDevice:
         self.boot(now_ns)
 
     def boot(self, now_ns: int) -> None:
-        """Start the firmware anew: clock, sequence and stream; the stored configurations stay."""
+        """Restart the firmware: clock, sequence and stream; the stored configurations stay."""
         self.boots += 1
         self.epoch_ns = now_ns - self.identity.first_us * 1000
         """Host clock at which the device clock showed 0."""
@@ -136,7 +136,7 @@ class VirtualDevice:
         return min((moment for moment in moments if moment), default=0)
 
     def poll(self, now_ns: int) -> list[bytes]:
-        """Return events that are due; boot if a restart is, after RESTART or a trial that nobody confirmed."""
+        """Return events that are due; boot if a restart is due, after RESTART or an unconfirmed trial."""
         packets = []
         if not self._announced:
             self._announced = True
@@ -170,7 +170,7 @@ class VirtualDevice:
         self._dropped = (self._dropped + scans) & 0xFFFF
 
     def skip(self, scans: int) -> None:
-        """Let scans pass that nobody made into packets; they count as dropped."""
+        """Skip scans that were not sent; they count as dropped."""
         self.sequence = (self.sequence + scans) & 0xFFFFFFFF
         self.drop(scans)
 
@@ -179,7 +179,7 @@ class VirtualDevice:
 
         Args:
             now_ns: Host clock at the end of the scan.
-            overdriven_rows: So many rows, from the first on, are beyond full scale.
+            overdriven_rows: Number of rows, from the first on, beyond full scale.
             front_end: A fault of :data:`eitskin_tools.virtual_skin.faults.FRONT_END` that goes on, or "".
         """
         if front_end == "failing":

@@ -1,4 +1,4 @@
-"""Faults on demand: what a line, a cable and a device do wrong, at the moment that a test asks for.
+"""Faults of a line, a cable and a device, at the times that a test requests.
 
 A fault is written ``KIND[@START][/EVERY][:AMOUNT]``, times in seconds since the first START::
 

@@ -126,7 +126,7 @@ class Options:
 
 
 def serve(options: Options) -> int:
-    """Run a virtual skin until it is told to stop or its time is over; return the exit status.
+    """Run a virtual skin until it is stopped or its time is over; return the exit status.
 
     Raises:
         ValueError: A rate that the electronics cannot reach, or another option that makes no sense.

@@ -197,7 +197,7 @@ class SkinServer:
                 self._log_event("start", now, script_time_s=0.0)
 
     def _poll(self, now: int) -> None:
-        """Let the device report what nobody asked for, and restart if it is time to."""
+        """Let the device send its events, and restart it if that is due."""
         packets = self.device.poll(now)
         if packets:
             self.port.write_all(b"".join(packets), ANSWER_TIMEOUT_S)

@@ -42,7 +42,7 @@ class _Slot:
 
 @dataclass(slots=True)
 class _Session:
-    """Who holds the lock; ``begin`` is None if it was taken for a rollback."""
+    """The holder of the lock; ``begin`` is None if it was taken for a rollback."""
 
     token: int
     heard_ns: int
@@ -223,7 +223,7 @@ class ConfigurationStore:
         return Code.OK, 0
 
     def may_restart(self, token: int, now_ns: int) -> Answer:
-        """Return OK for the holder of the lock, and for token 0 while nobody does."""
+        """Return OK for the holder of the lock, and for token 0 while it is free."""
         left_ms = self._left_ms(now_ns)
         if left_ms and self._session is not None and token != self._session.token:
             return Code.BUSY, left_ms
@@ -232,7 +232,7 @@ class ConfigurationStore:
         return Code.OK, 0
 
     def _left_ms(self, now_ns: int) -> int:
-        """Return the milliseconds until the lock expires; 0 if nobody holds it."""
+        """Return the milliseconds until the lock expires; 0 if it is free."""
         if self._session is None:
             return 0
         silent_ns = now_ns - self._session.heard_ns
