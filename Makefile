@@ -50,9 +50,9 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(PIP) install --constraint constraints.txt --editable '.[train,dev,cluster]'
 	@touch $@ $(VENV)/.demo
 
-# Other programs' files, which the slow tests alone read: 200 MB that nobody else needs.
+# Other programs' files, which the slow tests alone read, and what runs a notebook: 200 MB that nobody else needs.
 $(VENV)/.slow: pyproject.toml constraints.txt | $(VENV)/.dev
-	$(PIP) install --constraint constraints.txt --editable '.[train,dev,cluster,parquet,ros]'
+	$(PIP) install --constraint constraints.txt --editable '.[train,dev,cluster,parquet,ros,notebook]'
 	@touch $@
 
 # Beside the demonstration's packages, so that docstrings can be read; no torch.

@@ -22,7 +22,9 @@ IN_DOCUMENTS = (
 )
 """Not in documents either."""
 
-SUFFIXES = {".md", ".py", ".c", ".h", ".cpp", ".toml", ".html", ".js", ".css", ".sh", ".conf", ".service", ".rules"}
+SUFFIXES = {
+    ".md", ".ipynb", ".py", ".c", ".h", ".cpp", ".toml", ".html", ".js", ".css", ".sh", ".conf", ".service", ".rules",
+}  # fmt: skip
 
 
 def phrases(text, pattern):
