@@ -57,7 +57,7 @@ def test_a_folder_that_takes_no_recordings_is_refused_at_the_start(capsys, monke
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path)
     status, said = one_line(capsys, "view", "--recordings", tmp_path)
     assert (status, said) == (
-        2, f"eitskin view: --recordings is {tmp_path}, which takes no files of this user; name another folder\n"
+        2, f"eitskin view: --recordings is {tmp_path}, which this user cannot write to; name another folder\n"
     )  # fmt: skip
 
 
@@ -100,6 +100,9 @@ def test_any_moment_of_a_recording_is_seen_by_the_bar_and_its_marks(path):
             found.wait("eitskin.history.ready(eitskin.clock.at) && eitskin.history.shown.head.touches.length")
             at_ms = found.evaluate("eitskin.history.shown.t")
             assert at_ms == pytest.approx(1000 * 200 // 3 * 0.05, abs=60)
+            mark_ms = found.evaluate("eitskin.history.marks().find((mark) => mark.kind === 'touched').begin")
+            assert (at_ms, found.evaluate("eitskin.history.shown.head.touched")) == (mark_ms, True)
+            assert found.evaluate("document.getElementById('bar-words').innerText") == "touched share of a pixel"
             held = found.evaluate("eitskin.history.shown.head.seq")
             found.press(".")
             found.wait(f"eitskin.history.shown.head.seq === {held + 1}")

@@ -214,7 +214,7 @@ def test_only_so_many_pages_look_on_at_once(serve, monkeypatch):
     connection.close()
 
 
-LEFT = "eitskin view: a page did not read what it was sent within 0.2 s and was left; it connects again by itself\n"
+LEFT = "eitskin view: a page read nothing for 0.2 s and was disconnected; it reconnects by itself\n"
 
 
 def test_a_page_that_reads_nothing_keeps_nobody_waiting_is_left_and_told_of_in_one_line(serve, monkeypatch, capsys):

@@ -1,11 +1,14 @@
 """Several skins in one scene: each where it sits, by its name; one that sends nothing is shown so, the rest goes on."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from eitskin.robot.pose import Pose
 from eitskin_proto.skin.skin import PAPER
-from eitskin_tools.view.source import Source
+from eitskin_tools.view.source import Source, sources_of
 from eitskin_tools.view.viewer import Viewer
 
 from .chromium import PROGRAM
@@ -20,7 +23,10 @@ pytestmark = [
 
 ARM, HAND = Scene(disc(110.0, 30.0)), Scene(disc(40.0, 70.0))
 BESIDE = Pose.of(rotation=[[0, -1, 0], [1, 0, 0], [0, 0, 1]], translation_mm=[300.0, 0.0, 40.0])
-BOTH = "window.eitskin && eitskin.page.skins.length === 2 && eitskin.page.skins.every((one) => one?.history.newest)"
+BOTH = (
+    "window.eitskin && eitskin.page.drawings > 0 && eitskin.page.skins.length === 2 && "
+    "eitskin.page.skins.every((one) => one?.history.newest)"
+)
 
 
 @pytest.fixture
@@ -48,6 +54,33 @@ def test_each_touch_is_bright_where_its_skin_sits_on_the_robot(viewer, endpoints
         touch = found.evaluate("eitskin.page.skins[1].history.shown.head.touches[0]")
         np.testing.assert_allclose(touch["place"], BESIDE.place([40, 70, 0]), atol=0.3)
         assert found.evaluate("document.documentElement.scrollHeight") <= 720
+
+
+def test_all_skins_of_the_shipped_robot_are_within_the_picture_from_every_side(endpoints):
+    shipped = sources_of(Path(__file__).parents[3] / "docs" / "examples" / "robot.toml", PAPER)
+    sources = [replace(one, endpoint=endpoint) for one, endpoint in zip(shipped, endpoints, strict=True)]
+    with (
+        Viewer(sources) as viewer,
+        Runtime(endpoints[0], ARM),
+        Runtime(endpoints[1], HAND),
+        browser(viewer.address) as found,
+    ):
+        found.wait(BOTH)
+        left, top, width, height = found.evaluate(
+            "(() => { const b = document.getElementById('scene').getBoundingClientRect(); "
+            "return [b.left, b.top, b.width, b.height]; })()"
+        )
+        for key in ("1", "2", "3"):
+            found.press(key)
+            for skin in range(2):
+                settled_place(found, 75.0, 50.0, skin)
+                corners = np.array(
+                    [space_place(found, x, y, skin) for x, y in ((0, 0), (150, 0), (150, 100), (0, 100))]
+                )
+                x, y = ((corners - [left, top]) / [width, height]).T
+                assert 0.0 < min(x.min(), y.min()) < max(x.max(), y.max()) < 1.0
+                area = abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2
+                assert area > 0.01 or key == "2", "no skin is seen from its edge, but for an upright one from above"
 
 
 def test_one_is_chosen_by_button_by_key_and_in_the_scene_for_all_that_is_beside_it(viewer, endpoints):

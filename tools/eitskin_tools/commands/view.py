@@ -15,10 +15,10 @@ from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import endings
 
 PORT = 8416
-"""Unless another one is named."""
+"""Default."""
 
 POLL_S = 1.0
-"""How soon Ctrl-C is heard at the latest."""
+"""Longest delay of Ctrl-C."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config",
         type=Path,
         metavar="ROBOT.toml",
-        help="show all skins of a robot.toml, or of the folder of 'eitskin run --config'",
+        help="show all skins of a robot.toml, or of a running 'eitskin run --config' by its folder",
     )
     options.add_bundle(parser, "that computes a recording's maps (default: the one that was running)")
     parser.add_argument("--port", type=int, default=PORT, metavar="N", help=f"port of the page, 0 for any ({PORT})")
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--host",
         default="127.0.0.1",
         metavar="A",
-        help="address to serve on (127.0.0.1); any other than this machine's own asks for a token",
+        help="address to serve on (127.0.0.1); one that other machines can reach requires a token",
     )
     parser.add_argument("--token", action="store_true", help="require a token on this machine too")
     parser.add_argument(
@@ -81,16 +81,16 @@ def _check(arguments: argparse.Namespace) -> None:
     live = {"--endpoint": arguments.endpoint, "--config": arguments.config, "--server-key": arguments.server_key}
     stated = [name for name, value in live.items() if value is not None]
     if arguments.file is not None and stated:
-        raise UsageError(f"a recording is read by the viewer itself: leave {' and '.join(stated)} out")
+        raise UsageError(f"a recording needs no runtime: leave {' and '.join(stated)} out")
     if arguments.file is None and arguments.bundle is not None:
-        raise UsageError("--bundle computes a recording's maps; the maps of a runtime are its own: leave it out")
+        raise UsageError("--bundle is for recordings, as a runtime computes its own maps; leave it out")
     if arguments.endpoint is not None and arguments.config is not None:
-        raise UsageError("--config names the endpoints of all skins: leave --endpoint out")
+        raise UsageError("--config names the endpoints of all skins; leave --endpoint out")
     if arguments.recordings is not None and not arguments.recordings.is_dir():
-        raise UsageError(f"--recordings is {arguments.recordings}, expected a folder that is there")
+        raise UsageError(f"--recordings is {arguments.recordings}, expected an existing folder")
     if arguments.recordings is not None and _writable(arguments.recordings) is None:
         raise UsageError(
-            f"--recordings is {arguments.recordings}, which takes no files of this user; name another folder"
+            f"--recordings is {arguments.recordings}, which this user cannot write to; name another folder"
         )
 
 

@@ -1,7 +1,7 @@
-"""What pages are to show now: the newest message of each kind and skin, and the threads that wait for a newer one.
+"""The newest message of each kind and skin, and the threads that wait for a newer one.
 
-A page takes what is newer than what it has, as fast as it can, and never more than one message of a kind of a skin: one
-that stalls makes nobody wait and keeps no memory.
+A page takes newer messages as fast as it can, never more than one of each kind and skin: a page that stalls delays
+nobody and takes no memory.
 """
 
 import threading
@@ -10,10 +10,10 @@ from contextlib import contextmanager
 from typing import Final
 
 KINDS: Final = ("skin", "overview", "surface", "frame", "state", "status")
-"""In the order in which a page takes them."""
+"""In the order in which a page receives them."""
 
 MAX_PAGES: Final = 16
-"""At once."""
+"""Open at the same time."""
 
 
 class Board:
@@ -28,7 +28,7 @@ class Board:
 
     @property
     def pages(self) -> int:
-        """Pages that look on."""
+        """Open pages."""
         return self._pages
 
     @property
@@ -37,12 +37,12 @@ class Board:
         return self._closed
 
     def post(self, kind: str, message: bytes, of: int = 0) -> None:
-        """Put a message in the place of the one before of its kind and its skin.
+        """Replace the message of its kind and skin.
 
         Args:
             kind: One of ``KINDS``.
-            message: What :mod:`eitskin_tools.view.messages` made.
-            of: Which of the skins.
+            message: Made by :mod:`eitskin_tools.view.messages`.
+            of: Number of the skin.
         """
         with self._changed:
             self._posts += 1
@@ -51,7 +51,7 @@ class Board:
 
     @contextmanager
     def page(self) -> Iterator[bool]:
-        """Count a page for as long as it looks on; give False where there are enough already."""
+        """Count a page while it is open; give False if too many are open."""
         with self._changed:
             room = self._pages < MAX_PAGES and not self._closed
             self._pages += room
@@ -64,10 +64,10 @@ class Board:
                 self._changed.notify_all()
 
     def newer(self, than: int, timeout_s: float) -> tuple[int, list[bytes]]:
-        """Return what was posted after a number, and the number to ask with next; nothing if nothing was in time.
+        """Return what was posted after a number, and the number for the next call; nothing after a timeout.
 
         Args:
-            than: What the call before returned; 0 at first.
+            than: Number from the previous call; 0 at first.
             timeout_s: How long to wait.
         """
         with self._changed:
@@ -76,13 +76,13 @@ class Board:
             return self._posts, [text for _, _, text in sorted(found)]
 
     def wait_for_pages(self, timeout_s: float) -> bool:
-        """Wait until somebody looks on; return whether somebody does."""
+        """Wait until a page is open; return whether one is."""
         with self._changed:
             self._changed.wait_for(lambda: self._closed or self._pages > 0, timeout_s)
             return self._pages > 0
 
     def close(self) -> None:
-        """Send everybody home."""
+        """Wake all waiting threads; nothing is posted any more."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()

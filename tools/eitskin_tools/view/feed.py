@@ -28,35 +28,35 @@ from eitskin_tools.view.messages import frame_message, state_message, status_mes
 from eitskin_tools.view.source import Source
 
 REFRESH_HZ: Final = 30.0
-"""Pictures a second of a skin, at most."""
+"""Highest rate of frames to pages, for one skin."""
 
 MAX_TOTAL_HZ: Final = 120.0
-"""Of all skins together: a page has to take them in."""
+"""Highest rate of all skins together, as a page has to draw them."""
 
 SILENCE_S: Final = 1.0
-"""After so long without a frame the page is told why."""
+"""After this time without a frame the page says why."""
 
 IDLE_S: Final = 3.0
-"""How long to go on when the last page has gone: one that is loaded anew is back at once."""
+"""How long to continue after the last page closed: a page that reloads is back at once."""
 
 STATUS_S: Final = 1.0
-"""Between two messages that say that all is well."""
+"""Between two status messages while frames arrive."""
 
 
 def refresh_hz(skins: int) -> float:
-    """Return how many pictures a second each of so many skins may have."""
+    """Return the highest rate of frames for each of some skins."""
     return min(REFRESH_HZ, MAX_TOTAL_HZ / skins)
 
 
 class Feed:
-    """A thread that posts what a runtime publishes.
+    """A thread that posts the frames of a runtime.
 
     Args:
-        source: Which.
+        source: The runtime.
         board: Where to post.
-        of: Its number among all skins.
-        refresh_hz: Pictures a second at most.
-        more: What else the status is to say, asked each second.
+        of: Number of the skin.
+        refresh_hz: Highest rate of frames.
+        more: Returns more fields of the status; called each second.
 
     Raises:
         EndpointError: ZeroMQ cannot make sense of the endpoint.
@@ -76,10 +76,10 @@ class Feed:
         self._left = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"view-feed-{of}", daemon=True)
         self.taken = 0
-        """Frames that pages were given."""
+        """Frames posted so far."""
 
     def start(self) -> None:
-        """Begin to look whether somebody looks on."""
+        """Start; frames are posted once a page is open."""
         self._thread.start()
 
     def close(self) -> None:
@@ -95,7 +95,7 @@ class Feed:
                 self._follow()
 
     def _follow(self) -> None:
-        """Post frames until nobody looks on."""
+        """Post frames until no page is open."""
         touches = TouchLister(self._source.skin.grid)
         with (
             eitskin.subscribe(self.endpoint, timeout_s=SILENCE_S, patient=True, keys=self._source.keys) as frames,
@@ -124,14 +124,14 @@ class Feed:
                 self._left.wait(rhythm.pause_s(max(0.0, due_s - now_s)))
 
     def _mismatch(self, shape: tuple[int, ...]) -> str:
-        """Return what is wrong with the sheet that is drawn; nothing if nothing is."""
+        """Return how the map differs from the sheet that is drawn, or ""."""
         skin = self._source.skin
         if shape == skin.grid.shape:
             return ""
         rows, columns = skin.grid.shape
         return (
             f"the map has {shape[0]} x {shape[1]} pixels, expected {rows} x {columns} of skin {skin.name!r}: "
-            "millimetres are wrong; name the runtime's skin with 'eitskin view --skin FILE'"
+            "positions in mm are wrong; name the runtime's skin with 'eitskin view --skin FILE'"
         )
 
     def _post_status(self, state: str, text: str) -> None:
@@ -139,14 +139,14 @@ class Feed:
 
 
 UNKNOWN_NORMAL: Final = (0.0, 0.0, 0.0)
-"""The normal of a touch whose surface is not known yet: who draws it places it on the surface that is drawn."""
+"""The normal of a touch whose surface is not known yet: the page puts it on the surface that it draws."""
 
 
 class TouchLister:
     """Lists the touches of one frame after another.
 
     Args:
-        grid: Of the skin; frames with other maps are left as they are.
+        grid: Of the skin; frames with other maps do not change.
     """
 
     def __init__(self, grid: Grid) -> None:
@@ -156,7 +156,7 @@ class TouchLister:
         self._run = ""
 
     def set_surface(self, run: str, revision: int, cloud_mm: npt.NDArray[np.floating]) -> None:
-        """Place touches on a surface, of frames that were computed with it; may be called from another thread.
+        """Place touches on a surface if their frame was computed with it; may be called from another thread.
 
         Args:
             run: Of the runtime.
@@ -167,7 +167,7 @@ class TouchLister:
             self._surfaces = {(run, revision): Surface(cloud_mm, self._grid)}
 
     def listed(self, frame: Frame) -> Frame:
-        """Return a frame with its touches: those that it brought, or else our own."""
+        """Return a frame with its own touches or, if it has none, with those found here."""
         if frame.touch_list is not None or frame.map.shape != self._grid.shape or frame.run != self._run:
             self._watch.reset()
             self._run = frame.run
@@ -184,14 +184,14 @@ class TouchLister:
 
 
 class Streams:
-    """Follows clouds and state from when it is entered to when it is left.
+    """Posts clouds and states of a runtime while it is entered.
 
     Args:
         endpoint: Where the runtime publishes.
-        source: Which runtime.
+        source: The runtime.
         board: Where to post.
-        of: Its number among all skins.
-        touches: Lists them, and receives surfaces too.
+        of: Number of the skin.
+        touches: Receives the surfaces.
     """
 
     def __init__(self, endpoint: str, source: Source, board: Board, of: int, touches: TouchLister) -> None:
@@ -201,7 +201,7 @@ class Streams:
         self._thread = threading.Thread(target=self._run, name=f"view-streams-{of}", daemon=True)
 
     def _run(self) -> None:
-        while not self._left.is_set():  # a connection that something else had answered is made anew
+        while not self._left.is_set():  # connect again if another program had answered
             with (
                 suppress(NoFrame),
                 eitskin.subscribe_streams(
@@ -213,7 +213,7 @@ class Streams:
 
     def _post(self, item: object) -> None:
         if isinstance(item, eitskin.CloudInUse):
-            if self._posted != (which := (item.run, item.revision)):  # it is told again every second
+            if self._posted != (which := (item.run, item.revision)):  # it is sent again every second
                 self._posted = which
                 self._touches.set_surface(item.run, item.revision, item.cloud)
                 message = surface_message(item.revision, item.cloud, item.run, self._of, self._source.pose)

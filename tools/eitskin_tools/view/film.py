@@ -1,6 +1,6 @@
-"""A recording in parts of a second, each made when a page asks for it: surfaces and frames as a live page gets them.
+"""A recording in parts of one second, each made when a page asks for it, with surfaces and frames as on a live page.
 
-The numbers of touches go on from part to part while a page plays on, and begin anew where it jumped.
+Touches keep their numbers from part to part while a page plays, and get new ones after a jump.
 """
 
 import math
@@ -27,21 +27,21 @@ from eitskin_tools.view.messages import frame_message, packed, skin_message, sta
 from eitskin_tools.view.server import PageServer
 
 PART_S: Final = 1.0
-"""Of a recording, in one answer."""
+"""Of a recording in one answer."""
 
 MAX_CACHED_BYTES: Final = 32 << 20
-"""Parts that are kept for other pages, and for one that goes back."""
+"""Cache of parts, for other pages and for going back."""
 
 MAX_WATCHES: Final = 8
-"""Ends of parts at which touches are known, so that the part behind goes on with their numbers."""
+"""Ends of parts whose touches are kept, so that the next part continues their numbers."""
 
 
 class Film:
-    """A recording that is looked at; for any number of threads.
+    """A recording to show, for any number of threads.
 
     Args:
         path: Of the file.
-        bundle: What computes the maps; None for the one that was running, if it is a shipped one.
+        bundle: Computes the maps; None for the shipped one with which the recording was made.
 
     Raises:
         SkinError: Recording or bundle cannot be used, with what to do.
@@ -52,10 +52,10 @@ class Film:
         self._moments = SeekableRecording(path)
         found = bundle_of(self._moments, bundle)
         self._frames = RecordedFrames(self._moments, found)
-        self.path, self.skin = path, found.skin
+        self.path, self.skin, self.labels = path, found.skin, found.labels
         self.seconds = self._moments.seconds
         self.ending = self._moments.ending.removeprefix("; ")
-        """What is wrong with the file, in words; "" if nothing is."""
+        """A defect of the file in words, or ""."""
         self.first_ns = self._moments.first_ns
         """Wall clock of the first frame."""
         self.parts = math.floor(self.seconds / PART_S) + 1
@@ -65,7 +65,7 @@ class Film:
         self._run = self._moments.head_text("run")
 
     def part(self, number: int) -> bytes:
-        """Return the messages of a part, one behind the other.
+        """Return the messages of a part, one after another.
 
         Args:
             number: From 0 to below ``parts``.
@@ -103,10 +103,10 @@ class FilmServer(PageServer):
         film: The recording.
         host: Address to serve on.
         port: 0 for any that is free.
-        token: What a page must know; empty only on loopback.
+        token: Required from a page; empty only on loopback.
 
     Raises:
-        PortTaken: The address cannot be bound.
+        PortUnavailable: The address cannot be bound.
         ValueError: It can be reached from other machines, and there is no token.
     """
 
@@ -115,7 +115,7 @@ class FilmServer(PageServer):
         self._film = film
         about = {
             "name": "", "skins": 1, "file": film.path.name, "seconds": film.seconds, "parts": film.parts,
-            "part_s": PART_S, "begin_ms": film.first_ns / 1e6,
+            "part_s": PART_S, "begin_ms": film.first_ns / 1e6, "labels": film.labels,
         }  # fmt: skip
         self.board.post("skin", skin_message(film.skin, 0, Pose(), about))
         self.board.post("status", status_message("live", film.ending))
@@ -130,25 +130,25 @@ class FilmServer(PageServer):
 
 
 ROWS: Final = 600
-"""Spans of a recording: some pixels each."""
+"""Spans of a recording, each a few pixels wide."""
 
-MIN_GAP_S: Final = 0.5
-"""Touches that are nearer to each other are one mark; the same event again within it is none."""
+MIN_GAP_MS: Final = 500.0
+"""Touches that are closer in time share a mark; an event that repeats within it gets no other mark."""
 
 MAX_MARKS: Final = 2000
-"""Of a kind, that a page is sent."""
+"""Of one kind, sent to a page."""
 
 REPORT_S: Final = 0.5
-"""Between two messages while it is being made."""
+"""Between two messages while the file is read."""
 
 UNMARKED_EVENTS: Final = ("lost", "overrun", "cloud")
-"""Events that are counted, or seen on the surface."""
+"""Events that are counted, or visible on the surface."""
 
 Row = dict[str, Any]
 
 
 class Overview:
-    """What happened when, as far as the file was gone through.
+    """What happened when, in the part of the file that was read so far.
 
     Args:
         seconds: From the first frame to the last.
@@ -163,34 +163,34 @@ class Overview:
         self._last: dict[str, float] = {}
         self._before: dict[str, int] = {}
         self._sequence: int | None = None
-        self.at_s = 0.0
+        self.at_ms = 0.0
         """How far it is."""
 
     def add(self, entry: Entry) -> None:
-        """Take a message of the recording."""
-        at_s = max((entry.log_ns - self._first_ns) * 1e-9, 0.0)
-        self.at_s = max(self.at_s, at_s)
+        """Add a message of the recording."""
+        at_ms = max((entry.log_ns - self._first_ns) / 1e6, 0.0)  # exactly a frame's t_ms, so that marks are at frames
+        self.at_ms = max(self.at_ms, at_ms)
         try:
             if entry.topic == WIRE.topic:
-                self._wire(at_s, WireFrame.of(entry.data, n=entry.sequence))
+                self._wire(at_ms, WireFrame.of(entry.data, n=entry.sequence))
             else:
-                self._note(at_s, unpack_json(entry.data))
+                self._note(at_ms, unpack_json(entry.data))
         except (FrameError, RecordingError):
             return
 
-    def _row(self, at_s: float) -> Row:
-        k = min(int(at_s / max(self._seconds, 1e-9) * ROWS), ROWS - 1)
+    def _row(self, at_ms: float) -> Row:
+        k = min(int(at_ms / max(1e3 * self._seconds, 1e-6) * ROWS), ROWS - 1)
         return self._rows.setdefault(k, {"frames": 0, "peak": 0.0, "stages": [0.0] * (len(STAGES) - 1), "noted": 0,
                                          "drift": None, "drift_sd": None, "lost": {}})  # fmt: skip
 
-    def _wire(self, at_s: float, frame: WireFrame) -> None:
-        row = self._row(at_s)
+    def _wire(self, at_ms: float, frame: WireFrame) -> None:
+        row = self._row(at_ms)
         row["frames"] += 1
         if frame.touched:
-            if self._touched and at_s - self._touched[-1][1] < MIN_GAP_S:
-                self._touched[-1][1] = at_s
+            if self._touched and at_ms - self._touched[-1][1] < MIN_GAP_MS:
+                self._touched[-1][1] = at_ms
             elif len(self._touched) < MAX_MARKS:
-                self._touched.append([at_s, at_s])
+                self._touched.append([at_ms, at_ms])
         if frame.seq is not None:
             if self._sequence is not None and frame.seq > self._sequence + 1:
                 self._count(row, "lost", frame.seq - self._sequence - 1)
@@ -198,10 +198,11 @@ class Overview:
         if frame.withheld:
             self._count(row, "withheld", 1)
 
-    def _note(self, at_s: float, note: dict[str, Any]) -> None:
-        row = self._row(at_s)
+    def _note(self, at_ms: float, note: dict[str, Any]) -> None:
+        row = self._row(at_ms)
         row["peak"] = max(row["peak"], number(note.get("peak")) or 0.0)
-        row["drift"], row["drift_sd"] = number(note.get("drift")), number(note.get("drift_sd"))
+        names = () if note.get("touched") else ("drift", "drift_sd")  # unknown while touched
+        row |= {"drift": None, "drift_sd": None} | {name: number(note.get(name)) for name in names}
         stamps, counts = note.get("host_ns"), note.get("counts")
         if isinstance(stamps, dict):
             ends = [count(stamps.get(stage)) for stage in STAGES]
@@ -215,21 +216,21 @@ class Overview:
                 self._before[name] = now
         for code in texts(note.get("events")):
             if code not in UNMARKED_EVENTS:
-                self._event(at_s, code)
+                self._event(at_ms, code)
 
-    def _event(self, at_s: float, code: str) -> None:
-        if at_s - self._last.get(code, -MIN_GAP_S) >= MIN_GAP_S and len(self._events) < MAX_MARKS:
-            self._events.append((round(at_s, 3), code))
-        self._last[code] = at_s
+    def _event(self, at_ms: float, code: str) -> None:
+        if at_ms - self._last.get(code, -MIN_GAP_MS) >= MIN_GAP_MS and len(self._events) < MAX_MARKS:
+            self._events.append((at_ms, code))
+        self._last[code] = at_ms
 
     def _count(self, row: Row, name: str, more: int) -> None:
         row["lost"][name] = row["lost"].get(name, 0) + more
 
     def message(self, *, done: bool) -> bytes:
-        """Return what a page is sent: times in s, rows by the middle of their spans, losses by row.
+        """Return the message to a page: marks in ms, rows by the middle of their spans in s, losses by row.
 
         Args:
-            done: Whether the whole file was gone through.
+            done: Whether the whole file was read.
         """
         rows = [
             {
@@ -241,22 +242,21 @@ class Overview:
             }
             for k, row in sorted(self._rows.items())
         ]
-        share = 1.0 if done else min(self.at_s / max(self._seconds, 1e-9), 1.0)
-        touched = [[round(begin, 3), round(end, 3)] for begin, end in self._touched]
+        share = 1.0 if done else min(self.at_ms / max(1e3 * self._seconds, 1e-6), 1.0)
         head = {
-            "kind": "overview", "of": 0, "share": share, "seconds": self._seconds, "touched": touched,
+            "kind": "overview", "of": 0, "share": share, "seconds": self._seconds, "touched": self._touched,
             "events": self._events, "rows": rows, "row_s": self._seconds / ROWS,
         }  # fmt: skip
         return packed(head)
 
 
 class OverviewThread:
-    """A thread that makes the overview; a context.
+    """A thread that builds the overview; a context.
 
     Args:
         path: Of the recording.
-        overview: What is made.
-        tell: Takes its messages.
+        overview: To build.
+        tell: Receives its messages.
     """
 
     def __init__(self, path: Path, overview: Overview, tell: Callable[[bytes], None]) -> None:
@@ -275,7 +275,7 @@ class OverviewThread:
                     told_s = now_s
                     self._tell(self._overview.message(done=False))
         except (OSError, SkinError):
-            pass  # a page that asks for a part is told why
+            pass  # a page learns why when it asks for a part
         self._tell(self._overview.message(done=True))
 
     def __enter__(self) -> None:

@@ -1,14 +1,14 @@
-"""What goes to the page: a JSON head and bytes behind it, each message with its length.
+"""Messages to the page: a JSON head and bytes after it, each with its length.
 
 ::
 
 0   u32 little-endian   bytes of the rest
 4   u32 little-endian   bytes of the head
-8   head                UTF-8 JSON with a ``kind``, and ``of``: which of the skins
+8   head                UTF-8 JSON with a ``kind``, and ``of``: the number of the skin
 ..  body                of a frame: (rows, columns) u8, the map times 255
                         of a skin, flat, and of a surface: (3, rows, columns) f32, mm
 
-Places in space are the robot's: each skin's pose is applied here, and the page knows of none.
+Positions in space are in the robot's frame: poses are applied here, not in the page.
 """
 
 import json
@@ -36,8 +36,8 @@ def packed(head: dict[str, Any], body: bytes = b"") -> bytes:
     """Return a message.
 
     Args:
-        head: What JSON can say; numbers finite.
-        body: What follows it.
+        head: JSON values; numbers are finite.
+        body: The bytes after it.
     """
     text = json.dumps(head, separators=(",", ":"), allow_nan=False).encode()
     return HEAD.pack(4 + len(text) + len(body), len(text)) + text + body
@@ -60,9 +60,9 @@ def frame_message(frame: Frame, of: int, pose: Pose) -> bytes:
     """Return the message of a frame: its numbers, its touches, and its map in 256 levels from 0 to 1.
 
     Args:
-        frame: As a subscriber gets it.
-        of: Which of the skins.
-        pose: Where it sits on the robot.
+        frame: As a subscriber receives it.
+        of: Number of the skin.
+        pose: Of the skin on the robot.
     """
     stamps = [frame.host_ns[stage] for stage in STAGES]
     head = {
@@ -82,7 +82,7 @@ def frame_message(frame: Frame, of: int, pose: Pose) -> bytes:
         "skipped": frame.skipped,
         "events": frame.events,
         "electrodes": frame.electrodes,
-        "drift": [frame.drift_percent, frame.drift_sd_percent, frame.drift_uneven_percent],
+        "drift": [None, None] if frame.touched else [frame.drift_percent, frame.drift_sd_percent],
         "cloud": frame.cloud,
         "counts": dict(frame.counts),
         "shape": frame.map.shape,
@@ -114,13 +114,13 @@ def _short(values: Sequence[float]) -> list[float]:
 
 
 def skin_message(skin: Skin, of: int, pose: Pose, about: dict[str, Any]) -> bytes:
-    """Return the message that says what is drawn: the sheet, its electrodes, and how it lies while it is flat.
+    """Return the message that describes a skin: its sheet, its electrodes and its flat surface.
 
     Args:
         skin: The runtime's.
-        of: Which of the skins.
-        pose: Where it sits on the robot.
-        about: What else the page is to know, such as its name.
+        of: Number of the skin.
+        pose: Of the skin on the robot.
+        about: More for the page, such as its name.
     """
     head = {
         "kind": "skin",
@@ -143,8 +143,8 @@ def surface_message(revision: int, cloud_mm: npt.NDArray[np.floating], run: str,
         revision: As frames name it in ``cloud``.
         cloud_mm: (3, rows, columns) mm.
         run: Of the runtime.
-        of: Which of the skins.
-        pose: Where it sits on the robot.
+        of: Number of the skin.
+        pose: Of the skin on the robot.
     """
     head = {"kind": "surface", "of": of, "revision": revision, "shape": cloud_mm.shape[1:], "run": run}
     return packed(head, _placed(cloud_mm, pose))
@@ -156,7 +156,7 @@ def _placed(cloud_mm: npt.NDArray[np.floating], pose: Pose) -> bytes:
 
 
 def state_message(state: SkinState, of: int) -> bytes:
-    """Return the message of what happened since the one before, and who measures."""
+    """Return the message of the events since the previous state, and of the runtime's bundle, skin and version."""
     head = {
         "kind": "state",
         "of": of,
@@ -166,13 +166,13 @@ def state_message(state: SkinState, of: int) -> bytes:
         "bundle": state.bundle,
         "skin": state.skin,
         "version": state.version,
-        "trouble": str(state.status.get("trouble", "")),
+        "labels": str(state.status.get("labels", "")),
     }
     return packed(head)
 
 
 def status_message(state: str, text: str, of: int = 0, **more: Any) -> bytes:
-    """Return the message that says how it goes: ``live``, or ``silent`` and why."""
+    """Return the message of a feed's state: ``live``, or ``silent`` and why."""
     return packed({"kind": "status", "of": of, "state": state, "text": text, **more})
 
 

@@ -1,8 +1,8 @@
 """The server of the page: the standard library's, with everything bounded.
 
-A request is of a listed path, and has no body. At most ``MAX_CONNECTIONS`` are open at a time; one that neither sends
-nor reads for ``STALL_S`` is left. ``/stream`` is one answer without end, in chunks, of which each has the newest
-message of each kind; a line reports a page that does not read it. ``/part/N`` is a second of a recording.
+A request names a listed path and has no body. At most ``MAX_CONNECTIONS`` are open at a time; one that neither sends
+nor reads for ``STALL_S`` is closed. ``/stream`` is one answer without end, in chunks, each with the newest message of
+each kind; a line reports a page that does not read it. ``/part/N`` is one second of a recording.
 """
 
 import contextlib
@@ -20,26 +20,26 @@ from typing import Any, Final, Self
 
 from eitskin.errors import SkinError
 from eitskin_tools.console.terminal import say
-from eitskin_tools.view.board import Board
+from eitskin_tools.view.board import MAX_PAGES, Board
 
 MAX_CONNECTIONS: Final = 64
 """Connections at a time."""
 
 STALL_S: Final = 5.0
-"""How long a page may take to send a request, or to read what it is sent."""
+"""How long a page may take to send a request or to read an answer."""
 
 SEND_BYTES: Final = 65536
-"""What waits for a page within the kernel: some pictures, so that one that stalled shows none of long ago."""
+"""Buffer of the kernel for a page: a few pictures, so that a page that stalled shows no old ones."""
 
 PART: Final = "/part/"
-"""How the paths of parts of a recording begin; a number follows."""
+"""Begins the path of a part of a recording; a number follows."""
 
 ACTIONS: Final = ("/record/start", "/record/stop")
-"""What a page may ask for, by POST without a body."""
+"""Actions of a page, by POST without a body."""
 
 
 class PortUnavailable(SkinError):  # noqa: N818 -- named as the runtime's own are
-    """The server cannot be bound; the text says why, and what to do."""
+    """The address cannot be bound; the text says why, and what to do."""
 
 
 class ViewServer(ThreadingHTTPServer):
@@ -48,10 +48,10 @@ class ViewServer(ThreadingHTTPServer):
     Args:
         host: Address to bind to.
         port: 0 for any that is free.
-        board: What pages show.
-        token: What a page must know, or empty.
-        recorder: The :class:`~eitskin_tools.view.viewer.Recorder`; None for nothing.
-        film: A :class:`~eitskin_tools.view.film.Film`, of which pages ask for parts.
+        board: The messages to pages.
+        token: Required from a page, or empty.
+        recorder: The :class:`~eitskin_tools.view.viewer.Recorder`; None if pages cannot record.
+        film: The :class:`~eitskin_tools.view.film.Film` whose parts pages fetch; None for live skins.
 
     Raises:
         PortUnavailable: The address cannot be bound.
@@ -87,18 +87,18 @@ class ViewServer(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """What to type into a browser."""
+        """The address to open in a browser."""
         return page_address(self.host, self.port, self.token)
 
     def server_bind(self) -> None:
-        """Bind without the look-up of a name, which can take seconds."""
+        """Bind without a look-up of names, which can take seconds."""
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
         self.server_name, self.server_port = self.host, self.server_address[1]
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Take a connection, or send it away where there are enough."""
+        """Accept a connection, or close it if there are too many."""
         if not self._room.acquire(blocking=False):
             self.shutdown_request(request)
             return
@@ -112,22 +112,22 @@ class ViewServer(ThreadingHTTPServer):
             self._room.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing: a page that went away is no error."""
+        """Print nothing: a page that closes is no error."""
 
 
 @contextlib.contextmanager
 def report_stalled_page() -> Iterator[None]:
-    """Say in a line that a page is left because it does not read."""
+    """Report in one line that a page is disconnected because it does not read."""
     try:
         yield
     except TimeoutError:
-        said = f"a page did not read what it was sent within {STALL_S:g} s and was left; it connects again by itself"
+        said = f"a page read nothing for {STALL_S:g} s and was disconnected; it reconnects by itself"
         say(f"eitskin view: {said}", error=True)
         raise
 
 
 class _Request(BaseHTTPRequestHandler):
-    """One connection, with one request after another."""
+    """One connection and its requests, one after another."""
 
     server: ViewServer
     protocol_version = "HTTP/1.1"
@@ -142,14 +142,14 @@ class _Request(BaseHTTPRequestHandler):
         self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
 
     def handle_one_request(self) -> None:
-        """Have a request answered, unless the connection ends meanwhile."""
+        """Answer a request, unless the connection ends meanwhile."""
         try:
             super().handle_one_request()
         except OSError:
             self.close_connection = True
 
     def do_GET(self) -> None:
-        """Answer with a file of the page, with the stream, or with a part of a recording."""
+        """Send a file of the page, the stream, or a part of a recording."""
         if not self._trusted():
             return
         if self.path == "/stream":
@@ -176,15 +176,15 @@ class _Request(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.CONFLICT if why_not else HTTPStatus.OK, why_not.encode(), "text/plain")
 
     def _trusted(self) -> bool:
-        """Return whether the request may be answered; refuse it if not."""
+        """Return whether to answer the request; refuse it if not."""
         host = self.headers.get("Host", "")
         if not host_allowed(host, self.server.host, self.server.port):
-            self._refuse(HTTPStatus.MISDIRECTED_REQUEST, f"this is {self.server.address.partition('#')[0]}")
+            self._refuse(HTTPStatus.MISDIRECTED_REQUEST, f"open {self.server.address.partition('#')[0]}")
         elif self.headers.get("Sec-Fetch-Site", "") not in OWN_FETCH_SITES:
             self._refuse(HTTPStatus.FORBIDDEN, "only the page itself may ask for this")
         elif self.headers.get("Content-Length", "0") != "0" or "Transfer-Encoding" in self.headers:
             self.close_connection = True
-            self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "requests have no body here")
+            self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "a request must have no body")
         else:
             return True
         return False
@@ -198,30 +198,30 @@ class _Request(BaseHTTPRequestHandler):
         else:
             try:
                 body = film.part(int(number))
-            except (SkinError, OSError, ValueError) as error:  # whatever a file may hold
+            except (SkinError, OSError, ValueError) as error:  # a file may hold anything
                 self._refuse(HTTPStatus.CONFLICT, str(error))
                 return
             with report_stalled_page():
                 self._answer(HTTPStatus.OK, body, "application/octet-stream")
 
     def _token_missing(self) -> bool:
-        """Return whether the page lacks the token; it is told so."""
+        """Return whether the page lacks the token, and refuse the request if so."""
         if token_given(self.headers.get("Authorization", ""), self.server.token):
             return False
-        self._refuse(HTTPStatus.UNAUTHORIZED, "open the address that 'eitskin view' printed, with its token")
+        self._refuse(HTTPStatus.UNAUTHORIZED, "open the address that 'eitskin view' printed: it contains the token")
         return True
 
     def _stream(self) -> None:
-        """Send the newest of everything until the page goes."""
+        """Send the newest messages until the page closes."""
         self.close_connection = True
         if self._token_missing():
             return
         board = self.server.board
         with board.page() as room, report_stalled_page():
             if board.closed:
-                return  # the viewer ends: a page without an answer tries again
+                return  # the viewer is closing: a page without an answer tries again
             if not room:
-                self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "as many pages as may be look on already; close one")
+                self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, f"{MAX_PAGES} pages are open already; close one")
                 return
             self._head_of(HTTPStatus.OK, "application/octet-stream", {"Transfer-Encoding": "chunked"})
             seen = 0
@@ -249,7 +249,7 @@ class _Request(BaseHTTPRequestHandler):
         self._answer(status, f"{text}\n".encode(), "text/plain; charset=utf-8")
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """Refuse what the standard library does not like in one line of plain text, which repeats nothing."""
+        """Refuse in one line of plain text, which repeats nothing of the request."""
         self._refuse(HTTPStatus(code), HTTPStatus(code).phrase.lower())
 
     def log_message(self, format: str, *args: Any) -> None:
@@ -257,11 +257,11 @@ class _Request(BaseHTTPRequestHandler):
 
 
 OWN_FETCH_SITES: Final = ("same-origin", "none", "")
-"""Sec-Fetch-Site of our own page, of an address that somebody typed, and of a browser that does not say."""
+"""Sec-Fetch-Site of our own page, of a typed address, and of a browser that sends none."""
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether an address to bind to can be reached from this machine only."""
+    """Return whether only this machine can reach an address."""
     if host == "localhost":
         return True
     try:
@@ -271,12 +271,12 @@ def is_loopback(host: str) -> bool:
 
 
 def new_token() -> str:
-    """Return a token that nobody guesses: 128 bits."""
+    """Return a token that nobody can guess: 128 bits."""
     return secrets.token_urlsafe(16)
 
 
 def split_host(host: str) -> tuple[str, str]:
-    """Return name and port of a Host header; the port is empty where there is none."""
+    """Return the name and the port of a Host header; the port may be empty."""
     if host.startswith("["):
         name, _, rest = host[1:].partition("]")
         return name, rest.removeprefix(":")
@@ -285,12 +285,12 @@ def split_host(host: str) -> tuple[str, str]:
 
 
 def host_allowed(host: str, bound: str, port: int) -> bool:
-    """Return whether a Host header names this server and no site.
+    """Return whether a Host header names this server.
 
     Args:
         host: The header.
-        bound: Address that the server is bound to.
-        port: Its port.
+        bound: Address of the server.
+        port: Port of the server.
     """
     name, stated = split_host(host.strip().lower())
     if stated != str(port):
@@ -306,7 +306,7 @@ def host_allowed(host: str, bound: str, port: int) -> bool:
 
 
 def token_given(authorization: str, token: str) -> bool:
-    """Return whether a request has the token; any has where there is none.
+    """Return whether a request carries the token, if the server has one.
 
     Args:
         authorization: The header.
@@ -317,27 +317,27 @@ def token_given(authorization: str, token: str) -> bool:
 
 
 def page_address(host: str, port: int, token: str) -> str:
-    """Return what to type into a browser; the token stands behind the #, which no request carries.
+    """Return the address to open; the token follows the #, so that browsers do not send it in requests.
 
     Args:
-        host: Address that the server is bound to.
-        port: Its port.
-        token: What the page must know; empty for nothing.
+        host: Address of the server.
+        port: Port of the server.
+        token: Required from the page, or empty.
     """
     name = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     return f"http://{name}:{port}/{f'#token={token}' if token else ''}"
 
 
 def why_not_bound(host: str, port: int, error: OSError) -> str:
-    """Return why a server cannot have an address, and what to do."""
+    """Return why an address cannot be bound, and what to do."""
     if error.errno == errno.EADDRINUSE:
         return (
-            f"port {port} of {host} is in use, perhaps by another 'eitskin view'; name another one with --port, "
-            "or --port 0 for any that is free"
+            f"port {port} of {host} is in use, perhaps by another 'eitskin view'; choose another with --port, "
+            "or any free one with --port 0"
         )
     if error.errno == errno.EACCES:
-        return f"port {port} of {host} is not yours to take; name one above 1023 with --port"
-    return f"{host} port {port} cannot be bound ({error.strerror or error}); expected an address of this machine"
+        return f"port {port} of {host} needs root; choose one above 1023 with --port"
+    return f"cannot serve on {host} port {port} ({error.strerror or error}); expected an address of this machine"
 
 
 TYPES: Final = {
@@ -352,7 +352,7 @@ POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-"""Content-Security-Policy: the page's own files and no other, and nothing written into it."""
+"""Content-Security-Policy: only the page's own files, and no inline code."""
 
 HEADERS: Final = {
     "Content-Security-Policy": POLICY,
@@ -376,12 +376,12 @@ def pages() -> dict[str, tuple[str, bytes]]:
 
 
 class PageServer:
-    """A page from when it is entered to when it is left, of whatever is posted on its board."""
+    """Serves the messages of its board to pages while it is entered."""
 
     def __init__(self) -> None:
         self.board = Board()
         self.stack = contextlib.ExitStack()
-        """What ends with it."""
+        """Closed together with the server."""
 
     def serve(self, host: str, port: int, token: str, **more: Any) -> None:
         """Bind the address.
@@ -392,7 +392,7 @@ class PageServer:
         """
         self.server = ViewServer(host, port, self.board, token, **more)
         self.address = self.server.address
-        """What to type into a browser."""
+        """The address to open in a browser."""
         self._thread = threading.Thread(target=self.server.serve_forever, name="view-server", daemon=True)
 
     def __enter__(self) -> Self:

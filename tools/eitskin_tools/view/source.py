@@ -1,4 +1,4 @@
-"""Whom the viewer looks at: one skin, or all those of a robot, each where it sits."""
+"""The skins that the viewer shows: one, or all of a robot with their poses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -21,12 +21,12 @@ class Source:
     """One skin.
 
     Attributes:
-        skin: What its maps are expected to be of.
+        skin: Description that its maps should match.
         endpoint: Where its runtime publishes; None for the default.
-        name: On the robot; empty where there is one skin alone.
-        pose: Where it sits on the robot.
+        name: On the robot; empty if there is only one skin.
+        pose: Of the skin on the robot.
         keys: CURVE keys.
-        record_options: Of ``eitskin record``, besides.
+        record_options: More options of ``eitskin record``.
     """
 
     skin: Skin
@@ -40,13 +40,13 @@ class Source:
 def sources_of(
     config: Path, otherwise: Skin, *, keys: ClientKeys | None = None, record_options: Sequence[str] = ()
 ) -> tuple[Source, ...]:
-    """Return all skins of a robot, in its own order.
+    """Return all skins of a robot in its order.
 
     Args:
         config: A robot.toml, or the folder in which ``eitskin run --config`` runs.
-        otherwise: The skin of those of which nothing more is known.
-        keys: CURVE keys, of all skins.
-        record_options: Of ``eitskin record``, besides.
+        otherwise: The skin for those that are not described.
+        keys: CURVE keys of all skins.
+        record_options: More options of ``eitskin record``.
 
     Raises:
         RobotError: There are none, or the file is wrong.
@@ -62,7 +62,7 @@ def sources_of(
 
 
 def _skin_of(settings: SkinSettings, otherwise: Skin) -> Skin:
-    """Return what a skin is, as far as the files that say so are on this machine."""
+    """Return the description of a skin, if its files are on this machine."""
     try:
         if settings.description is not None and (
             str(settings.description) in toml.NAMED or settings.description.exists()

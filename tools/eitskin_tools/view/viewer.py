@@ -1,4 +1,4 @@
-"""Everything that ``eitskin view`` runs in front of runtimes, as one context: feeds, recorder and server."""
+"""What ``eitskin view`` runs for live skins, as one context: feeds, recorder and server."""
 
 import tempfile
 import time
@@ -22,11 +22,11 @@ class Viewer(PageServer):
         sources: The skins.
         host: Address to serve on.
         port: 0 for any that is free.
-        token: What a page must know; empty only on loopback.
-        recordings: Folder for what the page has recorded; None if it is not to record.
+        token: Required from a page; empty only on loopback.
+        recordings: Folder for recordings started on the page; None if the page cannot record.
 
     Raises:
-        PortTaken: The address cannot be bound.
+        PortUnavailable: The address cannot be bound.
         EndpointError: ZeroMQ cannot make sense of an endpoint.
         ValueError: The address can be reached from other machines, and there is no token.
     """
@@ -66,12 +66,12 @@ class Viewer(PageServer):
 
 
 class Recorder:
-    """Starts and ends recordings of all skins that are looked at; a context.
+    """Starts and stops recordings of all skins on the page; a context.
 
     Args:
         endpoints: Where each skin's runtime publishes.
         sources: The skins.
-        folder: Where recordings go; None if nothing is to be recorded.
+        folder: Where recordings go; None if the page cannot record.
     """
 
     def __init__(self, endpoints: Sequence[str], sources: Sequence[Source], folder: Path | None) -> None:
@@ -85,15 +85,15 @@ class Recorder:
         self._logs = tempfile.TemporaryDirectory(prefix="eitskin-view-")
 
     def start(self) -> str:
-        """Begin; return "" or why not."""
+        """Start, and return "" or why not."""
         return str(self._starter.submit(self._start).result())
 
     def stop(self) -> str:
-        """End; return "" or why not."""
+        """Stop, and return "" or why not."""
         return str(self._starter.submit(self._stop).result())
 
     def about(self) -> dict[str, Any]:
-        """Return what the page is told: whether there can be recordings, which are made, and what went wrong."""
+        """Return for the page whether it can record, what it records, and what went wrong."""
         running = self._children
         if ended := [file for file, child in running.items() if child.status is not None]:
             self._said = "; ".join(f"{file} ended: {running[file].last_words()}" for file in ended)
@@ -103,9 +103,9 @@ class Recorder:
 
     def _start(self) -> str:
         if self._folder is None:
-            return "this viewer cannot record"
+            return "this viewer cannot record: its folder cannot be written"
         if any(child.status is None for child in self._children.values()):
-            return f"{', '.join(self._children)} is being recorded already"
+            return f"already recording {', '.join(self._children)}"
         stamp, made = time.strftime("eitskin-%Y%m%d-%H%M%S"), dict[str, Child]()
         try:
             for endpoint, source in self._skins:
@@ -115,20 +115,20 @@ class Recorder:
         except (OSError, SkinError) as error:
             for child in made.values():
                 child.stop()
-            return f"the recording cannot be started: {error}"
+            return f"the recording could not start: {error}"
         self._children, self._said = made, ""
         return ""
 
     def _stop(self) -> str:
         children, self._children = self._children, {}
         if not children:
-            return "nothing is being recorded"
+            return "no recording is running"
         for child in children.values():
             child.stop()
         return "; ".join(f"{file} ended: {one.last_words()}" for file, one in children.items() if one.status != 0)
 
     def close(self) -> None:
-        """End what is being recorded; closing twice is fine."""
+        """Stop all recordings; closing twice is fine."""
         if self._closed:
             return
         self._closed = True

@@ -1,15 +1,16 @@
-// A camera that goes round what it looks at; z is up. Matrices are column by column, as WebGL takes them.
+// A camera that turns around a box and shows all of it; z is up. Matrices are column by column, as in WebGL.
 
 import { cross, unit } from "./surface.js";
 
 const FIELD_RAD = 0.5;
-const VIEWS = { tilted: [-0.42, 0.66], above: [0, 1.5607], front: [0, 0.16] };
+const MARGIN = 1.3; // for numbers, normals, names and the buttons below
+// Yaw and pitch. The front is seen from above the box's top, so that a level skin there does not shrink to a line.
+const VIEWS = { tilted: [-0.42, 0.66], above: [0, 1.5607], front: [0, 0.4] };
 
 export class Camera {
   constructor(canvas, onChange, onClick) {
     this.zoom = 1;
-    this.centre = null;
-    this.radius = 100;
+    this.box = null;
     this.view("tilted");
     this.onChange = onChange;
     this.onClick = onClick;
@@ -33,28 +34,29 @@ export class Camera {
     this.onChange();
   }
 
-  /** Keep what is looked at in the middle; slowly, so that a bending sheet does not jump. */
-  look({ centre, radius }) {
-    if (!this.centre) {
-      this.centre = [...centre];
-      this.radius = radius;
-    }
-    this.centre = this.centre.map((value, k) => value + 0.2 * (centre[k] - value));
-    this.radius += 0.2 * (radius - this.radius);
+  /** Follow a box, slowly, so that a bending sheet does not jump. */
+  look({ low, high }) {
+    const follow = (from, to) => from.map((value, k) => value + 0.2 * (to[k] - value));
+    this.box = this.box ? { low: follow(this.box.low, low), high: follow(this.box.high, high) } : { low, high };
   }
 
   /** World to clip, for a picture of some width over height. */
   matrix(aspect) {
-    const { yaw, pitch } = this;
+    const { yaw, pitch, box: { low, high } } = this;
     const back = [Math.sin(yaw) * Math.cos(pitch), -Math.cos(yaw) * Math.cos(pitch), Math.sin(pitch)];
     const right = [Math.cos(yaw), Math.sin(yaw), 0], up = cross(back, right);
-    const fit = this.radius * 0.8 * Math.max(1, 1.15 / aspect);
-    const distance = fit / Math.sin(FIELD_RAD / 2) / this.zoom;
-    const eye = this.centre.map((value, k) => value + back[k] * distance);
-    const dot = (axis) => -(axis[0] * eye[0] + axis[1] * eye[1] + axis[2] * eye[2]);
-    const f = 1 / Math.tan(FIELD_RAD / 2), near = distance * 0.05, far = distance + this.radius * 12;
+    const centre = low.map((value, k) => (value + high[k]) / 2), half = high.map((value, k) => value - centre[k]);
+    const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    const f = 1 / Math.tan(FIELD_RAD / 2);
+    const distances = [0, 1, 2, 3, 4, 5, 6, 7].map((n) => { // at which each corner of the box is within the picture
+      const corner = half.map((value, k) => (n & (1 << k) ? value : -value));
+      const aside = Math.max(Math.abs(dot(right, corner)) / aspect, Math.abs(dot(up, corner)));
+      return dot(back, corner) + MARGIN * f * aside;
+    });
+    const distance = Math.max(...distances, 1) / this.zoom, near = distance * 0.05;
+    const far = distance + Math.hypot(...half) * 12, eye = centre.map((value, k) => value + back[k] * distance);
     const view = [right[0], up[0], back[0], 0, right[1], up[1], back[1], 0,
-      right[2], up[2], back[2], 0, dot(right), dot(up), dot(back), 1];
+      right[2], up[2], back[2], 0, -dot(right, eye), -dot(up, eye), -dot(back, eye), 1];
     const lens = [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / (near - far),
       -1, 0, 0, (2 * far * near) / (near - far), 0];
     const out = new Float32Array(16);

@@ -1,4 +1,4 @@
-// A canvas that has a pixel for each of the screen's, and the colours that the style sheet names.
+// Canvases with one pixel for each pixel of the screen, and the colours of the style sheet.
 
 /** Give a canvas its size on the screen; return {width, height} in CSS pixels, or null while it has none. */
 export function fit(canvas) {
@@ -32,7 +32,7 @@ export function inks() {
 export const FONT = '11px system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
 export const BOLD = `600 ${FONT}`;
 
-/** A number in a pill; what marks a touch in both pictures. */
+/** A number in a pill, which marks a touch in both pictures. */
 export function pill(pen, text, x, y) {
   pen.font = BOLD;
   const width = Math.max(18, pen.measureText(text).width + 10);
@@ -49,17 +49,17 @@ export function pill(pen, text, x, y) {
   pen.fillText(text, x, y + 0.5);
 }
 
-/** Which electrodes are not well: {number: what is wrong}. */
+/** The faulty electrodes: {number: {state, repair}}. */
 export function illOf(frame) {
   const ill = {};
   for (const entry of frame?.head.electrodes ?? []) {
-    const [number, state, standIn] = entry.split(":");
-    ill[Number(number)] = { state, standIn };
+    const [number, state, repair] = entry.split(":");
+    ill[Number(number)] = { state, repair };
   }
   return ill;
 }
 
-/** An electrode: a round mark, or a diamond where it is not well. */
+/** An electrode: a round mark, or a diamond if it is faulty. */
 export function electrode(pen, ink, number, ill, x, y, textX, textY) {
   pen.beginPath();
   if (ill) {

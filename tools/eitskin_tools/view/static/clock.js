@@ -1,10 +1,10 @@
-// Which moment is shown, of all skins alike: now, one that stands still, or one that is played from there.
+// The moment that all skins show: the present, or a past moment, still or playing.
 
-const SMALL_MS = 5; // a step to where nothing is loaded yet
+const SMALL_MS = 5; // a step to where nothing is loaded
 
 export class Clock {
   constructor() {
-    this.tracks = []; // what has a past: a history for each skin, or a film
+    this.tracks = []; // a history for each skin, or a film
     this.mode = "live"; // or paused, playing
     this.at = 0; // ms, while not live
     this.film = null;
@@ -14,7 +14,7 @@ export class Clock {
   get end() { return Math.max(...this.tracks.filter((one) => one.known).map((one) => one.end)); }
   get known() { return this.tracks.some((one) => one.known); }
 
-  /** Show a recording: there is no now, it plays from its beginning. */
+  /** Show a recording, which plays from its beginning. */
   show(film) {
     Object.assign(this, { film, tracks: [film], mode: "playing", at: 0 });
   }
@@ -38,7 +38,7 @@ export class Clock {
     this.at = Math.min(Math.max(t, this.begin), this.end);
   }
 
-  /** One picture of a track back or on. */
+  /** Go to the previous or next frame of a track. */
   step(track, by) {
     const { frames } = track;
     if (!frames.length) return;
@@ -48,7 +48,7 @@ export class Clock {
     this.go(there && to !== from ? frames[to].t : this.at + (this.film ? by * SMALL_MS : 0));
   }
 
-  /** To the next mark, or the one before. */
+  /** Go to the previous or next mark. */
   leap(track, by) {
     const here = this.mode === "live" ? this.end : this.at;
     const times = [...new Set(track.marks().map((mark) => mark.begin))].sort((a, b) => a - b);
@@ -56,7 +56,7 @@ export class Clock {
     if (found !== undefined) this.go(found);
   }
 
-  /** Let time go on while it is played; a film waits for what is not there yet. */
+  /** Advance while playing; a film waits for parts that are not loaded. */
   advance(ms) {
     if (this.mode !== "playing") return false;
     if (this.film && !this.film.ready(this.at)) return false;
@@ -79,7 +79,7 @@ export function indexAt(frames, t) {
   return low;
 }
 
-/** Every so manieth frame, and the last, so that a strip of some width has one a pixel. */
+/** Frames at a regular step, and the last, so that a strip has about one for each pixel of its width. */
 export function thinned(frames, width) {
   const every = Math.max(1, Math.floor(frames.length / Math.max(width, 100)));
   return frames.filter((_, k) => k % every === 0 || k === frames.length - 1);

@@ -1,11 +1,11 @@
-// Buttons, keys, and what the pointer does on the flat map and the strips.
+// Buttons, keys, and the pointer on the flat map and the strips.
 
 const $ = (id) => document.getElementById(id);
 const THEMES = { system: "light", light: "dark", dark: "system" };
 const system = matchMedia("(prefers-color-scheme: dark)");
 
 function keep(theme) {
-  try { localStorage.setItem("eitskin-theme", theme); } catch { /* a browser that keeps nothing forgets it */ }
+  try { localStorage.setItem("eitskin-theme", theme); } catch { /* this browser stores nothing */ }
 }
 
 function kept() {
@@ -14,7 +14,7 @@ function kept() {
 
 let theme = kept() in THEMES ? kept() : "system";
 
-/** Light or dark, chosen by the user or the system. */
+/** Light or dark, as chosen by the user or the system. */
 export function currentTheme() {
   return theme === "system" ? (system.matches ? "dark" : "light") : theme;
 }

@@ -1,4 +1,4 @@
-// A recording: parts of a second, asked for about the moment that is shown, and an overview of all of it.
+// A recording: parts of a second, fetched around the moment that is shown, and an overview of the whole file.
 
 import { indexAt } from "./clock.js";
 import { cut } from "./stream.js";
@@ -16,13 +16,13 @@ export class Film {
     this.begin = 0;
     this.known = true;
     this.parts = new Map(); // number: {frames, bytes}
-    this.frames = []; // of all parts that are there
+    this.frames = []; // of all parts here
     this.rows = [];
     this.log = [];
     this.found = [];
     this.losses = [];
     this.share = 0;
-    this.why = ""; // no part comes
+    this.why = ""; // why no part comes
     this.busy = false;
     this.surface = null;
   }
@@ -35,7 +35,7 @@ export class Film {
   partAt(t) { return Math.min(Math.max(Math.floor(t / this.partMs), 0), this.skin.parts - 1); }
   ready(t) { return this.parts.has(this.partAt(t)); }
 
-  /** Whether a part between two moments is not there. */
+  /** Whether a part between two moments is missing. */
   absent(one, other) {
     const last = this.partAt(Math.max(one, other));
     for (let k = this.partAt(Math.min(one, other)); k <= last; k++) if (!this.parts.has(k)) return true;
@@ -45,12 +45,12 @@ export class Film {
   get shown() {
     const { at } = this.clock, part = this.parts.get(this.partAt(at));
     if (!part || !this.frames.length) return this.last;
-    const found = this.frames[this.index(at)], first = part.frames[0]; // the parts before may not be there
+    const found = this.frames[this.index(at)], first = part.frames[0]; // earlier parts may be missing
     this.last = first && found.t < first.t && this.absent(found.t, at) ? first : found;
     return this.last;
   }
 
-  /** Ask for the part that is shown, then for those behind it and the one before; one at a time. */
+  /** Fetch the part that is shown, then the next ones and the previous one, one at a time. */
   async fetch() {
     if (this.busy) return;
     const here = this.partAt(this.clock.at), near = [here];
@@ -66,7 +66,7 @@ export class Film {
       this.put(number, new Uint8Array(await answer.arrayBuffer()));
       this.why = "";
     } catch (error) {
-      this.why = error instanceof TypeError ? "" : error.message; // the stream tells that nobody answers
+      this.why = error instanceof TypeError ? "" : error.message; // the stream reports a viewer that does not answer
       await new Promise((done) => setTimeout(done, AGAIN_MS));
     } finally {
       this.busy = false;
@@ -92,7 +92,7 @@ export class Film {
     this.frames = order.flatMap((one) => this.parts.get(one).frames);
   }
 
-  /** Leave the parts that lie farthest away. */
+  /** Drop the parts that are farthest away. */
   forget() {
     const here = this.partAt(this.clock.at);
     let bytes = [...this.parts.values()].reduce((sum, part) => sum + part.bytes, 0);
@@ -110,9 +110,9 @@ export class Film {
     this.rows = head.rows.map((row) => ({ t: 1000 * row.t, head: row }));
     const half = this.rowMs / 2;
     this.losses = this.rows.map(({ t, head: { losses } }) => ({ begin: t - half, end: t + half, counts: losses }));
-    const touched = head.touched.map(([begin, end]) => ({ kind: "touched", begin: 1000 * begin, end: 1000 * end }));
+    const touched = head.touched.map(([begin, end]) => ({ kind: "touched", begin, end }));
     const lost = this.losses.filter(({ counts }) => LOSSES.some(([name]) => counts[name]));
-    const events = head.events.map(([t, code]) => ({ kind: "event", begin: 1000 * t, end: 1000 * t, code }));
+    const events = head.events.map(([t, code]) => ({ kind: "event", begin: t, end: t, code }));
     this.found = [...touched, ...lost.map(({ begin, end }) => ({ kind: "lost", begin, end })), ...events];
     this.log = [
       ...touched.map(({ begin, end }) => ({ t: begin, text: touchedWords(end - begin) })),
@@ -127,7 +127,7 @@ export class Film {
     const labels = [clockWords(0), clockWords(this.end / 2), clockWords(this.end)];
     return {
       begin: 0, end: this.end, frames: this.rows, gap: Math.max(3 * this.rowMs, 1500), losses: this.losses, labels,
-      level: (row) => row.head.peak, least: 1, words: "Peak",
+      level: (row) => row.head.peak, least: 1, words: "Peak of the map",
     };
   }
 
@@ -136,4 +136,4 @@ export class Film {
   marks() { return this.found; }
 }
 
-const touchedWords = (ms) => (ms < 50 ? "Touched for an instant" : `Touched for ${(ms / 1000).toFixed(1)} s`);
+const touchedWords = (ms) => (ms < 50 ? "Touched for a moment" : `Touched for ${(ms / 1000).toFixed(1)} s`);

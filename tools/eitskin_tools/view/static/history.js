@@ -5,7 +5,7 @@ import { LOSSES } from "./words.js";
 
 const KEEP_MS = 120000;
 export const WINDOW_MS = 60000;
-const GAP_MS = 1500; // a longer silence is left blank
+const GAP_MS = 1500; // a longer silence stays blank
 const APART_MS = 500; // touches that are nearer to each other are one mark
 
 export class History {
@@ -17,7 +17,7 @@ export class History {
 
   add(frame) {
     const last = this.newest;
-    if (last && frame.t < last.t) { // the viewer's clock began anew, with its machine
+    if (last && frame.t < last.t) { // the viewer's machine restarted, and its clock too
       this.frames = [];
       this.log.length = 0;
       this.clock.live();
@@ -42,20 +42,20 @@ export class History {
 
   get shown() { return this.mode === "live" ? this.newest : this.frames[this.index(this.clock.at)]; }
 
-  /** What strips show: the minute up to now. */
+  /** What strips show: the last minute. */
   window(width) {
     const end = this.clock.known ? this.clock.end : 0, begin = end - WINDOW_MS;
     const since = this.frames.filter((frame) => frame.t >= begin);
     return {
       begin, end, frames: thinned(since, width), gap: GAP_MS, losses: lossesBySecond(since),
-      labels: ["−60 s", "−30", "now"], level: areaOf, least: 50, words: "Touches",
+      labels: ["−60 s", "−30 s", "now"], level: areaOf, least: 50, words: "Touches, mm²",
     };
   }
 
   /** When something was, in words. */
   when(t) { return ago(this.clock.end - t); }
 
-  /** What the bar has marks for: {kind, begin, end}. */
+  /** The marks of the time bar: {kind, begin, end}. */
   marks() {
     const found = [];
     let touched = null, before = null;
@@ -75,7 +75,7 @@ export class History {
 export const areaOf = (frame) => frame.head.touches.reduce((sum, touch) => sum + touch.area, 0);
 export const ago = (ms) => (ms < 50 ? "now" : `${(ms / 1000).toFixed(1)} s ago`);
 
-/** What was lost, by the second: {begin, end, counts}. */
+/** The losses of each second: {begin, end, counts}. */
 function lossesBySecond(frames) {
   const found = new Map();
   for (let k = 1; k < frames.length; k++) {

@@ -1,4 +1,4 @@
-// The page: takes messages in, keeps what there is of each skin, and draws when something has changed.
+// The page: receives messages, keeps the state of each skin, and draws when something has changed.
 
 import { Camera } from "./camera.js";
 import { fit } from "./canvas.js";
@@ -12,7 +12,7 @@ import { Skin, boxOf } from "./skins.js";
 import { follow } from "./stream.js";
 import * as strips from "./strips.js";
 
-const GONE = "The viewer has ended, or cannot be reached. Start 'eitskin view' again; this page goes on by itself.";
+const GONE = "The viewer has stopped or cannot be reached. Start 'eitskin view' again; this page reconnects by itself.";
 const SLOW_MS = 200; // strips and lists, five times a second
 const $ = (id) => document.getElementById(id);
 
@@ -47,7 +47,7 @@ function take(head, body) {
   else page.skins[head.of]?.take(head, body);
 }
 
-/** A skin is told when the stream begins; the viewer may have been started anew, with other ones. */
+/** The stream begins with the skins; a restarted viewer may have other ones. */
 function takeSkin(head, body) {
   const before = page.skins[head.of]?.head, same = (key) => JSON.stringify(before?.[key]) === JSON.stringify(head[key]);
   if (before && ["file", "seconds", "shape", "size_mm", "name", "skins"].every(same)) return; // its past is kept
@@ -70,7 +70,7 @@ function takeSkin(head, body) {
 
 function drawState(shown) {
   const silent = page.skins.filter((one) => one.silent), { film } = clock, many = page.skins.length > 1;
-  const [state, text] = page.gone !== null ? ["gone", "Viewer not reachable"]
+  const [state, text] = page.gone !== null ? ["gone", "Viewer unreachable"]
     : film && !film.ready(clock.at) ? ["waiting", "Loading"]
     : clock.mode !== "live" ? ["paused", clock.mode === "playing" ? "Playing" : "Paused"]
     : silent.length && silent.length === page.skins.length ? ["silent", "No frames"]
@@ -81,8 +81,8 @@ function drawState(shown) {
   const said = page.gone !== null ? [page.gone || GONE]
     : film?.why ? [film.why]
     : page.skins.filter((one) => one.status?.text).map((one) => {
-      const goesOn = one.silent ? ". This page goes on by itself when frames come." : "";
-      return `${many ? `${one.name}: ` : ""}${one.status.text}${goesOn}`;
+      const waits = one.silent ? ". This page continues when frames arrive." : "";
+      return `${many ? `${one.name}: ` : ""}${one.status.text}${waits}`;
     });
   panel.drawRecord(page.status);
   const notice = said.join(" ");
@@ -100,7 +100,7 @@ function drawSlow(shown) {
   if (!shown) return;
   const begun = one.head.begin_ms;
   panel.drawFacts(shown, one.rateAt(shown), begun ? new Date(begun + shown.t).toLocaleString() : "");
-  panel.drawNow(shown, history.window(100).words);
+  panel.drawNow(shown, history.window(100));
   panel.drawSkipped(history, shown);
   panel.drawLog(history, shown);
 }
@@ -122,9 +122,9 @@ function drawWords(shown) {
   const [rows, columns] = head.shape;
   $("flat-note").textContent =
     `${many ? `${head.name}, ` : ""}${head.size_mm[0]} × ${head.size_mm[1]} mm, ${columns} × ${rows} pixels`;
-  $("surface-note").textContent = head.file ? head.file : many ? `${page.skins.length} skins by their poses`
+  $("surface-note").textContent = head.file ? head.file : many ? `${page.skins.length} skins in the robot's axes`
     : drawn.revision ? `cloud ${drawn.revision}`
-    : shown?.head.cloud ? `cloud ${shown.head.cloud} is in use; drawn flat` : "flat: no cloud in use";
+    : shown?.head.cloud ? `drawn flat: cloud ${shown.head.cloud} was not received` : "flat: no cloud in use";
 }
 
 function draw(now) {
@@ -138,7 +138,7 @@ function draw(now) {
     if (fit($("scene"))) drawScene(shown, currentTheme() === "dark");
     flat.draw(page.skin, shown);
     panel.drawSkins(page.skins, page.selected, (of) => page.choose(of));
-    panel.drawTouchTable(shown);
+    panel.drawTouchTable(shown, page.skin.labels ?? page.one.state?.labels);
     panel.drawElectrodes(shown, page.skin.electrodes.length);
     drawWords(shown);
     if (clock.known) panel.drawTime(clock, history);

@@ -1,4 +1,4 @@
-// What is written over the surface: touches with their normals and numbers, electrodes, and the directions of x, y, z.
+// The overlay of the surface: touches with normals and numbers, electrodes, and the directions of x, y and z.
 
 import { BOLD, FONT, electrode, illOf, inks, paper, pill } from "./canvas.js";
 
@@ -12,7 +12,7 @@ export function projector(matrix, width, height) {
   };
 }
 
-/** Electrodes of the one that is selected, touches of all, names where there are several. */
+/** Draw the electrodes of the selected skin, the touches of all, and names if there are several skins. */
 export function drawOverlay(canvas, skins, selected, camera, matrix) {
   const sheet = paper(canvas);
   if (!sheet) return null;
@@ -29,7 +29,7 @@ export function drawOverlay(canvas, skins, selected, camera, matrix) {
   return project;
 }
 
-/** Which skin lies under CSS pixels of the scene; null beside all. */
+/** The skin under a CSS pixel of the scene, or null. */
 export function skinUnder(skins, project, x, y) {
   let [found, nearest] = [null, 28];
   skins.forEach((one, of) => {
@@ -41,7 +41,7 @@ export function skinUnder(skins, project, x, y) {
   return found;
 }
 
-/** Places all over a surface. */
+/** Places spread over a surface. */
 function spread(surface, across, along) {
   const [length, wide] = surface.sizeMm, found = [];
   for (let i = 0; i < across; i++) {

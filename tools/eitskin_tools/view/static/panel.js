@@ -1,8 +1,8 @@
-// The words beside the pictures. A text is only written where it differs, so that selections and screen readers rest.
+// The texts beside the pictures. A text is only written if it changed, so that selections and screen readers stay.
 
 import { illOf } from "./canvas.js";
 import { areaOf } from "./history.js";
-import { LOSSES, STAGES, skippedWords, valueWords } from "./words.js";
+import { LOSSES, STAGES, electrodeWords, repairWords, skippedWords, valueWords } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 const say = (node, text) => { if (node.textContent !== text) node.textContent = text; };
@@ -21,7 +21,7 @@ export function drawFacts(frame, rate, recordedAt) {
   const { head } = frame;
   const facts = [["rate", rate ? `${rate.toFixed(0)} frames/s` : "–"], ["solver", head.solver],
     recordedAt ? ["recorded", recordedAt] : ["age", `${(head.age_us / 1000).toFixed(1)} ms`],
-    ["lost", String(head.counts.lost)], ["device", head.serial]];
+    ["lost since the start", String(head.counts.lost)], ["device", head.serial]];
   const node = $("facts");
   while (node.children.length < facts.length) {
     const pair = node.appendChild(document.createElement("div"));
@@ -33,7 +33,7 @@ export function drawFacts(frame, rate, recordedAt) {
   });
 }
 
-export function drawTouchTable(frame) {
+export function drawTouchTable(frame, labels) {
   const touches = frame?.head.touches ?? [], more = frame?.head.more ?? 0;
   const words = ({ id, centre: [x, y], area, peak }) => [
     String(id), `${x.toFixed(1)}, ${y.toFixed(1)}`, area.toFixed(0), peak.toFixed(2),
@@ -41,18 +41,19 @@ export function drawTouchTable(frame) {
   rows($("touches"), touches.map(words), "tr", "td");
   $("no-touches").hidden = touches.length > 0;
   say($("touches-note"), more ? `and ${more} more` : "");
-  say($("bar-words"), valueWords(frame?.head.solver));
+  say($("bar-words"), valueWords(frame?.head.solver, labels));
 }
 
 export function drawElectrodes(frame, count) {
   const ill = Object.entries(illOf(frame));
   const list = $("electrodes");
-  const words = ill.map(([k, { state, standIn }]) => [`${k} is ${state}`, standIn ?? ""]);
-  rows(list, ill.length ? words : [[`All ${count} are well.`]], "li", "span");
+  const words = ill.map(([k, { state, repair }]) =>
+    [`${k} is ${electrodeWords(state)}`, repair ? `voltages ${repairWords(repair)}` : ""]);
+  rows(list, ill.length ? words : [[`All ${count} electrodes work.`]], "li", "span");
   for (const row of list.children) row.firstElementChild.className = ill.length ? "ill" : "";
 }
 
-/** What was left out within 5 s before a moment, by share of the frames. */
+/** The computation saved in the 5 s before a moment, as a share of the frames. */
 export function drawSkipped(history, shown) {
   const last = history.index(shown.t), counts = new Map();
   let total = 0;
@@ -61,30 +62,28 @@ export function drawSkipped(history, shown) {
     for (const code of history.frames[k].head.skipped) counts.set(code, (counts.get(code) ?? 0) + 1);
   }
   const found = [...counts].sort((a, b) => b[1] - a[1]);
-  const list = $("skipped");
   const words = found.map(([code, n]) => [skippedWords(code), `${Math.round((100 * n) / total)} %`]);
-  rows(list, found.length ? words : [["Nothing."]], "li", "span");
-  found.forEach(([code], k) => { list.children[k].title = code; });
+  rows($("skipped"), found.length ? words : [["Nothing."]], "li", "span");
 }
 
 export function drawLog(history, shown) {
   const seen = history.log.filter((entry) => entry.t <= shown.t + 50).slice(-40).reverse();
   const words = seen.map((entry) => [entry.text, history.when(entry.t)]);
-  rows($("log"), seen.length ? words : [["Nothing yet."]], "li", "span");
+  rows($("log"), seen.length ? words : [["No events yet."]], "li", "span");
   seen.forEach((entry, k) => { $("log").children[k].dataset.t = entry.t; });
 }
 
-export function drawNow(frame, touchWords) {
-  say($("touch-words"), touchWords);
-  const { head } = frame, total = head.stages_us.reduce((a, b) => a + b, 0) / 1000;
-  const losses = LOSSES.map(([name, words]) => [head.counts[name], words]).filter(([n]) => n > 0);
-  const n = head.touches.length;
+/** The numbers beside the charts; losses are those of the chart. */
+export function drawNow(frame, { words, losses }) {
+  say($("touch-words"), words);
+  const { head } = frame, total = head.stages_us.reduce((a, b) => a + b, 0) / 1000, n = head.touches.length;
+  const sums = LOSSES.map(([name, word]) => [losses.reduce((sum, { counts }) => sum + (counts[name] ?? 0), 0), word]);
   say($("touch-now"), `${n} ${n === 1 ? "touch" : "touches"}, ${areaOf(frame).toFixed(0)} mm²`);
   say($("latency-now"), `${total.toFixed(2)} ms`);
-  const counted = losses.map(([count, words]) => `${count} ${words}`).join(", ");
-  say($("losses-now"), counted || "none since the start");
-  const [drift, sd] = head.drift;
-  say($("drift-now"), drift === null ? "unknown" : `${signed(drift)}${sd === null ? "" : ` ± ${sd.toFixed(1)}`} %`);
+  const counted = sums.filter(([count]) => count).map(([count, word]) => `${count} ${word}`).join(", ");
+  say($("losses-now"), counted || "none");
+  const [drift, sd] = head.drift, unknown = head.touched ? "unknown while touched" : "unknown";
+  say($("drift-now"), drift === null ? unknown : `${signed(drift)}${sd === null ? "" : ` ± ${sd.toFixed(1)}`} %`);
 }
 
 export function drawRecord(status) {
@@ -117,7 +116,7 @@ export function drawTime(clock, track) {
   $("live").disabled = clock.mode === "live";
 }
 
-/** The skins by name, with what each feels; nothing where there is one alone. */
+/** The skins by name, with what each feels; hidden if there is only one. */
 export function drawSkins(skins, selected, choose) {
   const list = $("skins");
   list.hidden = skins.length < 2;

@@ -1,13 +1,13 @@
-// One skin as the page knows it: what it is, what came of it, how it goes.
+// One skin as the page knows it: its description, its frames and its status.
 
 import { Film } from "./film.js";
 import { History } from "./history.js";
 import { Surface } from "./surface.js";
 import { COUNTED, eventWords, framesWords } from "./words.js";
 
-const ENDED_MS = 500; // a touch that was not listed for so long
+const ENDED_MS = 500; // a touch that is not listed for this long has ended
 const TOGETHER_MS = 3000; // losses within it are one entry
-const TOLD_OTHERWISE = new Set(["lost", "overrun", "cloud"]);
+const SHOWN_ELSEWHERE = new Set(["lost", "overrun", "cloud"]);
 
 export class Skin {
   constructor(head, cloud, clock, token, onChange) {
@@ -30,7 +30,7 @@ export class Skin {
     return new Surface(revision, cloud, rows, columns, this.head.size_mm, this.head.thickness_mm);
   }
 
-  /** It sends nothing, and now is what is looked at. */
+  /** It sends nothing while the page shows the present. */
   get silent() { return this.status?.state === "silent" && this.clock.mode === "live"; }
 
   get drawn() { return this.history.shown?.surface ?? this.flatSurface; }
@@ -61,7 +61,7 @@ export class Skin {
     if (head.recorder && head.recorder !== before?.recorder) this.diary.say(t, head.recorder);
   }
 
-  /** What happened since the message before, at all frames, those between two pictures too. */
+  /** The events since the previous message, also of frames that the page did not get. */
   takeState(head) {
     const before = this.state;
     this.state = head;
@@ -69,7 +69,7 @@ export class Skin {
     for (const code of head.events) this.diary.event(this.history.newest?.t ?? 0, code);
   }
 
-  /** The surface that a frame is drawn on: that in use, the one before until it has come, or none. */
+  /** The surface to draw a frame on: the newest that arrived, or the flat sheet. */
   surfaceFor(head) {
     if (!head.cloud) return this.flatSurface;
     return this.surface && this.surface.run === head.run ? this.surface : this.flatSurface;
@@ -83,17 +83,17 @@ export class Skin {
   }
 }
 
-/** The box about all surfaces: what the camera looks at. */
+/** The box around all surfaces, which the camera shows. */
 export function boxOf(surfaces) {
   if (surfaces.length === 1) return surfaces[0];
   const low = [0, 1, 2].map((k) => Math.min(...surfaces.map((one) => one.low[k])));
   const high = [0, 1, 2].map((k) => Math.max(...surfaces.map((one) => one.high[k])));
   return { low, high, centre: low.map((value, k) => (value + high[k]) / 2),
-    radius: (0.95 * Math.hypot(...low.map((value, k) => high[k] - value))) / 2 };
+    radius: Math.hypot(...low.map((value, k) => high[k] - value)) / 2 };
 }
 
-// What happened, from one frame shown to the next. Frames between them were not seen: what they counted and began is
-// told by what is different now, so that nothing that lasts is missed.
+// The events from one frame of the page to the next. The page skips frames: counts and touches that differ now tell
+// what happened between, so that nothing that lasts is missed.
 class Diary {
   constructor(log) {
     this.log = log;
@@ -103,17 +103,17 @@ class Diary {
 
   note(t, head, before, eventsComeApart) {
     if (before && before.run !== head.run) {
-      this.say(t, "The runtime started anew");
+      this.say(t, "The runtime restarted");
       this.touches.clear();
       this.highest = 0;
     }
     if (before && before.run === head.run) this.count(t, head.counts, before.counts);
     if (!eventsComeApart) for (const code of head.events) this.event(t, code);
     for (const [kind, id, other] of head.touch_events) {
-      if (kind === "merged" && this.touches.delete(id)) this.say(t, `Touch ${id} became one with ${other}`);
+      if (kind === "merged" && this.touches.delete(id)) this.say(t, `Touch ${id} merged into touch ${other}`);
     }
     for (const { id, parent } of head.touches) {
-      if (id > this.highest) this.say(t, parent ? `Touch ${id} split from ${parent}` : `Touch ${id} began`);
+      if (id > this.highest) this.say(t, parent ? `Touch ${id} split from touch ${parent}` : `Touch ${id} began`);
       this.highest = Math.max(this.highest, id);
       this.touches.set(id, t);
     }
@@ -125,7 +125,7 @@ class Diary {
   }
 
   event(t, code) {
-    if (!TOLD_OTHERWISE.has(code)) this.say(t, eventWords(code), true);
+    if (!SHOWN_ELSEWHERE.has(code)) this.say(t, eventWords(code), true);
   }
 
   count(t, now, before) {

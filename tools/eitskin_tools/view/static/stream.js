@@ -1,8 +1,8 @@
-// The stream of messages: one fetch without end, begun anew whenever it ends. Nothing else is ever asked for.
+// The stream of messages: one fetch without end, repeated whenever it ends.
 
 const AGAIN_MS = 1000;
 
-/** Cut whole messages off the front of what has come; each is {head, body}. */
+/** Split the received bytes into whole messages, each {head, body}, and the rest. */
 export function cut(bytes) {
   const found = [];
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
@@ -17,7 +17,7 @@ export function cut(bytes) {
   return { found, rest: bytes.slice(at) };
 }
 
-/** Follow the stream for ever. */
+/** Follow the stream for as long as the page is open. */
 export async function follow(token, onMessage, onGone) {
   for (;;) {
     try {

@@ -1,4 +1,4 @@
-// Four strips of what a history or a film has: touches, time by stage, losses, drift.
+// Four strips of a history or a film: touches, time by stage, losses, drift.
 
 import { FONT, inks, paper } from "./canvas.js";
 import { LOSSES, STAGES } from "./words.js";
@@ -56,7 +56,7 @@ class Strip {
     return this.height - PAD.bottom - share * (this.height - PAD.top - PAD.bottom);
   }
 
-  /** Fill between two values of each frame; where either is null, or time has a gap, there is nothing. */
+  /** Fill between two values of each frame, except where a value is null or time has a gap. */
   band(below, above, fill, alpha = 1) {
     const { pen } = this;
     pen.fillStyle = fill;
@@ -185,7 +185,7 @@ export function drawMarks(canvas, clock, track) {
   const x = (t) => THUMB / 2 + ((t - begin) / Math.max(end - begin, 1)) * room;
   const share = track.share ?? 1;
   pen.fillStyle = ink.line;
-  pen.fillRect(THUMB / 2, 0, room * share, 5); // so far it is known
+  pen.fillRect(THUMB / 2, 0, room * share, 5); // the part that is known
   for (const kind of ["touched", "event", "lost"]) {
     const [top, high, colour] = ROWS[kind];
     pen.fillStyle = ink[colour];

@@ -89,7 +89,7 @@ export function unit(a) {
 
 function corners(cloud, rows, columns) {
   const n = rows * columns, out = new Float32Array(3 * (rows + 1) * (columns + 1));
-  const centre = (axis, r, c) => { // beyond the outermost centres it goes straight on
+  const centre = (axis, r, c) => { // beyond the outermost centres it is extended straight
     const ri = Math.min(Math.max(r, 0), rows - 1), ci = Math.min(Math.max(c, 0), columns - 1);
     const at = (row, column) => cloud[axis * n + row * columns + column];
     let value = at(ri, ci);

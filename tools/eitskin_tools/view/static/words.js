@@ -1,51 +1,59 @@
-// Codes of frames in plain words; one that is not listed stands for itself.
+// What the page says for the codes of a frame; a code that is not listed becomes readable text.
 
 const SKIPPED = {
-  "inference:untouched": "No map: nothing touches",
-  "inference:unchanged": "No new map: only noise changed",
-  "inference:idle": "No map: only a few drives scanned",
-  "acquisition:idle": "Scanned a few drives only",
-  "map:region": "Only some regions computed",
-  "map:unchanged": "Map not sent: it is the one before",
-  "map:untouched": "Map is 0: the gate was checked and right",
-  "geometry:cloud_unchanged": "Surface not evaluated: no new cloud",
+  "inference:untouched": "No map computed: nothing touches",
+  "inference:unchanged": "Last map kept: only noise changed",
+  "inference:idle": "No map computed: few electrodes scanned",
+  "acquisition:idle": "Few electrodes scanned while nothing touches",
+  "map:region": "Only a part of the map computed",
+  "map:unchanged": "Map not sent again: it is unchanged",
+  "map:untouched": "Untouched, confirmed by a map",
+  "geometry:cloud_unchanged": "Surface kept: no new cloud",
 };
 
 const EVENTS = {
-  device_reset: "The device started anew",
-  recovered: "The device was greeted anew after silence",
-  saturated: "A row was cut off: too large for the converter",
+  lost: "Frames were lost on the wire",
+  cloud: "A new surface is in use",
+  overrun: "A frame exceeded its time budget",
+  device_reset: "The device restarted",
+  recovered: "The connection to the device was restored",
+  saturated: "A voltage exceeded the converter's range",
   reference: "A new reference is in use",
-  idle: "Idle: a few drives are scanned",
-  awake: "Awake: all drives are scanned again",
-  gate_overruled: "The map shows a touch that the gate did not see",
-  "electrodes:unclear": "The rows fit no sheet and no single failure",
-  "drift:uneven": "The untouched voltages have moved unevenly",
+  idle: "Idle: the device scans few electrodes",
+  awake: "Awake: the device scans all electrodes again",
+  gate_overruled: "The map shows a touch that the quick check missed",
+  "electrodes:unclear": "The voltages fit neither a sheet nor the failure of one electrode",
+  "drift:uneven": "The untouched voltages have drifted unevenly",
+  "verifier:starting": "The verifier is starting",
+  "verifier:preparing": "The verifier is computing its model of the surface",
+  "verifier:ready": "The verifier is ready and checks frames",
+  "verifier:waiting": "The verifier stopped and will restart; frames are not checked",
+  "verifier:failed": "The verifier failed; frames are not checked",
+  "device:restarting": "The device is restarting",
+  "device:configuration_changed": "The device has a new configuration",
+  "device:rolled_back": "The device returned to its previous configuration",
+  "device:overrun": "The device skipped scans: the line or the front end is too slow",
+  "device:front_end_failed": "The device's front end does not answer",
 };
 
 const WITHHELD = {
-  malformed: "no frame of this device",
-  duplicate: "its number was there before",
-  configuration: "made under another configuration",
-  partial: "a scan of some drives only",
-  implausible: "values beyond all measure",
-  no_signal: "no voltage worth the name",
-  stuck: "rows are alike as no sheet's are",
-  frozen: "repeats a frame before bit by bit",
-  stale: "waited while a newer one came",
+  malformed: "it is not a frame of this device",
+  duplicate: "its number was used before",
+  configuration: "the device made it under another configuration",
+  partial: "it covers few electrodes",
+  implausible: "its values are impossible",
+  no_signal: "its voltages are almost zero",
+  stuck: "the converter may be stuck",
+  frozen: "it repeats an earlier frame exactly",
+  stale: "a newer frame was waiting",
 };
 
-const VERIFIER = {
-  starting: "The verifier starts",
-  preparing: "The verifier models the surface in use",
-  ready: "The verifier is ready: frames are verified",
-  waiting: "The verifier ended, and will be started again",
-  failed: "The verifier has given up: frames go out unverified",
-};
+const ELECTRODE = { "not reciprocal": "inconsistent", excluded: "switched off" };
+const REPAIR = { imputed: "estimated", rearranged: "reordered" };
 
-export const STAGES = ["decode", "normalise", "gate", "infer", "pack", "publish"];
+export const STAGES = ["decode", "normalise", "touched?", "map", "pack", "publish"];
 export const LOSSES = [["lost", "lost"], ["corrupt", "corrupt"], ["withheld", "withheld"], ["overrun", "late"]];
-export const COUNTED = { lost: "lost on the wire", corrupt: "corrupt on the wire", overrun: "over their time budget" };
+export const COUNTED = { lost: "lost on the wire", corrupt: "corrupt on the wire", overrun: "over the time budget" };
 
 export const framesWords = (count, words) => `${count} ${count === 1 ? "frame" : "frames"} ${words}`;
 
@@ -57,20 +65,30 @@ export function clockWords(ms) {
   return hours ? `${hours}:${String(minutes % 60).padStart(2, "0")}:${seconds}` : `${minutes}:${seconds}`;
 }
 
-export const skippedWords = (code) => SKIPPED[code] ?? code;
-
-export function eventWords(code) {
-  if (EVENTS[code]) return EVENTS[code];
-  const [kind, ...rest] = code.split(":");
-  if (kind === "withheld") return `A frame was withheld: ${WITHHELD[rest[0]] ?? rest[0]}`;
-  if (kind === "verifier") return VERIFIER[rest[0]] ?? `The verifier is ${rest[0]}`;
-  if (kind === "electrode" && rest[1] === "back") return `Electrode ${rest[0]} is used again`;
-  if (kind === "electrode") return `Electrode ${rest[0]} is ${rest[1]}${rest[2] ? `; its rows are ${rest[2]}` : ""}`;
-  if (kind === "drift") return `All untouched voltages have moved by ${rest[0]}`;
-  if (kind === "device") return `The device says: ${rest.join(":").replaceAll("_", " ")}`;
-  return code;
+function readable(code) {
+  const text = code.replaceAll("_", " ").replaceAll(":", ": ");
+  return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
-export function valueWords(solver) {
-  return solver === "tikhonov" ? "relative: the largest is 1" : "touched share of a pixel, or probability of a touch";
+export const skippedWords = (code) => SKIPPED[code] ?? readable(code);
+export const electrodeWords = (state) => ELECTRODE[state] ?? state;
+export const repairWords = (repair) => REPAIR[repair] ?? repair ?? "";
+
+export function eventWords(code) {
+  const [kind, name, state, repair] = code.split(":");
+  if (EVENTS[code]) return EVENTS[code];
+  if (kind === "withheld") return `A frame was withheld: ${WITHHELD[name] ?? readable(name).toLowerCase()}`;
+  if (kind === "electrode" && state === "back") return `Electrode ${name} works again`;
+  if (kind === "electrode" && state) {
+    return `Electrode ${name} is ${electrodeWords(state)}${repair ? `; its voltages are ${repairWords(repair)}` : ""}`;
+  }
+  if (kind === "drift") return `Drift of ${name.replace("-", "−").replace("%", " %")}, or a long touch`;
+  return readable(code);
+}
+
+const VALUES = { area: "touched share of a pixel", units: "probability that a unit is touched" };
+
+/** What the map's values mean; labels say what the bundle was trained on, if the runtime says so. */
+export function valueWords(solver, labels) {
+  return solver === "tikhonov" ? "relative: the largest value is 1" : VALUES[labels] ?? "touched share, or probability";
 }
