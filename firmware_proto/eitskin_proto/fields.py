@@ -276,8 +276,8 @@ def did_you_mean(word: str, names: Iterable[str]) -> str:
         word: What was found.
         names: What there is.
     """
-    by_lower = {name.lower(): name for name in names}
-    near = get_close_matches(word.lower(), by_lower, n=1, cutoff=SIMILARITY)
+    by_lower = {name.lower().lstrip("-"): name for name in names}  # dashes would make short options look alike
+    near = get_close_matches(word.lower().lstrip("-"), by_lower, n=1, cutoff=SIMILARITY)
     return f"; did you mean {by_lower[near[0]]!r}?" if near else ""
 
 

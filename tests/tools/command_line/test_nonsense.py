@@ -53,6 +53,7 @@ bech | eitskin: no command 'bech'; did you mean 'bench'?
 sim | eitskin: no command 'sim'; 'eitskin --help' lists them
 bench tradeof | eitskin bench: no benchmark 'tradeof'; did you mean 'tradeoff'?
 run --port p --slover x | eitskin run: no option '--slover'; did you mean '--solver'?
+demo --skin lab | eitskin demo: no option '--skin'; 'eitskin demo --help' lists them
 --versoin | eitskin: no option '--versoin'; did you mean '--version'?
 subscribe a b | eitskin subscribe: found 'b', expected nothing more
 flash wirte paper | did you mean 'write'?
