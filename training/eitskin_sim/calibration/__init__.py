@@ -1,1 +1,1 @@
-"""What a true device is, from its own readings: parameters with priors, standard errors, a better skin."""
+"""Calibration: a device's true parameters from its own measurements, with standard errors, and a better skin."""

@@ -1,15 +1,15 @@
-"""How far the model of a scanned bend is off: what no scan shows, as a covariance that simulation tells.
+"""The model's error at a scanned bend, as a covariance from simulation.
 
-A scan shows the surface, not how the material lies in it: uneven stretch, the scan's own noise, its age and its scale
-move the untouched sheet's voltages by many times a frame's noise. They are no parameters that are worth finding. So the
-error of the model is drawn (the approximation error of Kaipio and Somersalo): bends of the skin's own deformations,
-scanned as the skin says, predicted from their scans and solved as they truly are ::
+A scan shows the surface, not the material in it: uneven stretch, the scan's noise, age and scale change the untouched
+sheet's voltages by many times a frame's noise. These parameters are not worth estimating. So the error of the model is
+drawn (the approximation error of Kaipio and Somersalo): bends of the skin's own deformations, scanned as the skin says,
+predicted from their scans and solved as they truly are ::
 
     e = log(V_true(bend) / V_model(scan))        (104,), both with the same gauge factor, which is drawn too
 
-Its covariance has a few large directions and a rest, and is drawn towards its diagonal. Errors are not Gaussian, so it
-is enlarged until it holds most of those that it was not made of, and until most of the gauge factors that single unseen
-bends would give are as far off as it says: what bends are recorded for.
+Its covariance has a few large directions and a remainder, and is shrunk towards its diagonal. Errors are not Gaussian,
+so it is enlarged until it covers most held-out errors, and until most gauge factors estimated from single held-out
+bends are within their stated errors, because bends are recorded to find the gauge factor.
 """
 
 from dataclasses import dataclass, replace

@@ -1,12 +1,12 @@
-"""Damped Gauss-Newton with priors: the most probable parameters, and how sure they are.
+"""Damped Gauss-Newton with priors: the most probable parameters and their covariance.
 
-What is made small is |r(z)|^2 + |z|^2, r the whitened residuals and z in prior standard deviations: minus twice the
-logarithm of the posterior. With J the derivative, H = J^T J + 1 is its curvature and H^-1 the covariance of z. If all
-is as it was stated, the least value is chi-square distributed with as many degrees of freedom as there are rows: the
-priors pay for the parameters. So a misfit is told from noise without counting parameters.
+It minimises |r(z)|^2 + |z|^2, r the whitened residuals and z in prior standard deviations: minus twice the logarithm of
+the posterior. With J the derivative, H = J^T J + 1 is its curvature and H^-1 the covariance of z. If the stated
+uncertainties are right, the minimum is chi-square distributed with as many degrees of freedom as there are rows,
+because of the priors. So a misfit can be distinguished from noise without counting parameters.
 
-A device that is 20 % off is two hundred times its noise away, where the problem is far from linear. So rows are first
-taken for uncertain by ``SOFTENING_ERRORS`` of themselves, then by less, and in the end as they are.
+A device that is 20 % off is two hundred times its noise away, where the problem is far from linear. So rows first get a
+relative error of ``SOFTENING_ERRORS``, then less, and in the end their own.
 """
 
 from collections.abc import Callable, Sequence

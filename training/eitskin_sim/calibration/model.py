@@ -1,7 +1,7 @@
-"""What a sheet should read for given parameters, with derivatives: untouched, flat or scanned, or pressed.
+"""The voltages of a sheet for given parameters, with derivatives: untouched, flat or scanned, or pressed.
 
-The residual of the untouched reference is whitened by what is random about it: the noise of its frames, and the
-model's error. Moments after it are held against it in :mod:`eitskin_sim.calibration.session`.
+The residual of the untouched reference is whitened by the noise of its frames and the model's error. Later moments are
+compared with it in :mod:`eitskin_sim.calibration.session`.
 """
 
 from collections.abc import Callable, Sequence

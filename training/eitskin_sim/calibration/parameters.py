@@ -1,13 +1,12 @@
-"""What may be off about a skin, as numbers with a prior: the skin's own stated uncertainties, and nothing else.
+"""The uncertain parameters of a skin, with priors from the uncertainties that its description states.
 
 Every parameter is counted in prior standard deviations from the stated value ::
 
     value = stated + spread z            normal, uniform (spread is the width over sqrt(12)), and shifts
     value = stated exp(spread z)         log_normal, and whatever must stay above 0
 
-so the prior of every z is a standard normal. A quantity that the skin states exactly is taken at its word and has no
-parameter. The level alone is always free: what conductivity the layer has, and what current the source gives, no file
-knows to a percent.
+so the prior of every z is a standard normal. A quantity that the skin states exactly has no parameter. Only the level
+is always free, because the layer's conductivity and the source's current are never known to a percent.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What calibration found, for people: a verdict, then a line for each group of parameters."""
+"""The result of a calibration for people: a verdict, then a line for each group of parameters."""
 
 from typing import Any
 

@@ -2,16 +2,16 @@
 
 ::
 
-    FILE.npz  reference_V (104,) or (208,) V      untouched; (208,) of a full scan has what reciprocity tells
+    FILE.npz  reference_V (104,) or (208,) V      untouched; (208,) of a full scan adds reciprocity
               reference_cloud_mm (3, rows, columns) mm    the scan of the sheet at that moment; without it, it lay flat
               reference_frames                    how many frames it is the mean of (default 1)
               bent_V (k, 104) or (k, 208) V       untouched and bent, a row a moment (optional)
               bent_cloud_mm (k, 3, rows, columns) mm    the scan of each
-              press_V (p, 104) or (p, 208) V      lying as for the reference, pressed by the stamp (optional)
+              press_V (p, 104) or (p, 208) V      in the reference's shape, pressed by the stamp (optional)
               press_xy_mm (p, 2) mm               where its middle was
               stamp_mm (1,) or (2,) mm            a disc's diameter, or length along x and width along y
               bent_frames, press_frames           how many frames each is the mean of (default 1)
-              protocol_id, grid_id, skin_digest   text, held against this release and the skin
+              protocol_id, grid_id, skin_digest   text, checked against this release and the skin
 """
 
 from dataclasses import dataclass

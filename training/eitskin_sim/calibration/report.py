@@ -1,4 +1,4 @@
-"""What calibration found, as numbers: each parameter with its error, each row with its residual."""
+"""The result of a calibration as numbers: each parameter with its error, each row with its residual."""
 
 from collections.abc import Callable
 from dataclasses import replace

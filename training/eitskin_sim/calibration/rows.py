@@ -1,4 +1,4 @@
-"""Rows of a recording: those of the table among all 208, and what noise does to them."""
+"""Rows of a recording: those of the table among all 208, and their noise."""
 
 import numpy as np
 import numpy.typing as npt

@@ -1,8 +1,8 @@
 """A whole recording: the reference, bent moments with their scans, presses of a stamp; all in units of noise.
 
-What comes after the reference is held against it, dV = V / V0 - 1, so that whatever is static drops out. Beside noise a
-moment may be off by a drift of ``DRIFT`` since the reference, common to its rows, a tenth of it uneven; a bent one by
-what no scan shows (:mod:`eitskin_sim.calibration.bends`), a press by ``PRESS_ERROR`` of itself.
+Later moments are relative to the reference, dV = V / V0 - 1, so that static errors cancel. In addition to noise a
+moment may have drifted by ``DRIFT`` since the reference, common to its rows, with a tenth of it uneven. A bent one has
+the error of its scan (:mod:`eitskin_sim.calibration.bends`), a press a relative error of ``PRESS_ERROR``.
 """
 
 from collections.abc import Callable

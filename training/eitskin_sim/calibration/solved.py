@@ -1,6 +1,6 @@
-"""A sheet solved at some shape, and how its voltages answer to whatever it is made of: one factorisation for all.
+"""A sheet solved at one shape, and the derivatives of its voltages by every parameter, from one factorisation.
 
-Let D[k, m] be what pair m reads under 1 A into pair k, A(p) the system at parameters p, and x_k its field. Then
+Let D[k, m] be the voltage of pair m under 1 A into pair k, A(p) the system at parameters p, and x_k its field. Then
 
     dD[k, m] / dp = - x_k . dA/dp x_m
 

@@ -1,12 +1,12 @@
-"""Presses of a known stamp at known places, as parameters with priors: what a press of this sheet is like.
+"""Presses of a known stamp at known places, as parameters with priors, to learn the effect of a press.
 
 Every press is one touch with a graded border, of the stamp's shape ::
 
-    log contrast = -+ strength exp(own)     strength of all presses; own of each: nobody presses twice alike
+    log contrast = -+ strength exp(own)     strength of all presses; own of each: no two presses are alike
     outline      = the stamp's, larger by growth
-    place        = where it was said, off by the shift of all and by an error of its own
+    place        = the stated place plus a common shift plus an error of its own
 
-Which way presses change conductance is the skin's to say; where it says both, the recording decides.
+The skin states whether presses raise or lower conductance; if it allows both, the recording decides.
 """
 
 from collections.abc import Callable

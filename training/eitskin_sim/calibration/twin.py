@@ -1,4 +1,4 @@
-"""A skin known better: what calibration found, written as the description of the same skin."""
+"""Writes the result of a calibration as a better description of the same skin."""
 
 from dataclasses import replace
 from typing import Any, Final

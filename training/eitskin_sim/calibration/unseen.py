@@ -1,12 +1,11 @@
-"""A reference with its scan: the sheet lay bent or stretched, and what the scan does not show of that.
+"""A reference of a bent or stretched sheet with its scan, and the scan's unseen error.
 
-The model of such a reference is the sheet as it was scanned. It is off by what no scan shows
-(:mod:`eitskin_sim.calibration.bends`), drawn for scans that look like this one. Whatever was held against the reference
-is off by the same, so that error is no noise but parameters ::
+The model of such a reference is the scanned sheet. Its error (:mod:`eitskin_sim.calibration.bends`) is drawn for scans
+like this one. Everything relative to the reference has the same error, so it is not noise but parameters ::
 
     log V0 = log V_model(scan) + mean + gauge steeper + root u        u (104,), each of prior standard deviation 1
 
-A row and its reciprocal are off by the same: of 208 rows the front end is found as of a flat sheet.
+A row and its reciprocal have the same error, so with 208 rows the front end is found as for a flat sheet.
 """
 
 from dataclasses import dataclass

@@ -1,1 +1,1 @@
-"""Data sets: what they hold, how they are made, stored and read."""
+"""Data sets: their content, and how they are made, stored and read."""

@@ -3,9 +3,9 @@
 A job is plain values and its result plain arrays, so workers need this package and no shared disk. Dask's own nanny
 holds BLAS to one thread, as :mod:`eitskin_sim.dataset.generate` does for its processes.
 
-Dask sends everything as pickles: a scheduler and its workers run what they are sent, and what they answer is unpickled
-here. Over ``tcp://`` nobody knows who that is. Over ``tls://`` both sides show a certificate of the same authority;
-names in certificates are not looked at, so the authority must be the cluster's own.
+Dask sends everything as pickles: a scheduler and its workers run the code that they are sent, and their answers are
+unpickled here. ``tcp://`` does not authenticate them. With ``tls://`` both sides show a certificate of the same
+authority; names in certificates are not checked, so the authority must be the cluster's own.
 """
 
 import ipaddress

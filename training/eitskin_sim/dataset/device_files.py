@@ -1,4 +1,4 @@
-"""What a deformation's file holds where the device is a random one: readings in terms of the nominal reference.
+"""The content of a deformation's file with a random device: readings relative to the nominal reference.
 
 Training divides every voltage by one reference, the nominal sheet's. A random device has a reference of its own, so
 what it reads is stored as ::
@@ -6,8 +6,8 @@ what it reads is stored as ::
     voltages = reading * (nominal reference / the device's reference)
 
 whose relative change is that of the device's own reading against its own reference. The device's ``reference`` and
-``drift``, by which each sample's resistances had changed since then, are stored beside it. All else is what a robot
-would have: a scan that is noisy, off in scale and behind or ahead of the sheet, and nothing that tells of the device.
+``drift``, by which each sample's resistances had changed since then, are stored beside it. The rest is what a robot
+would have: a scan that is noisy, wrong in scale and early or late, and no data about the device.
 """
 
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""``index.json`` of a data set: what it was made of, its ids checked."""
+"""``index.json`` of a data set: its parameters, with checked ids."""
 
 from pathlib import Path
 from typing import Any, Final

@@ -1,7 +1,7 @@
-"""What a data set will hold, decided from one seed before anything is computed.
+"""The content of a data set, determined from one seed before anything is computed.
 
-A plan names every deformation, its split, and which touch sets are shown there. A shard is one deformation; it can be
-made from the plan alone, anywhere and in any order, so the result does not depend on who made it.
+A plan names every deformation, its split, and its touch sets. A shard is one deformation; it can be made from the plan
+alone, anywhere and in any order, so the result does not depend on the worker.
 
 Splits are by touch set and by deformation, never by sample: a set held out is held out at every deformation, and a bend
 kept apart is never trained on. (A random split of samples leaks: a third of its test sets recur at another bend.) ::

@@ -13,8 +13,8 @@ A folder of plain files; every array is an ``.npy`` inside an uncompressed ``.np
                         untouched (104,) float64 V; cloud (3, rows, columns) float32 mm as measured, in the agreed pose
 
 A sample takes 420 bytes; 1350 labels as float32 would take 5,400. Labels are made from the touch set, noise is added
-when a batch is made. ``index.json`` is written last: a folder without it is unfinished, and 'eitskin dataset' goes on
-with it.
+when a batch is made. ``index.json`` is written last: a folder without it is unfinished, and 'eitskin dataset' resumes
+it.
 """
 
 from dataclasses import dataclass

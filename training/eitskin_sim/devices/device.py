@@ -1,4 +1,4 @@
-"""A true device: the layer, the electrodes and the electronics that a reading comes from."""
+"""A true device: its layer, electrodes and electronics."""
 
 from dataclasses import dataclass, field, replace
 from typing import Final

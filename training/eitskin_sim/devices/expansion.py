@@ -1,4 +1,4 @@
-"""What devices like a solved one would read, to first order: a thousand of them for the price of a solve.
+"""First-order readings of devices near a solved one: a thousand of them for the cost of a solve.
 
 The differences D[k, m] of drives k and pairs m (:mod:`eitskin_sim.devices.readings`) of a nominal device at a bend are
 solved once; with the fields x of the drives at hand, the slope of D by anything that changes the system matrix by dA is

@@ -1,4 +1,4 @@
-"""Contacts of electrodes whose edges no line of the mesh follows: each element under one adds what of it is covered.
+"""Contacts of electrodes whose edges do not follow mesh lines: each element adds its covered part.
 
 One mesh then serves the electrodes of every device, and a touch's geometry, which depends on the mesh, serves them all.
 A patch passes a finite current per area, so under its edge the potential keeps a continuous slope: elements that the

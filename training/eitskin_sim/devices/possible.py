@@ -1,6 +1,6 @@
-"""Whether a sheet can be as a skin's description says: the electrodes have room where they are.
+"""Checks that a skin's description is geometrically possible: the electrodes have room at their places.
 
-The file's own reading (:mod:`eitskin_proto.skin.toml`) knows numbers and bounds; what follows from geometry is here.
+The reader of the file (:mod:`eitskin_proto.skin.toml`) checks numbers and bounds; this module checks geometry.
 """
 
 from typing import Final

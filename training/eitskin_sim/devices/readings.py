@@ -1,9 +1,9 @@
-"""What a device's instrument reads: the generators' potentials, freed of their mesh's error, through the front end.
+"""The readings of a device's instrument: the generators' potentials, corrected for mesh error, through the front end.
 
-A generator's mesh is coarse, and a scene's is fine. Of the untouched sheet both are known, and so is what the coarse
-one is off by, for each drive d and each pair of neighbours m: D = d_k^T U d_m, with U the potentials of electrodes for
-1 A into each. Every touched D is multiplied by that; a drive's own pair is what is left, since round the ring voltages
-add up to none. From D follow potentials, up to a constant, and from these what the front end makes of them.
+A generator's mesh is coarse, and a scene's is fine. The untouched sheet is solved on both, which gives the coarse one's
+error for each drive d and each pair of neighbours m: D = d_k^T U d_m, with U the potentials of electrodes for 1 A into
+each. Every touched D is multiplied by this correction; a drive's own pair follows because voltages add up to zero round
+the ring. From D follow potentials, up to a constant, and from these the front end's readings.
 """
 
 from typing import Final

@@ -1,1 +1,1 @@
-"""How good maps are: phantoms, drawn trials, metrics, and the harness that runs solvers on them."""
+"""Evaluation of maps: phantoms, drawn trials, metrics, and the harness that runs solvers on them."""

@@ -1,7 +1,7 @@
 """One true device, drawn: its scenes, its reference, and the scans that its robot takes.
 
-The same draws serve every size of a deviation: an electrode that is off by z standard deviations is off by z times 1
-mm, or 2 mm. Solvers see none of it: they know the nominal sheet, which a skin's description states.
+The same draws serve every size of a deviation: an electrode that deviates by z standard deviations deviates by z times
+1 mm, or 2 mm. Solvers do not see the deviations: they know the nominal sheet of the skin's description.
 """
 
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""How good a tactile map is: the paper's CC, PSNR, RIE and DE, and what says more about touch.
+"""Metrics of a tactile map: the paper's CC, PSNR, RIE and DE, and more specific ones for touch.
 
 One implementation for every solver, with these conventions:
 
@@ -20,7 +20,7 @@ One implementation for every solver, with these conventions:
   or, for an area map, when every true touch and every found one pair off within a pixel.
 * The two-point distance D is between the *borders* of the two closest touches (paper Fig. 9), a border being where the
   map, linear between pixel centres, crosses one half. DE = |D - D_r| / D_r (paper eq. 8) with D_r measured in the same
-  way on the truth. A map that shows fewer than two touches has D = 0, so DE = 1: the two have become one.
+  way on the truth. A map that shows fewer than two touches has D = 0, so DE = 1: the two have merged.
 """
 
 import math

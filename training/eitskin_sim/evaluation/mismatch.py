@@ -1,7 +1,7 @@
-"""In what a true device differs from the nominal one, in sizes of deviations; read from JSON, or drawn.
+"""The sizes of a true device's deviations from the nominal one; read from JSON, or drawn.
 
-A mismatch says how large deviations are; where they lie and which way they go is drawn for every device
-(:mod:`eitskin_sim.evaluation.device`). The lab mix is what somebody who builds a sheet with care may have.
+A mismatch gives the sizes of deviations; their places and signs are drawn for every device
+(:mod:`eitskin_sim.evaluation.device`). The lab mix represents a carefully built sheet.
 """
 
 from dataclasses import asdict, dataclass, fields, replace

@@ -1,4 +1,4 @@
-"""Which true touches a map shows, and how far off: a touch is missed if none is found near it."""
+"""Matches the true touches with those of a map: a touch is missed if none is found near it."""
 
 from typing import Final
 

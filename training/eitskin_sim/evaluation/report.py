@@ -1,4 +1,4 @@
-"""Scores put together: means over noise draws, over phantoms, over deformations.
+"""Averages scores over noise draws, phantoms and deformations.
 
 A phantom's measure is its mean over the draws, the mean's is the mean over the phantoms that have it: DE and the
 two-point distance exist only where the truth has two touches or more, CC and RIE where it has one. What is infinite or

@@ -1,14 +1,14 @@
-"""Touches that nobody chose: phantoms drawn at deformations that no training has seen.
+"""Random phantoms at deformations that no training has seen.
 
 ::
 
     single      one touch of a given size anywhere on the sheet: a hard square, or of any contrast, border and outline
     pair        two of them a given distance apart, edge to edge
-    random      random units, or rectangles and discs anywhere, so many at a time
+    random      random units, or rectangles and discs anywhere, a given number at a time
     untouched   the bent sheet alone, where no touch may appear
 
 Deformations and touches come from seeds that no data set uses, and the voltages from the harness's own, finer mesh.
-Phantoms of one deformation stand together.
+Phantoms of one deformation are consecutive.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Contacts of electrodes on a mesh: what each element under one adds to the system, for patches and for edges.
+"""Contacts of electrodes on a mesh: the contribution of each element under one, for patches and for edges.
 
 Electrode l at potential U_l passes the current ::
 

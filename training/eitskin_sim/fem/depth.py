@@ -1,4 +1,4 @@
-"""What a face contact passes when the field may vary through the layer: its depth modes, eliminated.
+"""The admittance of a face contact when the field varies through the layer: its depth modes, eliminated.
 
 Conductivity does not change through the thickness t, so a solid's potential splits into modes of depth,
 

@@ -1,4 +1,4 @@
-"""How every voltage answers to every pixel's or unit's conductivity, by adjoint fields.
+"""The derivative of every voltage by every pixel's or unit's conductivity, by adjoint fields.
 
 For drive k and measure m with the fields x_k and x_m of 1 A through either pair,
 

@@ -1,4 +1,4 @@
-"""The mesh that a scene asks for: lines on every electrode's and touch's edges, fine where the field is singular.
+"""Makes a scene's mesh: lines on every electrode's and touch's edges, fine where the field is singular.
 
 The sizes below are those at ``element_size_mm`` = 1.5; another value scales them all, with the lines fixed in place.
 The size that a person names is the spacing of nodes in the open sheet; a biquadratic element has three nodes a side,

@@ -1,4 +1,4 @@
-"""A scene's voltages, from its own mesh: what ``eitskin simulate`` writes."""
+"""A scene's voltages, solved on its own mesh, as ``eitskin simulate`` writes them."""
 
 from dataclasses import dataclass
 from typing import Final, Literal

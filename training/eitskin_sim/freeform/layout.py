@@ -1,4 +1,4 @@
-"""Which unknowns the touched elements of a part have, and where every number goes: made once for all deformations.
+"""The layout of unknowns and numbers of the touched elements of a part, made once for all deformations.
 
 A part is a touch, or several that share elements. It is cut into cells of a few elements a side; nodes are inside their
 cell, inside the part on a border between cells, or on the part's outline. Eliminated in this order they cost a fraction

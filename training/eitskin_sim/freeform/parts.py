@@ -1,4 +1,4 @@
-"""Touches one by one: what each adds to the sheet, condensed to a small factor, from which sets are put together.
+"""Condenses each touch's contribution to the sheet to a small factor; sets of touches are assembled from these.
 
 A part is a touch, or several that share elements of the mesh. On the nodes of its outline it adds dS = F J F^T to the
 sheet's stiffness (its inside eliminated, touched less untouched). J is 1 where touches conduct better than the sheet,
@@ -8,8 +8,8 @@ a part does alone is
 
     L = F X^-T,   X J X^T = J + F^T G F,   W = L^T G_oE:      U = G_EE - W^T J W
 
-X is triangular, block by block: the sheet stays a conductor after each. Sets of parts need the products L_p^T G L_q of
-pairs besides (:mod:`eitskin_sim.freeform.voltages`). The geometry of parts (:mod:`eitskin_sim.fem.borders.cut_touches`,
+X is triangular, block by block: the sheet stays a conductor after each. Sets of parts also need the products L_p^T G
+L_q of pairs (:mod:`eitskin_sim.freeform.voltages`). The geometry of parts (:mod:`eitskin_sim.fem.borders.cut_touches`,
 :mod:`eitskin_sim.freeform.layout`) serves every deformation.
 """
 

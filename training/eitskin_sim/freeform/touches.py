@@ -1,4 +1,4 @@
-"""Random touches off the unit grid, and pools of them: which touches a data set draws, by name or as the skin says.
+"""Random touches off the unit grid, and pools of them: the touches that a data set draws, by name or from the skin.
 
 ::
 

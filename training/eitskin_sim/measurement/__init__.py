@@ -1,1 +1,1 @@
-"""What stands between the sheet and the numbers: noise, faults of electrodes, how rows go together."""
+"""Between the sheet and the numbers: noise, faults of electrodes, and the correlation of rows."""

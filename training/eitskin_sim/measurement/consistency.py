@@ -1,8 +1,8 @@
-"""How rows go together on a healthy sheet: the Gaussian of samples with noise, and missing rows filled in by it.
+"""The correlation of rows on a healthy sheet: a Gaussian of noisy samples, which fills in missing rows.
 
 Sixteen electrodes give 104 rows, but touches and deformations move them together: given 78 rows of fifteen electrodes,
 the 26 of the sixteenth are known to half or a third of their spread. A Gaussian of l = log(V / V0), fitted to samples
-with noise, is all that is kept; what it says of missing rows is in :mod:`eitskin_proto.sensor.row_gaussian`.
+with noise, is all that is kept; :mod:`eitskin_proto.sensor.row_gaussian` estimates missing rows with it.
 """
 
 from typing import Final

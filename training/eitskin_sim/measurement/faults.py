@@ -1,4 +1,4 @@
-"""What a front end reads when an electrode fails: a circuit around the sheet, exact for any touch and deformation.
+"""The readings with a failed electrode: a circuit around the sheet, exact for any touch and deformation.
 
 The sheet is its 16 x 16 response R, volts at each electrode per ampere into each. Wires lead from the front end to the
 electrodes, and a fault is a change of that circuit ::

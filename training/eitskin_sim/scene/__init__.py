@@ -1,1 +1,1 @@
-"""What is simulated: sheet, electrodes, bends and touches, and the files that describe them."""
+"""Scenes: sheet, electrodes, bends and touches, and the files that describe them."""

@@ -1,4 +1,4 @@
-"""How much of each pixel is touched: the truth of maps with "area" labels, in closed form.
+"""The touched share of each pixel, in closed form: the truth of maps with "area" labels.
 
 For one shape let A(x, y) be its area to the lower left of a point. A pixel's share then takes four values of A::
 

@@ -1,4 +1,4 @@
-"""Where the sixteen electrodes lie on the flat sheet: pieces of the border, and the patches behind them.
+"""The places of the sixteen electrodes on the flat sheet: pieces of the border, and the patches behind them.
 
 A centre is an arc length, counter-clockwise from the corner (0, 0)::
 

@@ -1,4 +1,4 @@
-"""How the layer's conductivity differs from the nominal one, at any flat point and whatever mesh asks.
+"""The deviation of the layer's conductivity from the nominal one, at any point of the flat sheet.
 
 ::
 

@@ -1,4 +1,4 @@
-"""What a scene may hold: so much that no sheet needs more, so little that it is read and solved in bounded time."""
+"""The limits of a scene, which bound the time to read and solve it."""
 
 from typing import Final
 

@@ -1,7 +1,7 @@
-"""A skin as its description states it: what models, operators and predictions are made for.
+"""The nominal skin of a description, for which models, operators and predictions are made.
 
-The true sheet and electrodes differ from these within the description's uncertainties; nobody knows how. The flat sheet
-has the stated size on the map; where its true lengths are known to be others, its flat metric says so.
+The true sheet and electrodes differ from these in an unknown way, within the description's uncertainties. The flat
+sheet has the stated size on the map; where its true lengths are known to be others, its flat metric says so.
 """
 
 from collections.abc import Callable

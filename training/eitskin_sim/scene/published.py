@@ -1,6 +1,6 @@
 """The eight published phantoms (paper section V.C), by content, so that no training set can hold one.
 
-Training on what one is judged by proves nothing. Every generator of touch sets asks here before it keeps a draw. A test
+A network must not be trained on the phantoms that judge it. Every generator of touch sets checks its draws here. A test
 compares this table with the phantom files themselves.
 """
 

@@ -1,4 +1,4 @@
-"""Touches moved by a random part of a pixel, so that no result rests on where the grid happens to lie.
+"""Moves touches by a random part of a pixel, so that no result depends on the position of the grid.
 
 Touches that meet belong together: the two bars of an L are two rectangles of a scene, and one touch of the sheet. They
 move as one. A move that would bring two groups together, or one over the sheet's border, is drawn again.

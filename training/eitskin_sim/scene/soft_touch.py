@@ -1,4 +1,4 @@
-"""What a touch may be besides a sharp place that conducts better: its contrast, its graded border, its dent.
+"""Soft touches: contrast, graded border and dent.
 
 ::
 

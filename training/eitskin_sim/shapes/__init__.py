@@ -1,1 +1,1 @@
-"""Touches off the unit grid with parameters of their own, their voltages and how these change with each parameter."""
+"""Touches anywhere with parameters, their voltages, and the derivatives by each parameter."""

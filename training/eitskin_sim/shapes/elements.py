@@ -1,4 +1,4 @@
-"""The blocks of the elements that touches cover or cut, and how they change with every parameter of every touch.
+"""The blocks of the elements that touches cover or cut, and their derivatives by every parameter of every touch.
 
 Blocks are those of the generators (:mod:`eitskin_sim.freeform.sheet`), by the one rule for cut elements; where touches
 overlap an element is covered once. A rate is a difference quotient of a touch's own few elements, all moves at once: no
@@ -7,7 +7,7 @@ moves side by side: the right one changes the elements that it crosses and no ot
 
     d / dx = d / d right - d / d left          d / d half length = d / d right + d / d left
 
-with sides counted outwards. So an element is looked at for the sides that cross it, not for all parameters.
+with sides counted outwards. So an element is computed for the sides that cross it, not for all parameters.
 """
 
 from dataclasses import dataclass

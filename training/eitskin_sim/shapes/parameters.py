@@ -1,7 +1,7 @@
-"""A touch as numbers: what of it can be fitted, and in which unit.
+"""The parameters of a touch that can be fitted, with their units.
 
 Touches are rows of :mod:`eitskin_sim.scene.touch_table` with a border: kind, x, y, length, width, angle, contrast,
-border. What derivatives are taken by ::
+border. Derivatives are by ::
 
     x, y                     mm, of the centre
     half length, half width  mm; of a disc the radius, which is its half length

@@ -2,8 +2,8 @@
 
     x = argmin 1/2 x^T H x - b^T x,   0 <= x <= upper,   H positive definite
 
-Every cell is free, at 0 or at the upper bound. Given these states one linear system tells the free values, and the
-slope tells which bound cells want to leave. First all cells that contradict their state change it at once: some
+Every cell is free, at 0 or at the upper bound. Given these states one linear system gives the free values, and the
+slope shows which cells should leave their bound. First all cells that contradict their state change it at once: some
 fourteen rounds settle most tactile images of 1350 cells, of which about 150 stay free. All at once can go in circles
 (it does in one image of five); then one cell at a time is released, and the others stop where they meet a bound, as in
 Lawson and Hanson's non-negative least squares, which lowers the quadratic with every step and so must end. Three

@@ -1,4 +1,4 @@
-"""What every classical solver needs of one bend: the relative Jacobian on pixels or units, and the data it explains.
+"""The input of every classical solver for one bend: the relative Jacobian on pixels or units, and the data.
 
     A = (dV / d sigma) * sigma0 / V_ref        d = V / V_ref - 1   or   log(V / V_ref)        d ~ A x
 

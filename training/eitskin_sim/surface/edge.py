@@ -1,8 +1,8 @@
-"""Where the points along one side of a sheet end: the most likely polynomial, between a step's blur and stray points.
+"""Finds the edge of the points along one side of a sheet: the most likely polynomial, despite blur and stray points.
 
 Points lie on the sheet with rho per square millimetre and each coordinate is off by about sigma, so a point at the
-distance x outwards is met with the density rho Phi((e - x) / sigma), e(a) being the side. The polynomial e that makes
-the points most likely, the empty places beyond the side included, is the greatest of ::
+distance x outwards has the density rho Phi((e - x) / sigma), e(a) being the side. The polynomial e that makes the
+points most likely, the empty places beyond the side included, is the greatest of ::
 
     sum_i log(eps + (1 - eps) Phi((e(a_i) - x_i) / sigma))  -  integral rho e da  -  penalty on the bends of e
 

@@ -1,4 +1,4 @@
-"""V_pred: what the untouched, deformed sheet must read, from its cloud alone.
+"""V_pred: the voltages of the untouched, deformed sheet, predicted from its cloud alone.
 
 The cloud is the place in space of every pixel's centre. A tensor-product cubic spline through it, least squares on
 far fewer coefficients than points, takes the scanner's noise out and gives tangents everywhere, up to the border half
@@ -6,8 +6,8 @@ a pixel beyond the outermost points; their inner products are the metric E, F, G
 :func:`eitskin_sim.fem.forward.assemble` asks for. The voltages are solved on a coarse mesh and corrected by what the
 same mesh is off on the flat sheet, which is known.
 
-What a cloud cannot show stays unknown: where the material is stretched unevenly within the surface. The cloud divides
-rows and columns by arc length, so V_pred is that of the evenly stretched sheet.
+A cloud cannot show where the material is stretched unevenly within the surface. The cloud divides rows and columns by
+arc length, so V_pred is that of the evenly stretched sheet.
 
 A network's head takes the prediction as :func:`predicted_log`, the logarithm of its ratio to the same model's flat
 sheet: what the two have in common, the model's own error and the current, drops out.

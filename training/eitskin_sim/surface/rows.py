@@ -1,6 +1,6 @@
-"""Whether points lie in rows parallel to a side of the sheet, as those of a regular grid do.
+"""Checks whether points form rows parallel to a side of the sheet, like a regular grid.
 
-The border of such a set is not seen: it lies on the outermost row, or up to one row's distance beyond it. Rows are
+The border of such a set is not visible: it is on the outermost row, or up to one row's distance beyond it. Rows are
 found by the depth's Fourier sum: with n points without rows its size is about 1 / sqrt(n) of the whole, with rows 1.
 """
 

@@ -1,4 +1,4 @@
-"""The surface that a noisy scan most likely shows: its metric varies no more than the scan makes one believe.
+"""The most likely surface of a noisy scan: its metric varies no more than the scan supports.
 
 A scanner's noise bends the fitted surface, most at its border, where the electrodes are: with 0.1 mm the untouched
 sheet's voltages are off by half a percent, more than those of a measurement are. A sheet that is bent, stretched or

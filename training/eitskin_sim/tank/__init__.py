@@ -1,1 +1,1 @@
-"""A round tank with sixteen electrodes on its rim, as others measured it: from their numbers to the objects in it."""
+"""Public measurements of a round tank with sixteen electrodes on its rim: from the voltages to the objects in it."""

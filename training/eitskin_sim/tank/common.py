@@ -1,4 +1,4 @@
-"""What a tank's rows have changed alike since its water was read: drift, taken out where objects cannot make it.
+"""Removes the common drift of a tank's rows since its water was measured, as far as objects cannot cause it.
 
 No object moves all rows alike: rows far from it stay. So with d the relative changes, A from cells to rows::
 

@@ -1,4 +1,4 @@
-"""What a front end does to a tank's voltages: one offset that all rows share, and one complex gain a measured pair.
+"""The effect of a front end on a tank's voltages: one offset for all rows, and one complex gain for each pair.
 
     z[s, m] = offset + gain[m] v[s, m]
 

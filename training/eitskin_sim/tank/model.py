@@ -1,4 +1,4 @@
-"""A disc that explains a tank: its water's voltages, and what rows make of changes on the square it is mapped onto.
+"""A disc as the model of a tank: its water's voltages, and their Jacobian on the square onto which it is mapped.
 
 The unknowns are relative changes of conductivity on 30 x 30 cells of the square.
 """

@@ -6,9 +6,9 @@
                rows: for each drive s = 0 to 15, m = 0 to 15 where the pairs (s, s + 1) and (s + m, s + m + 1) share no
                electrode: the full table's
 
-An array's name says what stands in the tank, as ``electrode01_metal_electrode05_plastic_...``: which electrode, from 1,
-an object stands before, and of what it is. Metal conducts better than water, plastic worse. Of another material, as in
-``electrode01_wood``, nothing says which; such objects are kept apart.
+An array's name describes the objects in the tank, as ``electrode01_metal_electrode05_plastic_...``: the number of the
+electrode, from 1, before each object, and its material. Metal conducts better than water, plastic worse. For another
+material, as in ``electrode01_wood``, this is unknown; such objects are counted separately.
 """
 
 import re

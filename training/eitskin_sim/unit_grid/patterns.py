@@ -1,4 +1,4 @@
-"""Which units are touched: the paper's 10,259 touch sets, and richer shapes for training.
+"""Sets of touched units: the paper's 10,259 touch sets, and richer shapes for training.
 
 A touch set is a row of bits, bit ``row * columns + column`` for unit (column, row), and is stored packed: the 126 of
 the paper's 9 x 14 units take 16 bytes. The paper's sets are every single unit, every square of 2x2 to 9x9 units, and

@@ -1,4 +1,4 @@
-"""A bent sheet cut along the borders of its units, each unit condensed onto what it shares with others.
+"""A bent sheet cut along the borders of its units, each unit condensed onto its shared nodes.
 
 Stiffness adds up over elements, so a unit's inside can be eliminated once for each conductivity it may have. What
 remains is the skeleton: nodes on the lines between units, and the sixteen electrodes. ::
@@ -13,7 +13,7 @@ Mesh lines stand on the units' borders, so a touched unit has its true outline. 
 electrode is then in both. A face contact's conductance depends on the conductivity above it, and so comes with each
 unit's S_u.
 
-How the nodes of a unit divide is the same at every shape of the sheet, so it is worked out once a mesh.
+The division of a unit's nodes is the same at every shape of the sheet, so it is computed once a mesh.
 """
 
 from collections.abc import Sequence

@@ -1,1 +1,1 @@
-"""Whether physics agrees with a set of touches: residuals, chi-squared, nuisances, and the search for a better set."""
+"""Checks a set of touches against the forward model: residuals, nuisances, and the search for a better set."""

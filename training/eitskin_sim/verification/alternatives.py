@@ -1,11 +1,10 @@
 """Other touches that may explain a frame better than those that a fit found, each compared by cost.
 
-Size and contrast lie in a long valley in which steps are short, so touches of usual contrast are tried outright. A
-finger is round, so ellipses are tried in place of rectangles that do not explain a frame. Two touches near each other
-read nearly as one over both, and on a sheet that is known badly one between the two explains a frame as well, so two
-are tried in place of one.
+Size and contrast form a long valley of the cost with short steps, so touches of usual contrast are tried directly. A
+finger is round, so ellipses are tried in place of rectangles that do not explain a frame. Two near touches read nearly
+like one large touch, and on a poorly known sheet also like one between them, so two are tried in place of one.
 
-Each function returns the fit that it was given where nothing is better or time is over.
+Each function returns the given fit if nothing is better or time is over.
 """
 
 from dataclasses import replace

@@ -1,14 +1,14 @@
-"""What a sheet reads at rest: frames that came while nothing touched it say how it differs from its model.
+"""Learns from untouched frames how the sheet differs from its model.
 
-With r what their mean is beside the model, N its noise, and C what the model may be off by::
+With r the residual of their mean, N its noise, and C the covariance of the model's error::
 
-    s^2      max(1, r^T (C + N)^-1 r / rows)         more is off than was thought, all of it alike
-    beside   C' (C' + N)^-1 r                        what is off, C' = s^2 C
-    left     C' - C' (C' + N)^-1 C'                  what of it is not known yet
+    s^2      max(1, r^T (C + N)^-1 r / rows)         a larger error than assumed, by a common factor
+    beside   C' (C' + N)^-1 r                        estimated error, C' = s^2 C
+    left     C' - C' (C' + N)^-1 C'                  its remaining covariance
 
-A touch changes what is off: the same stretch answers otherwise where current flows otherwise. To first order that goes
-with the voltages, row by row. Beyond it, a part ``CHANGED_BY_TOUCH`` of what the model may be off by stays unknown, and
-a part ``ROW_ERROR_BY_TOUCH`` of what was seen of each row.
+A touch changes the error, because the same stretch has another effect where the current differs. To first order the
+error is proportional to the voltages, row by row. Beyond that, a part ``CHANGED_BY_TOUCH`` of the model's error stays
+unknown, and a part ``ROW_ERROR_BY_TOUCH`` of the error seen in each row.
 """
 
 from dataclasses import dataclass

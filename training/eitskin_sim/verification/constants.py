@@ -1,9 +1,9 @@
-"""Every number that the verifier of shapes was tuned by, in one table, by mechanism.
+"""All tuned constants of the verifier of shapes, in one table, by mechanism.
 
-Each mechanism says what it is worth: the change when it is switched off, in correlation (CC) of maps unless another
-figure is named, on the same seeds under noise N2 (``eitskin evaluate --phantoms paper_mm --solver verified`` and
-``eitskin bench verify``). Differences of 0.002, and one map of 40, are noise. Costs and gains are in chi-squared.
-Contrasts, sizes and scales are compared by their logarithms.
+Each mechanism states its benefit: the change when it is switched off, in correlation (CC) of maps unless another figure
+is named, on the same seeds under noise N2 (``eitskin evaluate --phantoms paper_mm --solver verified`` and ``eitskin
+bench verify``). Differences of 0.002, and one map of 40, are noise. Costs and gains are in chi-squared. Contrasts,
+sizes and scales are compared by their logarithms.
 """
 
 from typing import Final

@@ -1,10 +1,10 @@
-"""One deformation after another, each with the model of its sheet that is in use and other sheets to try.
+"""Deformations one after another, each with the model of its sheet and other sheets to try.
 
-The first model is that of the scan. Frames that show a likely sheet, farther from the model than derivatives are good
-for, have it made again about that. Where nothing explains a frame, other sheets are tried, each once a deformation:
+The first model is that of the scan. If frames show a likely sheet beyond the range of the derivatives, the model is
+made again there. If nothing explains a frame, other sheets are tried, each once a deformation:
 
-    scanned        the sheet that the frame speaks for, as far on the way there as a sheet is likely to be
-    seen at rest   that of the scan alone: the sheet has changed since
+    scanned        the sheet that the frame suggests, limited to a likely one seen at rest   that of the scan alone: the
+    sheet has changed since
 
 The verifier keeps one only if it explains the frame.
 """

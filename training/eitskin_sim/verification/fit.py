@@ -1,7 +1,7 @@
 """Touches fitted to one frame: steps of Levenberg and Marquardt on whitened residuals and the prior of touches.
 
-What is minimised is the *cost*: chi-squared, in which what may differ of the sheet is fitted along within its spread,
-and the cost of the touches by their prior (:mod:`eitskin_sim.verification.touch_prior`).
+It minimises the *cost*: chi-squared, in which the sheet's deviations are fitted within their spread, plus the cost of
+the touches by their prior (:mod:`eitskin_sim.verification.touch_prior`).
 """
 
 import time

@@ -1,10 +1,10 @@
-"""Gentler contrasts that explain a frame as well, where the data tell only the product of size and contrast.
+"""Gentler contrasts that explain a frame equally well, if the data show only the product of size and contrast.
 
 A disc of contrast c answers as (c - 1) / (c + 1) times its area, as long as it is small: 28 mm2 of contrast 50 read as
 100 mm2 of contrast 2 do, to a tenth of chi-squared. A skin's file says which contrasts its touches have; but a touch
-that begins has a lower one on any skin. So a share of belief goes to gentler touches. How much of it stays depends on
-the sizes that they would have and on what they leave unexplained. The map is drawn from all of them, each by its share:
-what is sure is drawn full, and what depends on the contrast is drawn in part.
+that begins has a lower one on any skin. So gentler touches get a share of the probability, according to their sizes and
+their residuals. The map is their mean, weighted by these shares: certain parts have full value, and parts that depend
+on the contrast a lower one.
 
 The fit is followed from contrast to contrast, each from the one before.
 """

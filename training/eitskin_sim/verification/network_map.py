@@ -1,8 +1,8 @@
-"""The network's map beside touches: rectangles to start a fit from, and which touches the map shows.
+"""Converts the network's map to rectangles from which a fit starts, and finds the touches that the map shows.
 
-A touch of the map is what the stream says it is: pixels, and the share that it has of each. It starts as the upright
-rectangle with the moments of its shares; as a turned one if that draws the map much better; or, as an L does, as two
-upright ones, cut apart along a row or a column of pixels.
+A touch of the map is the stream's: its pixels, and its share of each. It starts as the upright rectangle with the
+moments of its shares; as a turned one if that draws the map much better; or, as an L does, as two upright ones, cut
+apart along a row or a column of pixels.
 """
 
 from collections.abc import Iterator

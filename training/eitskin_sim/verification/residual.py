@@ -1,4 +1,4 @@
-"""Residuals of dV in units of what they should scatter by: the noise's law, and what the model may be off.
+"""Residuals of dV, whitened by the noise and the model's error.
 
 A residual is linear, r = dV measured - dV modelled: logarithms exaggerate noise in weak rows, and raised
 false alarms from none to 13 % under N3. Its covariance is a diagonal and a few columns ::
@@ -7,8 +7,8 @@ false alarms from none to 13 % under N3. Its covariance is a diagonal and a few 
                                   M    (rows, m) one column for each way in which model and sheet may differ, of one
                                        standard deviation: model errors, and nuisances that are fitted along
 
-With the amplitudes of M normally distributed, r C^-1 r is what is left after they were fitted, their own size counted:
-its number of degrees of freedom is that of the rows. Rows may be missing: what is left is one block of C.
+With the amplitudes of M normally distributed, r C^-1 r is the remainder after fitting them plus their own cost; it has
+as many degrees of freedom as there are rows. With missing rows, one block of C is used.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,8 @@
-"""What a fit says of every touch: where, how large, how strong, how sure; and the map of all.
+"""The verdict of a fit: place, size, strength and errors of every touch, and the map.
 
-Size and contrast answer nearly alike: a smaller touch that conducts better reads like a larger one that does not. What
-is known well is their product, the strength: log contrast times area. So a touch has the correlation of the two, and
-how far area and contrast may go along each other while the fit stays within two standard deviations.
+Size and contrast have nearly the same effect: a smaller touch that conducts better reads like a larger one that does
+not. Only their product is known well, the strength: log contrast times area. So a touch states the correlation of the
+two, and their ranges within two standard deviations of the fit.
 """
 
 from collections.abc import Sequence

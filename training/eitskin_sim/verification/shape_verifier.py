@@ -1,4 +1,4 @@
-"""The verifier: from the network's touches to shapes that physics can explain.
+"""The verifier: from the network's touches to shapes that explain the frame.
 
 ::
 
@@ -6,9 +6,9 @@
                                         ^                                          | no
                                         +------------  on another sheet  <---------+
 
-The cost of a fit never rises, so more time gives no worse answer; time is looked at before each step of each fit. Where
-a fit wants a stretch of the sheet that is too large for derivatives, the model is made again about it, some times a
-deformation; the next frames of the same deformation have it already (:mod:`eitskin_sim.verification.deformation`).
+The cost of a fit never rises, so more time gives no worse answer; the time limit is checked before each step of each
+fit. If a fit needs a stretch of the sheet beyond the range of the derivatives, the model is made again there, a few
+times a deformation; the next frames of the same deformation reuse it (:mod:`eitskin_sim.verification.deformation`).
 """
 
 import time

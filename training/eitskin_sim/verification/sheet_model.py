@@ -1,11 +1,10 @@
-"""What touches should read on one scanned deformation, and what the model does not know of it.
+"""Models the voltages of touches on one scanned deformation, with the model's uncertainty.
 
 dV is against the flat reference, as the runtime's: V over the model's own flat sheet on the same mesh, less 1, so that
-the mesh's error and the current drop out. What may differ of the sheet is linear, in columns of one standard deviation
-each (:mod:`eitskin_sim.verification.unseen`). Where a frame says that the sheet is stretched otherwise than its scan
-shows, or conducts otherwise where it is stretched, by more than derivatives are good for, the model is made again about
-that: :meth:`SheetModel.about`. Frames of the untouched sheet say so best, and what the model lacks besides:
-:meth:`SheetModel.rested`.
+the mesh's error and the current drop out. The sheet's deviations are linear, in columns of one standard deviation each
+(:mod:`eitskin_sim.verification.unseen`). If a frame shows that the sheet's stretch or its effect on conductivity
+differs from the scan beyond the range of the derivatives, the model is made again there: :meth:`SheetModel.about`.
+Untouched frames show this best, and other errors of the model too: :meth:`SheetModel.rested`.
 """
 
 from dataclasses import dataclass, replace

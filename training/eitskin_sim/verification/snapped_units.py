@@ -2,8 +2,8 @@
 
 A map of units is verified as any other, by shapes (:mod:`eitskin_sim.verification.shape_verifier`). A unit counts as
 touched if the verified map covers half of it. Then each unit is a rectangle of its own contrast, and the frame is
-modelled with just these. Where that leaves more than it should, units are put in or taken out one at a time, as long as
-what is minimised falls ::
+modelled with just these. If the residual is too large, units are added or removed one at a time while this cost falls
+::
 
     chi-squared + sum of ((log contrast - its mean) / spread)^2 + COST_OF_UNIT * units
 

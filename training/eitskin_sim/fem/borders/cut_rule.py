@@ -1,4 +1,4 @@
-"""What counts as cut by a touch's border, and how much of an element lies inside: one rule for scenes and generators.
+"""Decides which elements a touch's border cuts, and the share inside: one rule for scenes and generators.
 
 An element is cut where a border passes through it. It then has two functions of its own beside the biquadratic ones,
 whose strengths minimise its energy. Scenes (:mod:`eitskin_sim.fem.borders.cut_elements`) and the generators of data
@@ -13,8 +13,8 @@ sets (:mod:`eitskin_sim.fem.borders.cut_blocks`) share what is here. They integr
 
 On one mesh, the generators' of 3.5 mm, the two give changes of voltage dV that are 0.5 % of dV apart: rms over 72
 touches of 5 to 40 mm, square, turned and round; the worst is 2 %, a square of 5 mm. Either is off by 3.8 % from a mesh
-of 1.5 mm that follows the touch, by 1.5 to 3 % at 10 mm and 0.3 to 0.8 % at 20 mm. It is the mesh that errs, and one
-rule in place of the other would gain nothing.
+of 1.5 mm that follows the touch, by 1.5 to 3 % at 10 mm and 0.3 to 0.8 % at 20 mm. The mesh causes this error, so
+exchanging the rules would gain nothing.
 """
 
 from typing import Final

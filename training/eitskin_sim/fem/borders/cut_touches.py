@@ -1,8 +1,8 @@
-"""Which elements touches cover or cut, and how, for many touch sets at once: what no deformation changes.
+"""Finds the elements that touches cover or cut, for many touch sets at once; independent of the deformation.
 
 An element is cut by a piece when its border passes through. Its share inside is integrated over ``POINTS`` x ``POINTS``
 cells, each cut by a straight line. Pieces of a set that cut one element make one inside: where they abut there is no
-seam. What a cut element's block becomes is in :mod:`eitskin_sim.fem.borders.cut_blocks`.
+seam. :mod:`eitskin_sim.fem.borders.cut_blocks` computes a cut element's block.
 """
 
 from dataclasses import dataclass
