@@ -34,8 +34,8 @@ view --recordings /nowhere | --recordings is /nowhere
 status --timeout-s 0 | --timeout-s is 0
 subscribe --verified --touches | --verified takes no frames
 subscribe --verified --max-age-ms 5 | --verified takes no frames
-doctor --recorded f.npy | --recorded does nothing alone: say --electrodes or --drift
-doctor --bundle free | --bundle does nothing alone: say --electrodes or --drift
+doctor --recorded f.npy | --recorded needs --electrodes or --drift
+doctor --bundle free | --bundle needs --electrodes or --drift
 status --server-key x | belong together
 flash show fast --port x | flash show takes no FILE
 flash write fast | flash write needs --port
@@ -44,11 +44,11 @@ service --print eitskin | no file 'eitskin'
 adapt r --out o --seed 99999999999999 | --seed is 99999999999999, expected 0 to 1000000000
 adapt-skin press --skin lab --out o.eitskin --seed 99999999999999 | --seed is 99999999999999, expected 0 to 1000000000
 adapt-skin press --skin lab --out o.eitskin --epochs 0 | --epochs is 0, expected at least 1
-calibrate r.npz --out s.toml --bends 0 | without --guided nothing is recorded now: leave --bends out
+calibrate r.npz --out s.toml --bends 0 | --bends only work with --guided
 calibrate r.npz --out s.toml --snr-db 3 | --snr-db is 3, expected 10 to 120
 calibrate r.npz --out s.toml --guided | --guided needs --port
 calibrate r.npz --out s.toml --guided --port /dev/none --stamp x | --stamp is 'x', expected a diameter
-calibrate r.npz --out s.toml --guided --port /dev/none --json | --guided talks on standard output
+calibrate r.npz --out s.toml --guided --port /dev/none --json | --guided prints its instructions on standard output
 bech | eitskin: no command 'bech'; did you mean 'bench'?
 sim | eitskin: no command 'sim'; 'eitskin --help' lists them
 bench tradeof | eitskin bench: no benchmark 'tradeof'; did you mean 'tradeoff'?
