@@ -29,13 +29,13 @@ def of_ranks(*ranks: int, base: Recipe | None = None) -> Recipe:
 
 @pytest.fixture(scope="module")
 def data(toy_data: Any) -> Any:
-    return toy_data("area", samples=1500)
+    return toy_data("area")
 
 
 @pytest.fixture(scope="module")
 def start(data: Any, tmp_path_factory: pytest.TempPathFactory) -> Start:
     run = tmp_path_factory.mktemp("narrowed") / "run"
-    train.train(data, replace(recipe("tiny"), epochs=6, learning_rate=5e-3), run)
+    train.train(data, replace(recipe("tiny"), epochs=3, learning_rate=5e-3), run)
     return Start.of_run(run)
 
 

@@ -36,7 +36,7 @@ def bends() -> Bends:
 
 @pytest.fixture(scope="module")
 def fitted(data: TrainingData, bends: Bends) -> fit.Gate:
-    return fit.fit(data, bends, steps=250, batch=256)
+    return fit.fit(data, bends, steps=120, batch=256)
 
 
 def test_the_gate_tells_a_touch_from_a_bend_that_it_never_saw(fitted: fit.Gate) -> None:
