@@ -1,12 +1,12 @@
-"""Writes the one file that the runtime loads: graphs, projection, gate and a manifest that can vouch for all of them.
+"""Writes the file that the runtime loads: graphs, projection, gate and a manifest with their checksums.
 
 A bundle is a ZIP whose members are stored, not compressed (weights do not shrink) ::
 
     manifest.json    format, version, ids, sha256 of every other member, recipe, seeds, metrics
-    skin.toml        which skin it is for; its digest and its grid's id are in the manifest
+    skin.toml        its skin; the digest and the grid's id are in the manifest
     geometry.onnx    cloud -> bias            head.onnx        dv, bias -> map
     head_int8.onnx   the same, 8-bit          tikhonov.npy     (pixels, 104) projection on the flat sheet
-    gate.npz         touched or not
+    gate.npz         the touch gate
 
 Its id is the first 16 hex digits of the manifest's sha256, so the id identifies every byte. Members carry a fixed
 date, so the same contents give the same file.

@@ -1,10 +1,9 @@
-"""What a bundle says of healthy frames: how rows go together, and how far from that no touch takes them.
+"""A bundle's statistics of healthy frames: the correlation of rows, and thresholds that touches do not exceed.
 
-How rows spread is a statistic of the training data (:mod:`eitskin_export.consistency`). Thresholds and
-limits are found here, since they are of the runtime's own arithmetic. The thresholds are those that one frame in
-``RATE`` of touches and deformations never trained on exceeds; half of them choose, the other half measure. The runtime
-asks for ten such frames of fourteen, so that noise alone names no electrode; a scene that is held, and is itself one of
-these few, does.
+The distribution of rows is a statistic of the training data (:mod:`eitskin_export.consistency`). Thresholds and limits
+are computed here, because they depend on the runtime's arithmetic. One frame in ``RATE`` of unseen touches and
+deformations exceeds the thresholds; half of these frames choose them, the other half measure. The runtime needs ten
+such frames of fourteen, so that noise alone reports no electrode; a static scene that is itself one of these few does.
 """
 
 from collections.abc import Mapping

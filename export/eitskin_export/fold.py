@@ -1,4 +1,4 @@
-"""A trained network as the two halves that are deployed, batch normalisation folded into the weights, dropout gone.
+"""Folds a trained network into its two deployed halves: batch normalisation goes into the weights, dropout disappears.
 
 In evaluation batch normalisation is an affine map, so it disappears into the linear layer before it; the
 standardisation of the inputs disappears into the layer after it. The normalisation in the fusion scales both column

@@ -1,8 +1,7 @@
 """The two ONNX graphs of a bundle, as bytes, with the ids in their metadata.
 
-``geometry.onnx`` runs when a cloud arrives, ``head.onnx`` runs per frame. Batch is 1 in both: that is what streams. An
-export made in training mode would silently keep its dropout, so the finished graph is searched for layers that only
-training has, whatever the network was.
+``geometry.onnx`` runs when a cloud arrives, ``head.onnx`` runs per frame. Batch is 1 in both, as in a stream. An export
+in training mode would silently keep its dropout, so the finished graph is searched for layers that only training has.
 """
 
 import contextlib

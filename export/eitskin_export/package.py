@@ -1,7 +1,7 @@
 """From a training run to a bundle: fold, export, compare, quantise, audit the gate, score, write.
 
-Nothing is fitted here. The gate is the run's own (:mod:`eitskin_training.gate.stored`), which training makes up for a
-run that has none.
+Nothing is fitted here. The gate is the run's own (:mod:`eitskin_training.gate.stored`); for a run without a gate,
+training fits one.
 """
 
 import tempfile
@@ -44,7 +44,7 @@ def card(model: VD2T, data: TrainingData, *, most: int = 2000) -> dict[str, Any]
     Args:
         model: A trained network.
         data: Its data set.
-        most: At most so many samples for each entry.
+        most: Most samples for each entry.
     """
     return {
         family: {kind: _entry(model, data, rows, kind, most) for kind in NOISES}
@@ -166,15 +166,15 @@ def export(
     bends: GiveBends | None = None,
     gate_steps: int | None = None,
 ) -> dict[str, Any]:
-    """Write a bundle and return what is worth knowing of it: id, bytes, parity, int8 error, gate, metrics.
+    """Write a bundle and return its report: id, bytes, parity, int8 error, gate, metrics.
 
     Args:
         found: The network.
         data: Its data set, which the gate learns from and the metrics are measured on.
         out: The bundle's path.
-        tell: Told what is being done.
+        tell: Called with each step.
         jacobian: Gives the (104, pixels) relative Jacobian of the projection.
-        bends: Gives the untouched sheets for a gate that must be made up; None solves them.
+        bends: Gives the untouched sheets for a gate that must be fitted; None solves them.
         gate_steps: Steps that such a gate is fitted for; None takes the usual ones.
 
     Raises:

@@ -1,13 +1,13 @@
-"""Another network in a bundle: one besides, or one that learned on in place of its own.
+"""Puts another network into a bundle: in addition to its own, or in place of it.
 
-One besides is a smaller one, the solver ``vd2t-small``, what a stream falls to before it falls to a matrix; or one for
-gentle touches, which draws what the bundle's own hardly shows (:mod:`eitskin.model.gentle`). All learned the same kind
-of touch on the same skin. Of its bundle two graphs are taken, the head in 8 bits where nearly the same is shown; gate,
-projection and what healthy frames look like stay the bundle's own. The manifest's ``small`` or ``gentle`` says where
-they are from, with their card.
+An additional network is a smaller one, the solver ``vd2t-small``, to which a stream switches before it switches to a
+matrix; or one for gentle touches, which draws those that the bundle's own hardly shows (:mod:`eitskin.model.gentle`).
+All were trained on the same kind of touch on the same skin. Two graphs are copied from its bundle, with the head in 8
+bits if its maps are nearly the same; gate, projection and statistics of healthy frames stay the bundle's own. The
+manifest's ``small`` or ``gentle`` names their origin, with their card.
 
-One that takes the place of the bundle's own brings its graphs and what is known of them. Gate, projection and healthy
-frames ask nothing of a network, and stay.
+A replacement of the bundle's own network brings its graphs and their metrics. Gate, projection and statistics of
+healthy frames do not depend on a network, and stay.
 """
 
 from pathlib import Path
@@ -21,7 +21,7 @@ from eitskin_export.bundle import read, write
 from eitskin_proto.errors import SkinError
 
 CARD: Final = ("card", "phantoms", "int8", "held_out")
-"""What is kept of the metrics of a network besides."""
+"""The metrics that are kept of an additional network."""
 
 GRAPHS: Final = ("geometry.onnx", "head.onnx", "head_int8.onnx")
 """A network's members."""
@@ -33,18 +33,18 @@ FRAME_METRICS: Final = ("electrodes",)
 """Of a manifest's metrics, what is not of the network."""
 
 FLIPPED_PIXELS: Final = 2.0
-"""A head that goes besides is taken in 8 bits where these show fewer pixels than this on the other side of half height:
-it is there to be fast, where the bundle's own has half as much."""
+"""The head of an additional network is used in 8 bits if fewer pixels than this change sides of one half: it must be
+fast. The bundle's own head has half this limit."""
 
 
 def pair(bundle: Path, other: Path, out: Path, name: str = SMALL) -> dict[str, Any]:
-    """Write a bundle with another network besides, in place of one that it had, and return what was done.
+    """Write a bundle with another additional network, in place of an earlier one, and return a report.
 
     Args:
         bundle: The bundle that goes on as it is.
         other: A bundle of the same skin, labels and touches.
         out: Where; may be ``bundle``.
-        name: Of the network besides: ``small`` or ``gentle``.
+        name: Of the additional network: ``small`` or ``gentle``.
 
     Returns:
         path, bundle and bytes of the new one; ``large_head_bytes`` and ``small_head_bytes`` or ``gentle_head_bytes``
@@ -83,7 +83,7 @@ def pair(bundle: Path, other: Path, out: Path, name: str = SMALL) -> dict[str, A
 
 
 def carried(bundle: Path, other: Path, out: Path, name: str = GENTLE) -> str:
-    """Write a bundle with the network besides that another one has, as it is; return the new one's id.
+    """Write a bundle with another bundle's additional network, unchanged; return the new one's id.
 
     Args:
         bundle: The bundle that goes on as it is.
@@ -102,10 +102,10 @@ def carried(bundle: Path, other: Path, out: Path, name: str = GENTLE) -> str:
 
 
 def replaced(bundle: Path, newer: Path, out: Path) -> dict[str, Any]:
-    """Write a bundle with another's network in place of its own, and return what was done.
+    """Write a bundle with another's network in place of its own, and return a report.
 
     Args:
-        bundle: Whose gate, projection and healthy frames stay. Networks besides that it had are left out.
+        bundle: Its gate, projection and statistics stay. Its additional networks are left out.
         newer: A bundle of the same skin, labels and touches.
         out: Where; may be ``bundle``.
 
@@ -132,7 +132,7 @@ def replaced(bundle: Path, newer: Path, out: Path) -> dict[str, Any]:
 
 
 def _fast_head(part: Bundle) -> str:
-    """Return the member of a bundle's head that is taken where its network goes besides another."""
+    """Return the member of a bundle's head to use when its network is additional to another."""
     names = solvers(part)
     few = QUANTISED in names and flipped_pixels(part) < FLIPPED_PIXELS
     return HEADS[QUANTISED] if few else HEADS[names[0]]

@@ -1,10 +1,10 @@
-"""Whether the exported graphs say what the trained network says: the largest difference of each tensor.
+"""Compares the exported graphs with the trained network: the largest difference of each tensor.
 
-The inputs are the same for every network: one to four touches on sheets bent by seeds that no data set uses, solved
-on a coarse mesh, with N2 noise, and their clouds. (White noise in place of voltages and shapes drives logits past 130,
-where float32 itself is off by 1.8e-5, in torch as well: that says nothing of the graphs.) The network is run whole and
-unfolded, so folding, splitting and exporting are all held to account at once, and in float64, so that float32 is
-counted once and not twice.
+The inputs are the same for every network: one to four touches on sheets bent by seeds that no data set uses, solved on
+a coarse mesh, with N2 noise, and their clouds. (White noise in place of voltages and shapes drives logits past 130,
+where float32 itself has an error of 1.8e-5, in torch as well, which says nothing about the graphs.) The network runs
+whole and unfolded, so folding, splitting and exporting are tested at once, and in float64, so that float32's error
+counts once and not twice.
 """
 
 import copy

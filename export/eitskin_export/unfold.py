@@ -1,9 +1,9 @@
-"""A network again from the graphs of a bundle: what folding put together is taken apart, so that it can learn on.
+"""Rebuilds a network from the graphs of a bundle by undoing the folding, so that it can be trained further.
 
 Folding (:mod:`eitskin_export.fold`) makes one layer of a linear layer and its normalisation; of the two only the
 product is left. Here the linear layer gets all of it, and the normalisation becomes the identity but for the bias it
-carries. In evaluation the network gives the bundle's maps. In training its norms must stay in evaluation too: the
-statistics that they once had are gone.
+carries. In evaluation the network gives the bundle's maps. In training its norms must stay in evaluation too: their
+original statistics are lost.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""A short second training for missing electrodes: the network and what fills their rows in learn together.
+"""A short second training for missing electrodes: the network and the filling of their rows are trained together.
 
 Training shows a network rows that the Gaussian filled in, now and then (:mod:`eitskin_training.samples.batches`).
 This stage starts from a run's best epoch ::
@@ -139,7 +139,7 @@ def adapt(
     seed: int = 0,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Adapted:
-    """Return a network and a filling that go together; the model that is given is changed.
+    """Return a network and a filling trained together; changes the given model.
 
     Args:
         model: A trained network.
@@ -147,7 +147,7 @@ def adapt(
         data: The data set that it was trained on.
         plan: Lengths and rates.
         seed: Of every draw.
-        tell: Told how it goes on.
+        tell: Called with the progress.
     """
     plan = Plan() if plan is None else plan
     torch.manual_seed(seed)

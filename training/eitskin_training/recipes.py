@@ -1,4 +1,4 @@
-"""Recipes: everything that decides a training run, as named values with their source.
+"""Recipes: all parameters of a training run, as named values with their source.
 
 ``paper`` is section V.A of the paper. ``units`` and ``free`` are what a robot needs: several-parameter deformations,
 all three noises, the sheet's mirror symmetries, missing rows; ``units`` keeps the paper's hard labels on the 126 units,

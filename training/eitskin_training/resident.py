@@ -1,7 +1,7 @@
 """An epoch's steps on a device that holds the data: on a GPU each is one launch of a captured graph.
 
-A step of these networks is a great many small kernels. Launched one by one they wait for Python; captured once as a
-CUDA graph they take a third of the time. What changes from step to step lies in tensors that the graph reads: the
+A step of these networks consists of many small kernels. Launched one by one they wait for Python; captured once as a
+CUDA graph they take a third of the time. Values that change from step to step are in tensors that the graph reads: the
 table of batches, the place in it, the learning rate. The same steps run uncaptured on any device, for tests.
 """
 
@@ -64,7 +64,7 @@ def needed_bytes(data: TrainingData, recipe: Recipe) -> int:
 
 
 def fits(data: TrainingData, recipe: Recipe, device: torch.device) -> bool:
-    """Whether a data set can lie on a device: a GPU with memory for it."""
+    """Whether a data set fits on a device: a GPU with memory for it."""
     if device.type != "cuda":
         return False
     free, _ = torch.cuda.mem_get_info(device)
@@ -95,7 +95,7 @@ class ResidentData:
         self.labels = there(data.labels)
         """(T, outputs) uint8."""
         self.scale = 1.0 if data.labels_kind == "units" else 1.0 / 255.0
-        """What a label is multiplied by to lie between 0 and 1."""
+        """The factor that scales a label to 0 to 1."""
         self.clouds = there(np.stack([mirror.clouds(data.clouds) for mirror in shown]))
         """(images, D, 3, rows, columns)"""
         self.log_predicted = there(data.log_predicted)
@@ -259,7 +259,7 @@ STEPS_PER_LOSS_CHECK: Final = 256
 
 
 class ResidentSteps:
-    """The steps of a run whose data lie on the device.
+    """The steps of a run with its data on the device.
 
     Args:
         run: The run.

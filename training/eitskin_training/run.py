@@ -1,4 +1,4 @@
-"""A training run in memory: its network, the running mean of its weights, its optimiser, and what epochs gave."""
+"""A training run in memory: its network, the running mean of its weights, its optimiser, and its epochs' results."""
 
 import math
 from collections.abc import Iterable

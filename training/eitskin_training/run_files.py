@@ -34,7 +34,7 @@ LARGEST_FILE: Final = 1 << 30
 
 MAX_LAYERS: Final = 64
 MAX_WIDTH_RATIO: Final = 4
-"""The squares of all widths are at most so many times the weights; 0.75 times in the recipes that there are."""
+"""Largest ratio of the squares of all widths to the weights; 0.75 in the shipped recipes."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""How good a network's maps are: the loss and the correlation coefficient, over many samples at once."""
+"""Scores a network's maps by the loss and the correlation coefficient, over many samples at once."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -112,7 +112,7 @@ def score(
         kinds: Noises, one drawn a sample.
         snr_db: Signal-to-noise ratio.
         seed: Of the noise and of the choice of samples.
-        most: At most so many samples, chosen at random.
+        most: Most samples, chosen at random.
 
     Raises:
         ValueError: No rows.

@@ -1,4 +1,4 @@
-"""Where a training run begins: not with random weights, but with those of another run, or of a bundle."""
+"""Starts a training run from the weights of another run or of a bundle."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace

@@ -38,7 +38,7 @@ from eitskin_training.start import Start, fits, keep_statistics, narrowed
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Where a run stands, told after every batch.
+    """The progress of a run, reported after every batch.
 
     Args:
         epoch: Number of the epoch, from 1.
@@ -85,7 +85,7 @@ def train(
         seed: Of the first weights, the order, the noise and the dropout.
         resume: Whether to go on from the folder's checkpoint.
         stop_after: Stop early after this epoch; the run can be resumed.
-        sources: Where the data sets lie, for the export to find them again.
+        sources: Folders of the data sets, for the export to find them again.
         start: Weights to start from; None draws them. Their network must be of the same shape, or a
             larger one whose layers the recipe's ranks narrow.
         progress: Called after every batch.

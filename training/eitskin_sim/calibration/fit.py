@@ -42,7 +42,7 @@ MISFIT_LEVEL: Final = 1e-4
 """How often an honest recording is called a misfit."""
 
 NAMED_ROW_SD: Final = 4.0
-"""Rows whose residual is so many times what it should be are named."""
+"""Rows whose residual exceeds its expected size by this factor are named."""
 
 
 MIN_GAIN: Final = 0.1
@@ -52,8 +52,8 @@ MIN_GAIN_SHARE: Final = 1e-3
 """The same as a share of the whole, where the whole is far above noise."""
 
 LEVEL_STEPS: Final = 5
-"""After the most steps the search is at its end, too, if none of so many last ones gained ``MIN_GAIN``: it goes to and
-fro across the bottom of a valley that bends, and comes nearer a little each time."""
+"""After the most steps the search has converged too if none of this many last ones gained ``MIN_GAIN``: it then zigzags
+along a curved valley, with small gains."""
 
 
 class CalibrationError(SkinError):
@@ -133,14 +133,14 @@ def fit(
 
     Args:
         model: What is fitted.
-        progress: Called with the step's number and the misfit, before each.
+        progress: Called before each step with its number and the misfit.
         start: (count,) where the search begins; None is the stated values.
         soft: Relative errors that are added to every row, one after the other; the last is 0.
         done: Steps that were taken already.
-        rough: What should be read is not smooth, as under touches whose borders cross elements: stop where nothing is
-            gained that matters.
+        rough: The model is not smooth, as under touches whose borders cross elements: stop when the gain is
+            insignificant.
 
-    The misfit may be above its limit: who calls looks.
+    The misfit may be above its limit: the caller checks it.
 
     Raises:
         UnsettledError: It does not converge.

@@ -53,7 +53,7 @@ class ModelVoltages:
 
 @dataclass(frozen=True, slots=True)
 class SheetState:
-    """How the sheet lies, and what presses it; as it stands, as it lay when the reference was taken."""
+    """The sheet's shape and press; by default those of the reference."""
 
     scanned: Metric | None = None
     """What a scan shows; None is flat."""
@@ -62,7 +62,7 @@ class SheetState:
     touched_by: Sequence[int] = ()
     """Parameters that touches depend on."""
     at_reference: bool = True
-    """Whether it lies as it did when the reference was taken."""
+    """Whether it has the shape of the reference."""
 
 
 class Model:

@@ -59,7 +59,7 @@ class Parameters:
     Args:
         skin: Whose uncertainties are the priors.
         n_modes: Smooth modes of the layer.
-        more: Groups besides, which the skin does not state: those of presses.
+        more: Additional groups, which the skin does not state: those of presses.
     """
 
     def __init__(self, skin: Skin, n_modes: int, more: Sequence[ParameterGroup] = ()) -> None:

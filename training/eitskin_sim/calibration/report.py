@@ -61,11 +61,11 @@ def calibrate(
 
 
 def per_ampere(skin: Skin, recording: Recording) -> tuple[Recording, float]:
-    """Return a recording as under 1 A, and the current that it was taken with as far as that can be told.
+    """Return a recording scaled to 1 A, and its current as far as that can be determined.
 
-    The layer's conductivity and the current are told apart by the contacts alone, so voltages that are
-    within ``LEVEL_PRIOR_FACTOR`` of the stated skin's under 1 A are left as they are: the level finds it. A current
-    below 0 is one whose voltages have the sign that other programs give a pair.
+    Only the contacts distinguish the layer's conductivity from the current, so voltages that are within
+    ``LEVEL_PRIOR_FACTOR`` of the stated skin's under 1 A are left as they are: the level finds it. A current below 0 is
+    one whose voltages have the sign that other programs give a pair.
     """
     model = Model(skin, recording)
     stated = model.read(np.zeros(model.count), derivatives=False).voltages_V

@@ -35,7 +35,7 @@ PRESS_ERROR: Final = 0.03
 """Of a press's own change, row by row: elements of 3 mm, and no stamp's outline is exactly a disc or a rectangle."""
 
 MIN_SIGN_COSINE: Final = 0.5
-"""Cosine of what a press changed and what the model says: from here on its way is told."""
+"""Cosine of a press's measured and modelled change above which its direction is known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

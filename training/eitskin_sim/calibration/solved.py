@@ -40,7 +40,7 @@ Touches = Sequence[Touch]
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """How the layer lies: what a metric is changed by, and what it is made of."""
+    """The layer's state: the change of its metric, and its material."""
 
     log_along: float = 0.0
     """Logarithm of a factor of all lengths along x."""

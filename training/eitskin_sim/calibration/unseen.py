@@ -40,7 +40,7 @@ class Unseen:
     steeper: float
     """By which share voltages follow a gauge factor more than the scan's model says."""
     largest: float
-    """Squared distances a row of up to so many times the covariance's are honest."""
+    """Largest squared distance a row, relative to the covariance's, of an honest device."""
 
     @property
     def group(self) -> ParameterGroup:

@@ -34,7 +34,8 @@ DEVICE, MOMENT, DRIFT, SCAN = 7, 8, 9, 10
 """Seeds of a plan's draws, beside those of :mod:`eitskin_sim.dataset.plan` and others."""
 
 REFERENCE_RATIO_RANGE: Final = (0.4, 2.5)
-"""A reference over the nominal one, in every row: who sees another looks for the fault, and takes no data."""
+"""Bounds of a reference over the nominal one, in every row; a lab would find the fault behind any other before taking
+data."""
 
 ATTEMPTS: Final = 100
 """Draws of a front end."""

@@ -50,7 +50,7 @@ def generate(
     certificates: Certificates | None = None,
     progress: Progress = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Write a data set, or go on with one, and return its index.
+    """Write a data set, or resume one, and return its index.
 
     Args:
         plan: What it holds.
@@ -58,7 +58,7 @@ def generate(
         workers: Processes on this machine; 0 computes in this one.
         scheduler: Address of a Dask scheduler that makes the shards instead, such as "tls://10.0.0.1:8786".
         certificates: For a scheduler at ``tls://``; None takes those of Dask's own configuration.
-        progress: Told after every shard.
+        progress: Called after every shard.
 
     Raises:
         DataSetError: The folder holds another data set.
@@ -145,7 +145,7 @@ def processes(workers: int) -> Iterator[ProcessPoolExecutor]:
                 "a process that made data was ended from outside, mostly because memory is short; the same command "
                 "goes on where it was, and fewer --workers take less"
             ) from error
-        except BaseException:  # nobody takes what they are at, which may last minutes
+        except BaseException:  # their unfinished work is not needed, and may last minutes
             for worker in set(multiprocessing.active_children()).difference(others):
                 worker.terminate()
             raise
@@ -154,8 +154,8 @@ def processes(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _follow_parent() -> None:
-    """Have this worker end when the process that started it does, however that ends: it would compute on for nobody."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches it as well; who started it ends it
+    """End this worker when its parent process ends, however that ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches it too, but its parent ends it
 
     def follow() -> None:
         if (parent := multiprocessing.parent_process()) is not None:

@@ -182,7 +182,7 @@ def make_plan(
         set_name: "paper", "units" or "free".
         seed: Where all draws come from.
         deformations: Deformations to train on.
-        touch_sets: Touch sets in all; for "paper", the first so many of its 10,259.
+        touch_sets: Touch sets in all; for "paper", the first of its 10,259.
         per_deformation: Touch sets shown at each deformation to train on; "paper" shows all.
         kept: Deformations of A kept apart, and as many of B; "paper" has none.
         near: Share of the sets drawn with touches near to each other; for "free" alone.

@@ -32,7 +32,7 @@ def predicted_log_of(folder: str | Path, data: DataSet) -> npt.NDArray[np.float3
     """Return the (D, 104) log |V_pred| / |V_flat| of a data set's deformations, from its folder if they are there.
 
     Args:
-        folder: Where the data set lies; one that cannot be written to keeps nothing, and each call computes.
+        folder: The data set's folder; without write access nothing is kept, and each call computes.
         data: The data set, of D deformations.
     """
     path, flat = Path(folder) / FILE, flat_voltages(data.skin)

@@ -149,7 +149,7 @@ def load(path: str | Path) -> DataSet:
 
 
 def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> DataSet:
-    """Return the data set of its files' arrays, each held against the others."""
+    """Return the data set of its files' arrays, after checking them against each other."""
     skin, unit_bits, pieces = skin_of(index), touches.get("units"), touches.get("pieces", np.empty((0, 7)))
     n_units = skin.grid.n_units
     units = np.empty((0, n_units), dtype=np.bool_)

@@ -38,7 +38,7 @@ OLD_REFERENCE_SHARE: Final = 0.03
 """Share of samples whose reference is of another day."""
 
 OLD_REFERENCE_DRIFT_FACTOR: Final = 4.0
-"""Their drift is so many times what a session's is at its end."""
+"""Their drift in multiples of a session's at its end."""
 
 MAX_DRIFT: Final = 0.3
 """No sample's logarithm of the common factor is further from 0."""

@@ -22,7 +22,7 @@ from eitskin_sim.surface.measured_cloud import measured_cloud
 Array = npt.NDArray[np.float64]
 
 MAX_OFFSET_SD = 2.5
-"""An electrode is off by at most so many standard deviations: it stays on its side of the border."""
+"""Largest deviation of an electrode in standard deviations: it stays on its side of the border."""
 
 DRAW_SEED = 31_007
 """Devices have seeds of their own, apart from those of any data set."""

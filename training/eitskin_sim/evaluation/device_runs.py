@@ -95,9 +95,9 @@ class Plan:
     noise: Kind = "N2"
     snr_db: float = 50.0
     skin: Skin = PAPER
-    """What the solver is told."""
+    """The skin that the solver knows."""
     meant: Skin = PAPER
-    """What the devices were meant to be: the same, but where a calibration of one of them is told."""
+    """The nominal skin of the devices: the same, unless the solver knows a calibration of one of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,7 +179,7 @@ def run_rows(
 
 
 def devices(mismatch: Mismatch | None, plan: Plan) -> Iterator[tuple[int, Device]]:
-    """Yield the devices of a row, each with its number: so many as the plan says, the nominal one once.
+    """Yield the devices of a row, each with its number: as many as the plan says, the nominal one once.
 
     Args:
         mismatch: Of the row; None draws that too.

@@ -285,7 +285,7 @@ def _reference(kind: Reference, sheet: Sheet, flat: Array) -> Array:
 
 
 def _cloud(bare: Scene, kind: CloudKind, seed: int, skin: Skin) -> Array:
-    """Return the scan of a scene's own sheet, or what solvers are told in its place."""
+    """Return the scan of a scene's own sheet, or the cloud that solvers get instead."""
     bend = bare.bend
     if kind == "flat":
         bend = Bend()

@@ -32,7 +32,7 @@ MEASURES: Final = (
 """What is reported of each phantom and of their mean: the fields of a score, and the share of right counts."""
 
 MAX_RESOLVED_DISTANCE_MM: Final = 5.0
-"""Touches are told apart where as many are found as there are, this near to them: half the width of a touch."""
+"""Touches count as resolved if all are found within this distance: half the width of a touch."""
 
 RESAMPLES: Final = 2000
 """Bootstrap draws of deformations behind an interval."""

@@ -38,10 +38,10 @@ APART_MM: Final = 6.0
 """Random touches anywhere keep this distance between their boxes."""
 
 TRIES: Final = 1000
-"""Draws in a row that find no place, after which a set of touches anywhere is begun anew."""
+"""Draws in a row without a place, after which a set of touches anywhere is restarted."""
 
 STARTS: Final = 20
-"""Beginnings, after which a sheet is too small for so many."""
+"""Restarts after which the sheet counts as too small for this number."""
 
 Labels = Literal["units", "area"]
 """What the truth's pixels mean."""
@@ -52,7 +52,7 @@ Touches = Callable[[np.random.Generator], tuple[Touch, ...]]
 
 @dataclass(frozen=True, slots=True)
 class TouchProfile:
-    """What a trial's touch is besides its size: by default a hard square."""
+    """A trial's touch apart from its size: by default a hard square."""
 
     contrast: float = 50.0
     """Conductivity over the sheet's; below 1 where a press lowers it."""
@@ -221,7 +221,7 @@ def _square(x_mm: float, y_mm: float, size_mm: float) -> Touch:
 
 
 def _drawn(wanted: int, rng: np.random.Generator, grid: Grid) -> list[Shape]:
-    """Return so many shapes that are apart, or fewer where no more find a place."""
+    """Return shapes that are apart, the given number or as many as there is room for."""
     shapes: list[Shape] = []
     tries = 0
     while len(shapes) < wanted and tries < TRIES:

@@ -200,7 +200,7 @@ def gathered(mesh: TensorMesh, blocks: Array) -> csc_array:
 
 
 def _under(window: Window) -> tuple[Index, Array, Array]:
-    """Return what lies under each contact in turn.
+    """Return the nodes under each contact in turn.
 
     Returns:
         The (n,) window nodes, the (n, n) m^2 mass between those of one contact, and its (n,) impedance.

@@ -77,7 +77,7 @@ def dense_inverse(lines: Lines, blocks: Array, ground: tuple[int, float], into: 
 
 
 class PartialInverse:
-    """The inverse between the unknowns that somebody asks for.
+    """The inverse between requested unknowns.
 
     A touch reaches 40 to 300 of 3,000 unknowns, and the next step of a fit few others. Of each a column is made, from
     the first line of all that are asked for to its own; what is beyond comes from the others' columns, by symmetry.

@@ -54,7 +54,7 @@ def cell_mesh(
 
 
 def cell_of_element(mesh: TensorMesh, shape: tuple[int, int]) -> Index:
-    """Return the (n_elements,) cell, row * columns + column, in which each element's middle lies.
+    """Return the (n_elements,) cell, row * columns + column, of each element's middle.
 
     Raises:
         ValueError: A line of the grid is no line of the mesh.

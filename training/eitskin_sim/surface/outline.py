@@ -37,7 +37,7 @@ ROUGH_DEGREE: Final = 3
 """Degree of the first guess."""
 
 ROUNDS: Final = 2
-"""How often the sides are found anew between the corners of the last."""
+"""Number of times that the sides are found again between the previous corners."""
 
 MAX_CORNER_DISTANCE_MM: Final = 1e4
 """No corner lies farther from the chart's origin."""

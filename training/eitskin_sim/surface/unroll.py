@@ -43,7 +43,7 @@ MIN_POINTS_PER_CUBE: Final = 4.0
 """With fewer points in a cube on average the cubes are made larger; points 2 mm apart have 3.4."""
 
 WANTED_POINTS_PER_CUBE: Final = 5.0
-"""So many points an average larger cube shall hold."""
+"""Average number of points in a larger cube."""
 
 LINK_CELLS: Final = 1.6
 """The chart's least squares need only the nearer neighbours, in cells: a sparser matrix."""

@@ -27,7 +27,7 @@ from eitskin_sim.tank.images import signed_l1
 Array = npt.NDArray[np.float64]
 
 SIGNIFICANT_SD: Final = 4.0
-"""A common factor is told from objects above so many of its standard errors."""
+"""A common factor is distinguished from objects above this many of its standard errors."""
 
 MIN_COMMON_FACTOR: Final = 0.02
 """Smallest that is taken out, as in a stream."""
@@ -56,7 +56,7 @@ class Common:
 
     @property
     def is_significant(self) -> bool:
-        """Whether it is told from what objects can make."""
+        """Whether it is distinguished from the effect of objects."""
         return abs(self.relative) > SIGNIFICANT_SD * self.sd
 
     @property

@@ -128,7 +128,7 @@ def front_end_of(model: TankModel, frame: TankFrame) -> OffsetAndGains:
     """Return the front end that explains a frame's water in the model.
 
     Raises:
-        TankError: It cannot be told.
+        TankError: It cannot be determined.
     """
     try:
         return fit_front_end(frame.water_V, model.water_V)

@@ -131,7 +131,7 @@ def updated(inverse: Array, dofs: Index, change: Array) -> Array:
 
 
 class ContrastPairs:
-    """What pairs of units do to each other, for sets of a few units of any contrasts.
+    """The interactions of pairs of units, for sets of a few units of any contrasts.
 
     Args:
         inverse: (s + 16, s + 16) V of the untouched skeleton.

@@ -34,15 +34,15 @@ class AtRest:
 
 
 def at_rest(change: Array, beside: Array, expected: Array, columns: Array, floor: Array, noise: Array) -> AtRest:
-    """Return what a sheet reads beside its model.
+    """Return a sheet's deviation from its model.
 
     Args:
         change: (rows,) dV that it read.
         beside: (rows,) dV of it that the model does not say.
-        expected: (rows,) dV beside the model that is expected of it.
-        columns: (rows, m) dV that the model may be off by, of one standard deviation each.
-        floor: (rows,) standard deviation that it may be off by in each row besides.
-        noise: (rows,) standard deviation of what was read.
+        expected: (rows,) expected residual dV.
+        columns: (rows, m) errors of the model in dV, of one standard deviation each.
+        floor: (rows,) additional standard deviation of each row's error.
+        noise: (rows,) standard deviation of the measurement.
     """
     unseen = columns @ columns.T
     own, rest = unseen + np.diag(np.square(floor)), beside - expected

@@ -65,8 +65,8 @@ def rectangles_of(shares: Array, grid: Grid = PAPER.grid, *, turned: bool = True
 def starts_of(shares: Array, prior: TouchPrior, grid: Grid = PAPER.grid) -> list[Array]:
     """Return (m, 8) touches of the usual contrast, each to start a fit from, the likeliest first.
 
-    What two touches make of a map may look like one that lies across, so upright ones follow turned ones. Presses into
-    a soft layer are ellipses with a graded border. No touches come last.
+    The map of two touches may look like one turned touch, so upright ones follow turned ones. Presses into a soft layer
+    are ellipses with a graded border. No touches come last.
     """
     drawn = [rectangles_of(shares, grid)]
     if drawn[0][:, 5].any():

@@ -61,7 +61,7 @@ class ShapeTouch:
     area_range_mm2: tuple[float, float]
     """Two standard errors of its logarithm either way, contrast changing along."""
     angle_error_deg: float | None = None
-    """None where the angle was not fitted: such a touch lies along the sheet."""
+    """None where the angle was not fitted: such a touch is aligned with the sheet."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -94,8 +94,8 @@ class SheetModel:
             reference: (104,) V.
             noise: Of the frame.
             rows: (104,) which rows there are; None is all.
-            own: (104,) dV that each row may be off by besides, alone; None is none.
-            floor_factor: Times that each row may be off by more than the mesh's error.
+            own: (104,) additional independent error of each row in dV; None is none.
+            floor_factor: Factor of each row's error over the mesh's error.
         """
         columns, sd = self._columns() * self.ratio(change)[:, None], noise.sd(change, reference)
         floor = c.MESH_ERROR * floor_factor * (1.0 if self.rest is None else self.rest.scale)

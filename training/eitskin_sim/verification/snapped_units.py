@@ -48,7 +48,7 @@ class UnitVerdict(Verdict[UnitTouch]):
 
 
 def too_many(shown: Bits) -> str:
-    """Return why units are not verified, of which a network shows so many; nothing where they are.
+    """Return why a network's units are not verified because there are too many; "" if they are.
 
     Args:
         shown: (units,) what it shows.

@@ -1,4 +1,4 @@
-"""How likely touches are before anything is measured.
+"""The prior probability of touches.
 
 Costs are -2 log of a probability, so they add to a chi-squared. All but the first are squares of residuals, which a fit
 minimises together with those of the frame::

@@ -1,16 +1,16 @@
-"""What may differ between the sheet and the model of its scan, all linear, on one deformation, from one factorisation.
+"""Linear differences between the sheet and the model of its scan, on one deformation, from one factorisation.
 
 The model has the metric of a smooth surface through the scanned points. A scan without marks divides rows and columns
-by arc length, so it misses how stretch is distributed along them; and noise leaves the surface unsure. Both change the
-conductance tensor K = sigma t0 g^-1 of every element, and so do conductivities that drifted. With the fields X of the
-untouched sheet every such change answers as
+by arc length, so it misses how stretch is distributed along them; and noise makes the surface uncertain. Both change
+the conductance tensor K = sigma t0 g^-1 of every element, and so do conductivities that drifted. With the fields X of
+the untouched sheet every such change answers as
 
     dU = - sum over elements of X_e^T dS_e X_e,      dS_e = dK_xx S_xx + dK_xy S_xy + dK_yy S_yy
 
 so the three powers of every element are computed once, and a change costs one small product. ::
 
-    stretch     the material lies elsewhere under the scan's points: waves along x and y, none across the border
-    scan        what the scanner's noise leaves unsure of the surface, in every way in which it moves it
+    stretch     displacements of the material under the scan's points: waves along x and y, none across the border
+    scan        the uncertainty of the surface from the scanner's noise, in all its modes
     drift       of the whole layer's conductivity since the reference
     tilt x, y   drift that differs from end to end, a plane of rms 1
     gauge       conductivity goes with (local area stretch)^-k

@@ -1,10 +1,10 @@
-"""Where material usually lies under the points of a scan: what a shape says of it, and what no shape does.
+"""Estimates the displacement of the material under a scan's points from the shape, with its uncertainty.
 
 Deformations of the skin's family are drawn, scanned without noise and mirrored, and the waves are found that turn the
-metric of each cloud into the sheet's own. What twist and skew do to material shows in the shape that they make, so the
-waves are a Gaussian process of what the scan shows. What the process misses of each deformation, learned from the
-others, stays unknown; so does uneven stretch, of which a scan shows nothing. A shape unlike those drawn says less. One
-with bumps shows them as a metric that no drawn one has: material then lies anywhere, farther the more of them there is.
+metric of each cloud into the sheet's own. Twist and skew displace the material and also shape the sheet, so the waves
+are a Gaussian process of the scan's shape. Its leave-one-out error stays unknown; so does uneven stretch, which a scan
+does not show. A shape unlike the drawn ones has a larger error. Bumps show as a metric that no drawn shape has: the
+displacement's uncertainty then grows with them.
 """
 
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ from eitskin_sim.verification.waves import Waves, waves_of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaterialPrior:
-    """Where material lies under a scan's points."""
+    """The material's displacement under a scan's points."""
 
     mean: Array
     """(w,) amplitudes of the waves that are likeliest."""
@@ -63,7 +63,7 @@ class UsualWaves:
     """(w, w) and of what the shape does not say."""
 
     def under(self, scan: Scan) -> MaterialPrior:
-        """Return where material lies under a scan."""
+        """Return the material's displacement under a scan."""
         shown = _features(scan.surface.metric, self.at) - self.middle
         beyond = shown - self.parts @ (self.parts.T @ shown)
         bumps = max(float(beyond @ beyond - self._noise(scan)) / len(beyond), 0.0)
@@ -89,7 +89,7 @@ class UsualWaves:
 
 @lru_cache(maxsize=4)
 def usual_waves(skin: Skin = PAPER) -> UsualWaves:
-    """Return what the shapes of a skin's deformations say of where their material lies."""
+    """Return the model that estimates displacements from the shapes of a skin's deformations."""
     sheet, waves = nominal_sheet(skin), waves_of(skin)
     x, y = ((np.arange(n) + 0.5) * extent / n for n, extent in zip(c.METRIC_PLACES, skin.outline.size_mm, strict=True))
     at = np.stack([one.ravel() for one in np.meshgrid(x, y)], axis=-1)

@@ -1,4 +1,4 @@
-"""What a verifier says of one frame: the touches, how well they explain it, and how surprising that is.
+"""A verifier's verdict on one frame: the touches, their chi-squared, and its p-value.
 
 A right model leaves a chi-squared near its number of degrees of freedom n, give or take sqrt(2 n). The p-value is the
 chance that a right model leaves this much or more: among right answers it is uniform, one in a hundred below 0.01.

@@ -1,7 +1,7 @@
-"""Displacements of the sheet's material under the points of its scan, as waves, and what they do to a metric.
+"""Displacements of the sheet's material under the points of its scan, as waves, and their effect on a metric.
 
 A scan without marks divides rows and columns by arc length, so it misses how stretch is distributed along them: the
-material may lie elsewhere within the surface. Its border stays on the border.
+material may be displaced within the surface. Its border stays on the border.
 """
 
 from dataclasses import dataclass
@@ -74,7 +74,7 @@ class Waves:
         return np.concatenate(signs)
 
     def moved(self, metric: Metric, amplitudes: Array) -> Metric:
-        """Return the metric of the material, if it lies so under that of the scan's points."""
+        """Return the metric of the displaced material, from that of the scan's points."""
         x, y = (np.linspace(0.0, extent, round(extent / c.MOVED_METRIC_GRID_MM) + 1) for extent in self.size_mm)
         whole = metric(np.stack([one.ravel() for one in np.meshgrid(x, y, indexing="ij")], axis=-1))
         parts = [RectBivariateSpline(x, y, one.reshape(len(x), len(y))) for one in whole.T]

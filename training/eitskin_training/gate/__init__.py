@@ -1,1 +1,1 @@
-"""The touch gate: what it learns from, its training and its error rates."""
+"""The touch gate: its training data, its training and its error rates."""

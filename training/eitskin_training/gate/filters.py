@@ -1,4 +1,4 @@
-"""The gate of random devices in closed form: matched filters that are held against all else that a frame shows.
+"""The gate of random devices in closed form: matched filters, relative to the rest of a frame.
 
 Untouched moments of random devices fill their directions by very different amounts: a stretched reference, or a bent
 sheet with a gauge factor, moves all of them far, and most moments hardly any. With w the whitened logarithms, without
@@ -7,10 +7,9 @@ and unknown strength is then a matched filter over that scale, here its mean abs
 
     f_j = s_j . w / |s_j|        touched: max over j of f_j > c (mean |w| + a)
 
-c is set at a false-alarm rate, a keeps the noise of frames that show nothing at all from counting. It is the gate's
-usual network: the first layer has w, -w and the filters, the second f_j - c (mean |w| + a), and what is left above 0 is
-added up. A bound on w alone, learned or not, is set by the few moments that are far off, and the others' presses are
-below it.
+c is set at a false-alarm rate, a excludes the noise of frames that show nothing. It is the gate's usual network: the
+first layer has w, -w and the filters, the second f_j - c (mean |w| + a), and what is left above 0 is added up. A bound
+on w alone, learned or not, is determined by the few extreme moments, and the others' presses are below it.
 """
 
 from typing import Final

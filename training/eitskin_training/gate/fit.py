@@ -1,17 +1,18 @@
-"""The touch gate: a very small network that says "nothing touches" before the large one is asked.
+"""The touch gate: a very small network that detects untouched frames before the large one runs.
 
-A bent sheet moves every voltage although nothing touches it, so a threshold on |dV| cannot tell touch from bend; what
-tells them apart is the pattern. Untouched sheets of all bends fill few of the 104 directions of log(V / V0), and a
-touch, however small, leaves them. But those directions are the ones of least variance, a thousandth of the largest, and
-a network on standardised rows does not find them (it missed four of five 10 mm touches at 1 % false alarms). So the
-logarithms are whitened by the covariance of noisy untouched sheets first ::
+A bent sheet moves every voltage although nothing touches it, so a threshold on |dV| cannot distinguish touch from bend,
+but the pattern can. Untouched sheets of all bends fill few of the 104 directions of log(V / V0), and a touch, however
+small, leaves them. But those directions are the ones of least variance, a thousandth of the largest, and a network on
+standardised rows does not find them (it missed four of five 10 mm touches at 1 % false alarms). So the logarithms are
+whitened by the covariance of noisy untouched sheets first ::
 
     log(max(1 + dV, floor)) (104) -> - mean, whiten -> 96 -> ReLU -> 32 -> ReLU -> 1 = logit
     touched: logit > threshold
 
-Of random devices, the factor common to all rows is taken out of the logarithms before they are whitened: a drift
-however large turns no frame into a touched one. The network is then made of matched filters and learns nothing
-(:mod:`eitskin_training.gate.filters`); what could be found the card states (:mod:`eitskin_training.gate.observer`).
+For random devices, the factor common to all rows is removed from the logarithms before whitening, so that no drift
+turns a frame into a touched one. The network then consists of matched filters and is not trained
+(:mod:`eitskin_training.gate.filters`); the card states the best possible detection
+(:mod:`eitskin_training.gate.observer`).
 
 Whitening is folded into the first weights, so it costs nothing. The threshold is set at a stated false-alarm rate on
 bends of families A and B that were not learned from; half of those choose it and half measure it. A second, smaller
@@ -54,7 +55,7 @@ IDLE_FALSE_ALARM_RATE: Final = 0.01
 """The same of idle frames: one costs half a second of whole scans."""
 
 FRAMES: Final = 16_384
-"""Untouched frames whose covariance is taken, and touched ones that filters are held against."""
+"""Untouched frames for the covariance, and touched ones for testing filters."""
 
 COVARIANCES: Final = 4
 BANKS: Final = 6
@@ -87,7 +88,7 @@ class Gate:
         return pack_arrays(self.arrays)
 
     def audited(self, pixels: int) -> "Gate":
-        """Return the same gate, overruled by maps with at least so many touched pixels."""
+        """Return the same gate, overruled by maps with at least this many touched pixels."""
         arrays = {**self.arrays, "audit_pixels": np.asarray(pixels, dtype=np.uint16)}
         return Gate(arrays, {**self.measures, "audit_pixels": pixels})
 

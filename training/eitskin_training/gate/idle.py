@@ -1,7 +1,7 @@
-"""Which drives an idle device scans: those four that tell most about a small touch.
+"""Chooses the drives that an idle device scans: the four with the most information about a small touch.
 
 With the bends as a nuisance, log(V / V0) of untouched frames has a covariance C (bends and noise together), and a touch
-that adds s with an unknown strength of unit variance is told from it by the mutual information
+that adds s with an unknown strength of unit variance has with it the mutual information
 
     I(rows) = 1/2 log(1 + s' C^-1 s)        s and C cut to the rows of the drives that are scanned
 

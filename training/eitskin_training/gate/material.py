@@ -1,9 +1,9 @@
-"""Random untouched and touched frames for the gate, with noise, as many as it asks for.
+"""Random untouched and touched frames for the gate, with noise, in any number.
 
-A drawn bend is a solved one, or lies between two of them or between one and flat: the voltages of a partial bend are
+A drawn bend is a solved one, or is between two of them or between one and flat: the voltages of a partial bend are
 close to a mean of logarithms. A drawn touch is put on it by adding its own logarithm log(V touched / V untouched),
 which hardly depends on the bend; weak touches are drawn most. Bend and touch are each shown in any of the skin's mirror
-images, since the image of a sheet is a sheet. Where devices drift, each frame has a common factor of its own besides.
+images, since the image of a sheet is a sheet. If devices drift, each frame also has its own common factor.
 """
 
 from dataclasses import dataclass

@@ -1,9 +1,9 @@
-"""Untouched moments of random devices: what the gate of a skin that is not the nominal one must call untouched.
+"""Untouched moments of random devices, which the gate of a skin with uncertainties must call untouched.
 
-A data set of random devices holds an untouched moment a deformation. A gate that learned a few hundred of them has
-learned those devices by heart, and takes every tenth new one for a touch. Others are drawn here from the same
-distributions: sheet, electrodes, what came since the reference, and front end. Both voltages are read through the
-same front end, and the reference is the device's own, stretched as it may be ::
+A data set of random devices holds an untouched moment a deformation. A gate trained on a few hundred of them memorises
+those devices, and takes every tenth new one for a touch. Others are drawn here from the same distributions: sheet,
+electrodes, what came since the reference, and front end. Both voltages are read through the same front end, and the
+reference is the device's own, stretched as it may be ::
 
     log(V / V0)        V at the bend with what came since, V0 before it
 
@@ -38,10 +38,10 @@ COARSE_MM: Final = 4.5
 SEED: Final = 0xDE71
 
 GAUGE_STEP: Final = 0.3
-"""A drawn gauge factor lies so many of the law's spreads about that of the solved sheet, which is drawn itself."""
+"""Distance of a drawn gauge factor from that of the solved sheet, itself drawn, in spreads of its distribution."""
 
 MAX_STRETCH_SD: Final = 2.0
-"""Stretches of references are solved up to so many standard deviations."""
+"""Stretches of references are solved up to this many standard deviations."""
 
 
 def moments(bends: Sequence[Bend], skin: Skin, seed: int, together: int = 2) -> Array:

@@ -1,4 +1,4 @@
-"""What an ideal observer could tell of a press, so that a gate's misses can be held against it.
+"""The detection rate of an ideal observer, for comparison with a gate's misses.
 
 A press of known place and strength changes log V by s, noise has a variance v a row and frame, and what is not known
 of the untouched sheet has a covariance N. The best linear observer of n frames together then has ::
@@ -7,7 +7,7 @@ of the untouched sheet has a covariance N. The best linear observer of n frames 
 
 It finds a share Phi(d' - z) at a false-alarm rate of 1 - Phi(z). s is of first order, by the Jacobian of the flat
 sheet. What N holds does not average out: another frame helps against noise alone. Without N it is the bound of noise
-and drift; with N from untouched sheets it is that of somebody who knows neither bend nor device.
+and drift; with N from untouched sheets it is that of an observer that knows neither bend nor device.
 """
 
 from dataclasses import dataclass
@@ -66,8 +66,8 @@ def detectability(signals: Array, nuisance: Array | None, noise: float, *, commo
     Args:
         signals: (n, r) changes of log V.
         nuisance: (r, r) covariance of log V of untouched sheets; None where they are known.
-        noise: Relative standard deviation of what frames together say of a row.
-        common: Whether a common factor is unknown besides.
+        noise: Relative standard deviation of a row's mean over the frames.
+        common: Whether a common factor is unknown too.
     """
     covariance = noise**2 * np.eye(signals.shape[1])
     if nuisance is not None:

@@ -1,4 +1,4 @@
-"""Faint presses for the gate: what it learns them from, and what measures which of them it misses.
+"""Faint presses for the gate's training and for measuring its misses.
 
 A press is known by its strength: the conductance that it takes away over the sheet's, times its area, mm^2. The weakest
 measured ones have 99; the gate is asked for half of that.

@@ -1,8 +1,8 @@
-"""How often a gate is wrong, on bends that it did not learn from: false alarms with their uncertainty, and misses.
+"""A gate's error rates on unseen bends: false alarms with their uncertainty, and misses.
 
-Frames of one bend trip a gate together, so the number of bends says how well a rate is known, not that of frames. The
-interval is that of a mean over bends, 95 % two-sided; where no bend ever tripped the gate, n bends say that with 95 %
-confidence fewer than 3 / n do.
+Frames of one bend trip a gate together, so the number of bends, not that of frames, determines how well a rate is
+known. The interval is that of a mean over bends, 95 % two-sided; where no bend ever tripped the gate, n bends say that
+with 95 % confidence fewer than 3 / n do.
 """
 
 from collections.abc import Callable

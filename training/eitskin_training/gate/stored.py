@@ -1,8 +1,8 @@
 """The gate of a run: fitted once, kept in the run's folder, and fitted again when it is not of this run.
 
 ``gate.npz`` holds the gate's arrays, what was measured of it, the untouched sheets that it was fitted and measured on,
-and what it was made of: data set, seed and version. A gate asks nothing of the network, so a run that goes on, or one
-that was adapted, keeps it.
+and what it was made of: data set, seed and version. A gate does not depend on the network, so a resumed or adapted run
+keeps it.
 """
 
 import json
@@ -30,7 +30,7 @@ LARGEST_FILE: Final = 256 << 20
 """Bytes of a stored gate with its sheets."""
 
 VERSION: Final = 3
-"""Raised whenever a gate that is fitted anew would be another one."""
+"""Raised whenever a newly fitted gate would differ."""
 
 _GATE, _SHEETS = "gate_", "untouched_"
 _STORED_SHEETS: Final = ("train", "choose", "measure")
@@ -79,7 +79,7 @@ def gate_of_run(
         folder: The run's.
         data: Its data set.
         seed: Its seed.
-        tell: Told what is being done, where there is something to do.
+        tell: Called with each step, if there is one.
         bends: Gives the untouched sheets; None solves hundreds (:func:`eitskin_training.gate.untouched.solved_bends`).
         steps: Steps that it is fitted for; None takes ``fit.TRAINING_STEPS``.
 

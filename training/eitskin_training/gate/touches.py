@@ -1,4 +1,4 @@
-"""Touches that the gate learns from and that measure what it misses.
+"""Touches for the gate's training and for measuring its misses.
 
 A touch is kept as log(V touched / V untouched), which hardly depends on the bend, and so can be put on any of them.
 Where a data set has presses, faint presses are learned from and measured (:mod:`eitskin_training.gate.presses`).

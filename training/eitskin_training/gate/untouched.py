@@ -1,14 +1,13 @@
-"""What the gate learns from: untouched sheets at many deformations, and small touches to tell from them.
+"""The gate's training data: untouched sheets at many deformations, and small touches.
 
 A data set has a hundred bends, and a gate that saw only those takes every third new one for a touch. Untouched sheets
 need no touch sets, so a thousand more are solved on a coarse mesh, in a family wider than A: A, and in seven of ten
-draws one to four dents of any place, height and width besides. Only log(V / V0) is kept, with V0 from the same mesh:
-the mesh's own error is the same in both and cancels. Rates are measured on draws of A and of B that nothing learned
-from.
+draws one to four dents of any place, height and width. Only log(V / V0) is kept, with V0 from the same mesh: the mesh's
+own error is the same in both and cancels. Rates are measured on draws of A and of B that are not used for training.
 
 Where a data set is of random devices, untouched moments are those of random devices of its skin
-(:mod:`eitskin_training.gate.moments`): what learns, what chooses a threshold and what measures have neither bend nor
-device in common. What chooses and what measures is drawn from A and B alone.
+(:mod:`eitskin_training.gate.moments`): the moments for training, for the threshold and for measuring share neither bend
+nor device. Those for the threshold and for measuring are drawn from A and B alone.
 """
 
 from collections.abc import Iterable

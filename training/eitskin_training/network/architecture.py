@@ -1,4 +1,4 @@
-"""What fixes the shape of a network beside its skin, as plain values that a recipe and a manifest can hold."""
+"""The parameters of a network's shape apart from its skin, as plain values for a recipe and a manifest."""
 
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
@@ -13,7 +13,7 @@ STORED_OUTPUTS: Final[dict[int, Outputs]] = {1350: "pixels", 126: "units"}
 
 @dataclass(frozen=True, slots=True)
 class Architecture:
-    """What fixes the shape of a network for a given skin.
+    """The parameters of a network's shape for a given skin.
 
     Args:
         voltage_channel: The paper's MLP and 1-D CNN, or residual linear layers.
@@ -31,8 +31,8 @@ class Architecture:
         symmetric: Whether every layer but the sharpening keeps the skin's mirror symmetries; widths are then those of
             one image. Residual voltage channels only.
         ranks: Of each linear layer that a frame passes, in order: the voltage channel's, the first fusion layer, the
-            last one. Such a layer is two, with so many features in between, of each image; none leaves all whole. A
-            frame is 104 numbers, so a wide layer's weights are mostly not needed.
+            last one. Such a layer becomes two, with this many features of each image in between; none leaves all whole.
+            A frame is 104 numbers, so a wide layer's weights are mostly not needed.
     """
 
     voltage_channel: VoltageChannel = "residual"

@@ -1,4 +1,4 @@
-"""What a Gaussian cannot know of a missing electrode's rows, a small network adds: touches are no linear cause.
+"""A small network that corrects the Gaussian's estimate of a missing electrode's rows, because touches act nonlinearly.
 
 The conditional mean of :mod:`eitskin_proto.sensor.row_gaussian` is taken first; the network sees all 104 rows as they
 then are, which electrodes are gone, and V_pred, and corrects the missing rows alone ::

@@ -1,4 +1,4 @@
-"""Layers that know a skin's mirror symmetries: what they make of a mirror image is the image of what they make.
+"""Layers that are equivariant under a skin's mirror symmetries: mirrored inputs give mirrored outputs.
 
 A hidden feature exists in each of the skin's n mirror images, as (n, B, C); n is 4, 2 or 1. A layer may mix images, but
 only as a mirror allows: image g takes from image h what depends on "g then h" alone. Sums and differences over the

@@ -1,9 +1,8 @@
-"""A map's logits made sharper by what lies around: small convolutions that all places share.
+"""Sharpens a map's logits with small convolutions over their neighbourhood.
 
-The last linear layer gives a map that is right to a pixel or so, everywhere by weights of its own. What a touch looks
-like is the same everywhere: a region with a border, apart from its neighbours. So three by three pixels are taken as
-the nine channels of a cell, 10 mm on the paper's sheet, and each block adds to them what it makes of a cell and the
-eight around it ::
+The last linear layer gives a map that is right to about a pixel, with different weights for each place. A touch looks
+the same everywhere: a region with a border, apart from its neighbours. So three by three pixels are taken as the nine
+channels of a cell, 10 mm on the paper's sheet, and each block adds a function of a cell and the eight around it ::
 
     z (B, 1350) -- cells (B, 9, 10, 15) -- [ z + conv1x1(act(conv3x3(z / 4))) ] ... -- pixels (B, 1350)
 

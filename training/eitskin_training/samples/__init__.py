@@ -1,1 +1,1 @@
-"""What training sees: batches with noise, missing rows and mirror images, made when they are needed."""
+"""Training samples: batches with noise, missing rows and mirror images, made on demand."""

@@ -86,10 +86,10 @@ class TrainingData:
         digest: Digest of the data set.
         seed: Seed of the data set, of the first of several.
         skin: What it was made for; a network learned from it is for this skin.
-        touch_kind: Which way its touches change conductance: what a network learned from it knows.
+        touch_kind: The direction in which its touches change conductance, and that of a network trained on it.
         drift: (N,) by which each sample's resistances had changed since the reference, of random devices of the skin;
             None of the nominal device.
-        bends: (D,) deformations, None for one that nobody knows; empty where all are such.
+        bends: (D,) deformations, None for an unknown one; empty if all are unknown.
     """
 
     voltages: npt.NDArray[np.float32]

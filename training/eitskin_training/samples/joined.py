@@ -1,8 +1,8 @@
 """Several data sets as one: more touches and deformations than one run of ``eitskin dataset`` made.
 
-Each set keeps its own splits; deformations and touch sets are numbered on. What one holds out and another learns from
-tests nothing: two sets of one seed and different sizes share deformations, and on the unit grid touch sets recur in any
-two. Such samples are left out of what is held out. A flat sheet and one that nothing touches may be seen.
+Each set keeps its own splits; deformations and touch sets are numbered on. A sample that one set holds out and another
+trains on tests nothing: two sets of one seed and different sizes share deformations, and on the unit grid touch sets
+recur in any two. Such samples are left out of what is held out. A flat sheet and one that nothing touches may be seen.
 """
 
 from collections.abc import Sequence

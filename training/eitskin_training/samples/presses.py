@@ -1,10 +1,10 @@
-"""Recorded presses of a known stamp as samples to learn from, next to those of a twin.
+"""Recorded presses of a known stamp as training samples, in addition to those of a calibrated model.
 
-A network sees dV alone, so a real sheet's readings are converted to the twin's, V = V0_twin V_press / V0_real.
-Where the sheet was scanned instead of flat, V0_twin is what the forward model makes of the flat one's for that scan.
-A few presses among many simulated samples would hardly count: they are repeated until they make up
-``PRESS_SHARE`` of them, under noise of their own each time. Every ``HELD_OUT_STRIDE``-th press is kept apart, and says
-what the others were worth.
+A network sees dV alone, so a real sheet's readings are converted to the twin's, V = V0_twin V_press / V0_real. Where
+the sheet was scanned instead of flat, V0_twin is what the forward model makes of the flat one's for that scan. A few
+presses among many simulated samples would hardly count: they are repeated until they make up ``PRESS_SHARE`` of them,
+under noise of their own each time. Every ``HELD_OUT_STRIDE``-th press is held out, and measures the benefit of the
+others.
 """
 
 from pathlib import Path
@@ -49,7 +49,7 @@ place."""
 
 MAX_DISTANCE_OF_SAME_PLACE: Final = 0.5
 MIN_DISTANCE_OF_OTHER_PLACE: Final = 3.0
-"""Places that are so many sizes of the stamp apart are one place, or surely two."""
+"""Distances, in sizes of the stamp, below which places are the same and above which they differ."""
 
 Array = npt.NDArray[np.float64]
 
@@ -216,13 +216,13 @@ MODEL_PRESS_CONTRAST: Final = 0.5
 """Contrast of the model's presses."""
 
 MIN_SIGN_COSINE: Final = 0.5
-"""Cosine of what was read and what the model reads: from here on the way is told."""
+"""Cosine of the measured and the modelled change above which the direction is known."""
 
 
 def check_ways(recording: Recording, skin: Skin, known: TouchKind, who: str) -> None:
     """Refuse presses that go opposite ways on a skin of one kind of touches, or a way that skin or bundle do not know.
 
-    A skin's raising touches are not held against presses: its file also has them where it says nothing.
+    A skin's raising touches do not contradict presses, because they are also the default of its file.
 
     Args:
         recording: With presses.
@@ -257,7 +257,7 @@ def check_ways(recording: Recording, skin: Skin, known: TouchKind, who: str) -> 
 
 
 def ways(recording: Recording, skin: Skin) -> list[TouchKind | None]:
-    """Return which way each press changed conductance; None where that cannot be told.
+    """Return the direction in which each press changed conductance; None where it is unknown.
 
     Args:
         recording: With presses.
