@@ -121,7 +121,7 @@ def draw(path: Path, course: Course, title: str, size_mm: tuple[float, float]) -
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10.0, 9.0), layout="constrained")
+    figure: Any = Figure(figsize=(10.0, 9.0), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=10)
     above, below = figure.subfigures(2, 1, height_ratios=(1.0, 3.2))
