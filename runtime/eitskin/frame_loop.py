@@ -65,17 +65,17 @@ class DeferredWork:
         self._arguments: tuple[Any, ...] = ()
 
     def put(self, then: Callable[[], None], work: Callable[..., None], *arguments: Any) -> None:
-        """Keep something to do; what was kept before has been done.
+        """Keep deferred work; earlier work is done already.
 
         Args:
-            then: What must not be done before it.
-            work: What is left, and timed.
+            then: Work that must not be done before it.
+            work: The deferred work, which is timed.
             arguments: Of it.
         """
         self._then, self._work, self._arguments = then, work, arguments
 
     def do(self) -> None:
-        """Do what is kept, now."""
+        """Do the deferred work now."""
         work, self._work = self._work, None
         if work is not None:
             begin_ns = time.perf_counter_ns()
@@ -86,7 +86,7 @@ class DeferredWork:
                 self._then()
 
     def payloads(self, device: Device) -> list[bytes]:
-        """Return what came meanwhile: wait for the line a moment, and do what is kept. At once if nothing is.
+        """Wait briefly for the line, do the deferred work, and return the payloads that came; at once without work.
 
         Raises:
             PortLost: The line is gone.
@@ -100,7 +100,7 @@ class DeferredWork:
 
 
 MAX_START_DELAY_S: Final = 0.1
-"""A first frame that waited longer than this, beyond what the line takes by itself, is left out ..."""
+"""A first frame that waited longer than this, beyond the line's own delay, is discarded ..."""
 
 OLD_FRAMES_S: Final = 1.0
 """... but none after this: then all of them are old, or the clocks do not agree."""
@@ -139,7 +139,7 @@ class FirstFrame:
 
 
 LINE_REST_S: Final = 0.001
-"""The line rests if nothing comes for so long; what was published has been handed over by then."""
+"""The line rests if nothing comes for this long; the published frame has been handed over by then."""
 
 MAX_GREETINGS: Final = 5
 """Most handshakes in a row without a frame of the device's configuration in between."""
@@ -148,13 +148,13 @@ FIRST_AGAIN_S: Final = 0.1
 """After which a device is greeted a second time that sends frames of another generation; doubles up to a second."""
 
 FIRST_BAD_S: Final = 5.0
-"""A device is greeted anew, so that it starts anew, if its frames come and none can be used for so long ..."""
+"""The handshake is repeated, which restarts the stream, if all frames have been unusable for this long ..."""
 
 LONGEST_BAD_S: Final = 60.0
 """... and again after twice as long, up to this."""
 
 LOOK_NS: Final = 50_000_000
-"""Without a frame that can be used for so long, it is looked at what the matter is."""
+"""Without a usable frame for this long, the cause is examined."""
 
 MOST_EVENTS: Final = 8
 """Events that one frame tells at most if it is to tell those of a device's own words, too."""
@@ -169,13 +169,13 @@ class FrameSource:
     Args:
         device: It answered the handshake.
         pipeline: Made for it.
-        done: Told when ``deferred`` were done: when they began and ended, on ``perf_counter_ns``.
+        done: Called after ``deferred`` with its begin and end, on ``perf_counter_ns``.
     """
 
     def __init__(self, device: Device, pipeline: Pipeline, done: Callable[[int, int], None] | None = None) -> None:
         self._device, self._pipeline = device, pipeline
         self.deferred = DeferredWork(done)
-        """What is left to do of the frame that was yielded last; done while the line rests, or before the next one."""
+        """Remaining work of the frame yielded last; done while the line rests, or before the next one."""
         self.recoveries = 0
         """Handshakes repeated after silence, a reset, or unusable frames."""
         self._stopping = self._started = self._reading = self._failed = False
@@ -214,7 +214,7 @@ class FrameSource:
     def accepted(self, until_ns: int | None) -> Iterator[None]:
         """Yield whenever the pipeline has accepted a frame.
 
-        What came before anybody asked is left out: a robot's first frame must not be an old one.
+        Discard frames from before the first request: a robot's first frame must not be an old one.
 
         Args:
             until_ns: When to end, on ``perf_counter_ns``; None goes on until ``stopping``.
@@ -298,7 +298,7 @@ class FrameSource:
             self._recover()
 
     def _payloads(self, wait_s: float) -> list[bytes]:
-        """Return what comes, waiting for it; if nothing comes for a moment, do what can wait, and wait on."""
+        """Wait for bytes and return them; if none come for a moment, do the deferred work and wait on."""
         if payloads := self.deferred.payloads(self._device):
             return payloads
         if self._pipeline.has_leisure_work:
@@ -320,7 +320,7 @@ class FrameSource:
         self._started = True
 
     def _newest(self, payloads: list[bytes]) -> list[bytes]:
-        """Return what to compute when time is short: of all frames that wait, the newest, if there is any."""
+        """Return the newest waiting frame, if any, to compute when time is short."""
         while more := self._device.payloads(0.0):
             payloads += more
             if len(payloads) > MOST_AT_ONCE:
@@ -420,7 +420,7 @@ class FrameSource:
 
 
 CAPTURE_S: Final = 30.0
-"""How long capturing a reference may take before it is given up, beyond what its frames take."""
+"""Longest time to capture a reference, beyond the time of its frames."""
 
 FRAMES_ONLY: Final = Demand()
 """Frames, and no touches."""
@@ -465,7 +465,7 @@ class FrameLoop:
         self._recapture: Recapture | None = None
         self._capturing = threading.Lock()
         self.feed: StreamFeed | None = None
-        """Of what was measured, where a taker has streams."""
+        """The streams of measurements, if the taker has them."""
         self.verifier_status: Callable[[], dict[str, Any]] = dict
         """The verifier's status; empty without a verifier; from any thread."""
 
@@ -525,7 +525,7 @@ class FrameLoop:
             self._give_up_recapture("the stream ended")
 
     def _accepted(self, until_ns: int | None) -> Iterator[None]:
-        """Yield whenever a frame was accepted; what a device that is greeted just now fails at matters no more."""
+        """Yield whenever a frame was accepted; ignore errors of the device once stopping."""
         try:
             yield from self.source.accepted(until_ns)
         except (HandshakeError, TransportError):
@@ -554,7 +554,7 @@ class FrameLoop:
                 self._device.ask_mode(mode)
 
     def _hand_over(self, taker: Taker) -> None:
-        """Give the taker what it asks for."""
+        """Hand the taker the messages that it requests."""
         asked: Demand = getattr(taker, "asked", FRAMES_ONLY)
         if asked.touches or self._pipeline.record.touches is not None:
             self._look_for_touches(wanted=asked.touches)
@@ -608,7 +608,7 @@ class FrameLoop:
 
         Args:
             frames: How many.
-            force: Take it even if the sheet was bent, touched or moving (:mod:`eitskin.reference.judged`).
+            force: Accept it even if the sheet was bent, touched or moving (:mod:`eitskin.reference.judged`).
 
         Raises:
             BadReference: The sheet was bent, touched or moving, or nothing is connected, or the frames did not come.

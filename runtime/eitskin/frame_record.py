@@ -4,7 +4,7 @@ One record is made at the start and overwritten by every frame, so a frame alloc
 
     intake      sequence, device_us, scanned_ns, idle, first events       stamps: read, decode
     pipeline    touched, gate_logit, solver, skipped, map, totals ...     stamps: normalise, gate, infer
-    packer      what is only known while packing                          stamps: pack, publish
+    packer      values known only while packing                          stamps: pack, publish
 
 A caller that needs more than one frame of it copies what it needs.
 """
@@ -58,8 +58,8 @@ class FrameRecord:
         self.electrodes: tuple[str, ...] = ()
         """Those that are not well."""
         self.drift = math.nan, math.nan, math.nan
-        """Of the reference, in percent: alike in all rows, its standard deviation, and the rms of what is not alike;
-        not a number while unknown."""
+        """Drift of the reference, in percent: the part common to all rows, its standard deviation, and the rms of the
+        rest; not a number while unknown."""
         self.cloud = 0
         """Revision of the cloud in use."""
         self.cloud_sequence: int | None = None
@@ -90,5 +90,5 @@ class FrameRecord:
         return self.resets, self.map_sequence
 
     def note(self, *events: str) -> None:
-        """Add what happened at this frame."""
+        """Add an event of this frame."""
         self.events += events

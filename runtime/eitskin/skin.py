@@ -98,7 +98,7 @@ class CloudChange:
 def _given(
     cloud: npt.ArrayLike | None, predicted: npt.ArrayLike | None, predicted_flat: npt.ArrayLike | None
 ) -> GivenCloud:
-    """Return copies of what was given, for computing it once more."""
+    """Return copies of the given arrays, for computing them again."""
     points = None if cloud is None else np.array(cloud, dtype=np.float32)
     volts = [None if one is None else np.array(one, dtype=np.float64) for one in (predicted, predicted_flat)]
     return GivenCloud(points, volts[0], volts[1], time.perf_counter_ns(), time.time_ns())
@@ -252,7 +252,7 @@ class Skin:
         predicted: npt.ArrayLike | None = None,
         predicted_flat: npt.ArrayLike | None = None,
     ) -> tuple[int, tuple[str, ...]]:
-        """Use a measured surface as :meth:`set_cloud` does; return its revision and what is doubtful about it."""
+        """Use a measured surface as :meth:`set_cloud` does; return its revision and warnings."""
         return self._clouds.use(cloud, predicted, predicted_flat, self.reference)
 
     def exclude(self, electrodes: tuple[int, ...]) -> None:

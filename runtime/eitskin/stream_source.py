@@ -77,7 +77,7 @@ FILE_REPEATS: Final = 10
 """One of this many states carries the reference's file, which is its largest part."""
 
 LEAST_NS: Final = 50_000_000
-"""Between two states: changes that come faster are told together."""
+"""Shortest time between two states: faster changes are sent together."""
 
 JOIN_NS: Final = 200_000_000
 """Period with at most ``MOST_JOINS`` repetitions for new subscribers, which bounds the cost of frequent
@@ -184,7 +184,7 @@ class StreamSource:
             self._waiting.clear()
 
     def _is_time(self, now_ns: int) -> bool:
-        """Return whether everything is to be told again."""
+        """Return whether everything must be sent again."""
         if now_ns - self._joined_ns >= JOIN_NS:
             self._joined_ns, self._joins = now_ns, 0
         joined = self._streams.joined and self._joins < MOST_JOINS
@@ -289,6 +289,6 @@ class StreamSource:
 
 
 def with_streams(loop: FrameLoop, device: Device, pipeline: Pipeline) -> FrameLoop:
-    """Return a frame loop that tells streams what its device measured."""
+    """Return a frame loop that sends measurements to streams."""
     loop.feed = StreamSource(device, pipeline, loop)
     return loop

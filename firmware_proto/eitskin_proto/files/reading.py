@@ -43,7 +43,7 @@ class FileError(SkinError, ValueError):
 
 
 def kind_of(mode: int) -> str:
-    """Return what a file is, by ``st_mode``."""
+    """Return a file's kind, by ``st_mode``."""
     return next((name for fits, name in KINDS if fits(mode)), "a file")
 
 
@@ -109,7 +109,7 @@ def read_text(path: str | Path, largest: int = LARGEST_TEXT) -> str:
 
 
 def read_json(path: str | Path, largest: int = LARGEST_TEXT) -> Any:
-    """Return what a JSON file holds.
+    """Return the content of a JSON file.
 
     Raises:
         FileError: It is none, too long, or nested too deeply.
@@ -157,7 +157,7 @@ def _refuse(name: str) -> Any:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return what a TOML text says.
+    """Return the content of a TOML text.
 
     Raises:
         FileError: It is no TOML, too long, or nested too deeply.
@@ -225,7 +225,7 @@ def is_name(path: str | Path, names: Sequence[str]) -> bool:
 
 
 def parse_file(path: str | Path, parse: Callable[[str], Content]) -> Content:
-    """Return what a file says.
+    """Return a file's parsed content.
 
     Raises:
         ValueError: The file's content is wrong; the text names the file, and what ``parse`` says.

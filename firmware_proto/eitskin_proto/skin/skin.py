@@ -38,8 +38,8 @@ class Skin:
         front_end: The instrument.
         map: Where results are drawn.
         deformations: How it is bent.
-        touches: What touches it.
-        may_be_off: What else is uncertain.
+        touches: Its touches.
+        may_be_off: Other uncertainties.
         calibrated_from: Digest of the description that calibration started from, or "".
         stated_grid_id: ``grid_id`` of that description, which stays this one's though electrodes were found elsewhere.
 

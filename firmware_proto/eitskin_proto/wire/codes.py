@@ -127,7 +127,7 @@ class HelloFlag(IntFlag):
 
 
 class Mode(IntEnum):
-    """What SET_MODE asks for."""
+    """The modes of SET_MODE."""
 
     ACTIVE = 0
     IDLE = 1
@@ -141,7 +141,7 @@ class Slot(IntEnum):
 
 
 class EventCode(IntEnum):
-    """What an EVENT reports."""
+    """The codes of an EVENT."""
 
     RESTARTING = 1
     CONFIGURATION_CHANGED = 2

@@ -232,16 +232,16 @@ MAX_LOST: Final = 1_000_000
 
 
 class Step(NamedTuple):
-    """What one frame's counters say; a tuple, since a frozen dataclass costs 3 us more a frame."""
+    """The counters of one frame; a tuple, since a frozen dataclass costs 3 us more a frame."""
 
     sequence: int
-    """Unwrapped: grows over wraps; starts anew after a reset."""
+    """Unwrapped: grows over wraps; restarts after a reset."""
     device_us: int
     """Unwrapped microseconds, likewise."""
     lost: int
     """Frames between the last one and this one that never came."""
     reset: bool
-    """The device started anew since the last frame."""
+    """Whether the device has restarted since the last frame."""
     duplicate: bool
     """The same sequence number as the last frame, at no earlier time: the counters are unchanged."""
 
@@ -279,7 +279,7 @@ class StreamCounter:
         self._sequence = None
 
     def step(self, sequence: int, device_us: int) -> Step:
-        """Return what the next frame's counters say.
+        """Return the next frame's counters.
 
         Args:
             sequence: u32 of the frame.

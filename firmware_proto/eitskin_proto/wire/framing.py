@@ -46,7 +46,7 @@ def encode(payload: bytes) -> bytes:
 
 
 class Deframer:
-    """Cuts a byte stream into intact payloads and counts what it had to drop.
+    """Cuts a byte stream into intact payloads and counts dropped pieces.
 
     The piece before the first 0x00 may be the tail of a packet whose beginning was sent before anyone listened: if it
     is no packet it counts as discarded bytes, not as corrupt.
@@ -88,7 +88,7 @@ class Deframer:
         """Return the payloads that these bytes complete, in order.
 
         Args:
-            data: What the line delivered, of any length.
+            data: Bytes from the line, of any length.
         """
         data = bytes(data)
         if self._synchronised and not self._pending and not self._flooded and data.find(0) == len(data) - 1:

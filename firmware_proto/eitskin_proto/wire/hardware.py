@@ -1,4 +1,4 @@
-"""What each kind of electronics can do, so that an impossible configuration is refused before it is sent.
+"""The limits of each kind of electronics, so that an impossible configuration is refused before it is sent.
 
 The front end drives one pair at a time and samples every measured pair at once: a scan takes, for every drive that has
 rows, the settling time and then ``averages`` whole periods of the drive frequency.
@@ -15,9 +15,9 @@ class Hardware:
     """The limits of one kind of electronics."""
 
     id: int
-    """What HELLO and every configuration carry."""
+    """Its id in HELLO and in every configuration."""
     name: str
-    """What a TOML file calls it."""
+    """Its name in a TOML file."""
     min_frequency_hz: int
     max_frequency_hz: int
     max_current_ua: int

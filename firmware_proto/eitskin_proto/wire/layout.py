@@ -1,4 +1,4 @@
-"""How a message lies in memory: named fields of fixed width, little-endian, without padding, and at most one free tail.
+"""The layout of a message: named fields of fixed width, little-endian, without padding, and at most one free tail.
 
 A :class:`Layout` is the only description of a message. Packing, strict unpacking, the tables of SPEC.md and the offsets
 in the generated C header all come from it. ::
@@ -139,7 +139,7 @@ class Layout:
 
 
 class Packed:
-    """What the messages share: they pack and unpack themselves by their layout."""
+    """The base of messages: they pack and unpack themselves by their layout."""
 
     __slots__ = ()
     LAYOUT: ClassVar[Layout]

@@ -73,9 +73,9 @@ class Hello(Packed):
     flags: int = 0
     """:class:`eitskin_proto.wire.codes.HelloFlag`."""
     uptime_ms: int = 0
-    """Time since boot; smaller than it should be after a reset that nobody saw."""
+    """Time since boot; smaller than expected after an unnoticed reset."""
     line_bytes_per_s: int = 0
-    """What the device's own line carries; 0 if it does not know."""
+    """Capacity of the device's own line; 0 if unknown."""
     max_payload: int = 64
     """Longest payload that the device accepts."""
     protocol_major: int = PROTOCOL_MAJOR
@@ -145,7 +145,7 @@ class Ack(Packed):
     """Type byte of the request."""
     code: int = Code.OK
     detail: int = 0
-    """What the code needs to say: an offset, a digest, a generation, a time in ms, a bound."""
+    """The code's detail: an offset, a digest, a generation, a time in ms, a bound."""
     tag: int = 0
 
     @property
@@ -369,7 +369,7 @@ Request = (
     HelloRequest | Start | Stop | SetMode | TimeRequest | ConfigRead | ConfigBegin | ConfigWrite | ConfigVerify
     | ConfigCommit | ConfigConfirm | ConfigRollback | ConfigAbort | Restart
 )  # fmt: skip
-"""What a host sends."""
+"""The messages of a host."""
 
 Message = Request | Hello | Ack | Frame | ConfigData | Event | Time
 """Anything on the wire."""

@@ -1,4 +1,4 @@
-"""Which rows a frame carries: those of the table, or of the full table, whose drive was scanned.
+"""The rows of a frame: those of the table, or of the full table, whose drive was scanned.
 
 A frame names its drives as 16 bits, bit k for drive k. All of them give 104 or 208 rows; an idle scan gives the rows
 of a few drives, in the order of the table, so that a subset is never mistaken for something else.
@@ -26,7 +26,7 @@ TABLE_ROW_OF_FULL.setflags(write=False)
 
 @lru_cache(maxsize=64)
 def full_rows(full: bool, drives: int) -> npt.NDArray[np.intp]:
-    """Return (rows,) where each row of a frame stands in the full table.
+    """Return (rows,) index of each row of a frame in the full table.
 
     Args:
         full: The frame scans the full table, not only the rows with drive < measure.

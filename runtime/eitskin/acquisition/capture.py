@@ -1,4 +1,4 @@
-"""Captures a reference from a port, without a running stream: what ``eitskin reference`` does."""
+"""Captures a reference from a port, without a running stream, as ``eitskin reference`` does."""
 
 import time
 from collections.abc import Iterator

@@ -17,7 +17,7 @@ last such minima gives offset and drift::
     host - device |  x   x
                   | x  x   x  x      minima of each second, and a line through them
                   |___o______o____
-                  |..a............   what TIME said: the line less the shortest delay
+                  |..a............   from TIME: the line minus the shortest delay
                   +---------------- device time
 
 The shortest delay itself (encoding, the time on the wire) cannot be seen in frames alone. A question for the device's
@@ -105,7 +105,7 @@ class DeviceClock:
 
     @property
     def shortest_delay_us(self) -> float | None:
-        """From the end of a scan to its last byte in hand, at best; None if the device was not asked for its time."""
+        """Shortest time from the end of a scan to its last byte; None without a time request."""
         return None if self._anchor_ns is None else self._shift_ns / 1000
 
     def scanned_ns(self, device_us: int, read_ns: int) -> int:
@@ -282,7 +282,7 @@ class Device:
         return self.deframer.feed(data)
 
     def start(self) -> None:
-        """Start streaming whole scans; what was sent before is thrown away.
+        """Start streaming whole scans; earlier bytes are discarded.
 
         Raises:
             NotReady: The device refused or did not answer.

@@ -14,7 +14,7 @@ from eitskin_proto.wire.messages import Hello
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
 
 VOLTS_PER_COUNT: Final = (1e-15, 1e3)
-"""V, least and most; what is outside is no measurement of volts."""
+"""V, least and most; a value outside is not in volts."""
 
 RATE_MHZ: Final = (100, 100_000_000)
 """Least and most, in thousandths of a hertz: one frame in 10 s, and 100,000 a second."""
@@ -27,8 +27,8 @@ def check_usable(hello: Hello, line_bytes_per_s: int) -> None:
     """Refuse a device whose frames this runtime cannot turn into maps, or whose line cannot carry them.
 
     Args:
-        hello: What it said.
-        line_bytes_per_s: What our side of the line carries; 0 for no limit.
+        hello: Its HELLO.
+        line_bytes_per_s: Capacity of this side of the line; 0 for no limit.
 
     Raises:
         HandshakeError: What was found, what was expected, and what to do.
@@ -71,8 +71,8 @@ def check_same(known: Hello, found: Hello, port: str) -> None:
     """Refuse a device that is not the one that was known, or measures otherwise: its reference holds no longer.
 
     Args:
-        known: What it said before.
-        found: What it says now; usable by itself.
+        known: Its earlier HELLO.
+        found: Its present HELLO, usable by itself.
         port: Name of the line.
 
     Raises:

@@ -31,7 +31,7 @@ LOOK_S: Final = 0.05
 
 @dataclass(frozen=True, slots=True)
 class UsbName:
-    """What a USB serial port keeps when it comes back."""
+    """The properties by which a USB serial port is found again."""
 
     vendor_id: int
     product_id: int
@@ -99,14 +99,14 @@ class HotPlug:
 
     @property
     def line_bytes_per_s(self) -> int:
-        """What the line carries; 0 where no baud rate limits it, or while it is gone."""
+        """Capacity of the line; 0 if no baud rate limits it, or while it is gone."""
         return 0 if self._line is None else self._line.line_bytes_per_s
 
     def read(self, timeout_s: float | None = None) -> bytes:
         """Return what has arrived, waiting for the first byte; nothing after the timeout or ``cancel``.
 
         Raises:
-            PortReturned: The port vanished and is back: shake hands anew.
+            PortReturned: The port vanished and is back: repeat the handshake.
             PortLost: It did not come back in time.
         """
         if self._line is None:
@@ -120,7 +120,7 @@ class HotPlug:
         """Send all of ``data``.
 
         Raises:
-            PortReturned: The port vanished and is back: shake hands anew.
+            PortReturned: The port vanished and is back: repeat the handshake.
             PortLost: It did not come back in time, or the waiting was cancelled.
         """
         cause: PortLost | None = None
@@ -191,7 +191,7 @@ class HotPlug:
             os.eventfd_write(self._wake, 1)
 
     def report(self) -> list[str]:
-        """Return what was got of what was asked for."""
+        """Return the settings of the line, for people, a line each."""
         how = f"by {self._usb}" if self._usb is not None else "by its path"
         if self.name.startswith(USB_PREFIX):
             how = "by vendor, product and serial number"

@@ -14,7 +14,7 @@ LOOKS: Final = 3
 def serial_ports() -> list[Any]:
     """Return the serial ports that are there, as pyserial describes them.
 
-    pyserial stumbles over a port that comes or goes while it reads about it; then it is looked at again.
+    pyserial fails if a port comes or goes while it is read; then it is read again.
     """
     for _ in range(LOOKS):
         try:

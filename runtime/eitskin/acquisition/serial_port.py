@@ -23,7 +23,7 @@ DEFAULT_BAUD: Final = 2_000_000
 """Carries 400 frames/s of 104 rows at 32 bit. USB ACM ports and pseudo-terminals ignore it."""
 
 READ_BYTES: Final = 4096
-"""What one read takes at most; the kernel's line buffer is as long."""
+"""Most bytes of one read; the kernel's line buffer is as long."""
 
 WRITE_TIMEOUT_S: Final = 1.0
 """A request is under 100 bytes: a line that does not take it within this time is dead."""
@@ -73,7 +73,7 @@ class SerialPort:
         return "low-latency mode: on"
 
     def report(self) -> list[str]:
-        """Return what was got of what was asked for."""
+        """Return the settings of the line, for people, a line each."""
         return [f"port {self.name}: open, exclusive", self._low_latency]
 
     def read(self, timeout_s: float | None = None) -> bytes:

@@ -7,7 +7,7 @@ of :class:`eitskin.errors.TransportError`.
 from typing import Any, Final, Protocol
 
 USB_PREFIX: Final = "usb:"
-"""What the name of a port starts with if it is a USB device."""
+"""Prefix of the port name of a USB device."""
 
 
 class Transport(Protocol):
@@ -55,9 +55,9 @@ class Transport(Protocol):
 
 
 class WrappedTransport:
-    """A transport that does what another does; a class below it does some of that in its own way.
+    """A transport that forwards to another one; a subclass overrides some methods.
 
-    What only some transports have passes through as well: ``patience_s``, ``pause_s``, ``gone``, ``reopen``.
+    Optional attributes are forwarded as well: ``patience_s``, ``pause_s``, ``gone``, ``reopen``.
 
     Args:
         line: The other.
@@ -69,19 +69,19 @@ class WrappedTransport:
         self._line = line
 
     def __getattr__(self, name: str) -> Any:
-        """Return what the other has and this class does not name, but nothing private."""
+        """Return an attribute of the other transport that this class does not define, unless it is private."""
         if name.startswith("_"):  # such as _line itself, before there is one
             raise AttributeError(f"{type(self).__name__} has no {name}")
         return getattr(self._line, name)
 
     @property
     def name(self) -> str:
-        """What people call the line."""
+        """Name of the line for people."""
         return self._line.name
 
     @property
     def line_bytes_per_s(self) -> int:
-        """What the line carries; 0 where no baud rate limits it."""
+        """Capacity of the line; 0 if no baud rate limits it."""
         return self._line.line_bytes_per_s
 
     def read(self, timeout_s: float | None = None) -> bytes:
@@ -97,7 +97,7 @@ class WrappedTransport:
         self._line.cancel()
 
     def report(self) -> list[str]:
-        """Return what was got of what was asked for."""
+        """Return the settings of the line, for people, a line each."""
         return self._line.report()
 
     def close(self) -> None:

@@ -26,10 +26,10 @@ PRODUCT_ID: Final = 0x0001
 """pid.codes' test pair, which no product may be sold with."""
 
 READ_BYTES: Final = 4096
-"""What one read asks for, rounded up to whole packets."""
+"""Bytes of one read, rounded up to whole packets."""
 
 SLICE_MS: Final = 100
-"""How long one read blocks at most before ``cancel`` is looked at."""
+"""Longest block of one read before it checks for ``cancel``."""
 
 WRITE_TIMEOUT_MS: Final = 1000
 """A request is under 100 bytes: a device that does not take it within this time is dead."""
@@ -43,7 +43,7 @@ RULE_FILE: Final = Path(__file__).with_name("60-eitskin.rules")
 """Lets users open the device; shipped with the package."""
 
 RULE: Final = f"sudo cp {RULE_FILE} /etc/udev/rules.d/ and plug it in again"
-"""What to do about permissions."""
+"""Advice about permissions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class Found:
 
     @property
     def port(self) -> str:
-        """What to give as a port's name."""
+        """Advice about a port's name."""
         return f"{USB_PREFIX}{self.serial_number}"
 
 
@@ -110,7 +110,7 @@ class UsbPort:
         self._buffer = array("B", bytes(-(-READ_BYTES // packet) * packet))
 
     def report(self) -> list[str]:
-        """Return what was got of what was asked for."""
+        """Return the settings of the line, for people, a line each."""
         return [f"port {self.name}: {_serial(self._device)}, packets of {self._in.wMaxPacketSize} bytes"]
 
     def read(self, timeout_s: float | None = None) -> bytes:
@@ -138,7 +138,7 @@ class UsbPort:
         return self._buffer[:count].tobytes()
 
     def _clear_stall(self, stall: usb.core.USBError) -> None:
-        """A stalled endpoint stays so until the host clears it; what it held is lost, and the framing recovers."""
+        """A stalled endpoint stays so until the host clears it; its bytes are lost, and the framing recovers."""
         self._stalls += 1
         if self._stalls > MOST_STALLS:
             raise self._lost(stall)

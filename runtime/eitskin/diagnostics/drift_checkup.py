@@ -17,16 +17,16 @@ from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS, TABLE
 Array = npt.NDArray[np.float64]
 
 LITTLE_PERCENT: Final = 1.0
-"""Real sheets drift by as much within a hundred presses, and the runtime takes it out."""
+"""Real sheets drift by as much within a hundred presses, and the runtime corrects for it."""
 
 MUCH_PERCENT: Final = 8.0
 """Above, accuracy falls even where drift is taken out late."""
 
 UNEVEN_PERCENT: Final = 1.0
-"""Rms of what is not common; 3 to 4 % of a press stays for a while, which is less."""
+"""Rms of the uneven part; 3 to 4 % of a press stays for a while, which is less."""
 
 MAX_ROW_NOISE: Final = 0.05
-"""Rows whose frames have more relative noise tell nothing."""
+"""Rows with more relative noise are ignored."""
 
 FEWEST_ROWS: Final = N_ROWS // 2
 
@@ -84,7 +84,7 @@ def _advice(percent: float, sd_percent: float, uneven_percent: float) -> str:
 
 
 def lines(found: dict[str, Any]) -> list[str]:
-    """Return what people read of :func:`drift_since`: the verdict, then the figures."""
+    """Return the text of :func:`drift_since` for people: the verdict, then the figures."""
     to_do: str = found["to_do"]
     return [
         f"{to_do[0].upper()}{to_do[1:]}.",

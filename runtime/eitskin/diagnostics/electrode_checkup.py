@@ -32,7 +32,8 @@ from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.table import N_ELECTRODES, N_FULL_ROWS, N_ROWS
 
 MODEL_SPREAD: Final = 0.02
-"""How far a real sheet may be from the forward model in a row, relative, where it stands in for a reference."""
+"""Relative difference that a real sheet may have from the forward model in a row, when the model replaces a
+reference."""
 
 UNKNOWN: Final = "unknown"
 """State of every electrode while the front end hangs."""
@@ -50,7 +51,7 @@ ADVICE: Final[dict[str, str]] = {
     UNKNOWN: "fix the front end first, see below",
     NOT_RECIPROCAL: "it measures differently than it drives: check its wire, its contact and the front end's switch",
 }
-"""What to do about each state."""
+"""Advice for each state."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +67,7 @@ class Recording:
 
 
 def record(port: str, seconds: float, baud: int = DEFAULT_BAUD) -> Recording:
-    """Return what a skin sends in some seconds.
+    """Return a skin's frames of some seconds.
 
     Args:
         port: Serial port's path, or ``usb:SERIAL``.
@@ -76,7 +77,7 @@ def record(port: str, seconds: float, baud: int = DEFAULT_BAUD) -> Recording:
     Raises:
         TransportError: The port is missing, busy, denied or lost.
         HandshakeError: The device does not answer, or measures in a way that cannot be used.
-        BadReference: Fewer frames came than failures are told from.
+        BadReference: Too few frames came to detect failures.
         ValueError: The time is not positive.
     """
     if not 0 < seconds < 3600:
@@ -183,7 +184,7 @@ def _against(recording: Recording, consistency: Consistency, reference: Referenc
 
 
 def lines(found: dict[str, Any]) -> list[str]:
-    """Return what people read of :func:`check_up`: the verdict, then a line for each electrode."""
+    """Return the text of :func:`check_up` for people: the verdict, then a line for each electrode."""
     shown = [_verdict(found), f"{found['frames']} frames, compared with the {found['against']}"]
     for one in found["electrodes"]:
         partner = "" if one["partner"] is None else f" with {one['partner']}"

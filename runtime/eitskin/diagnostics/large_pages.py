@@ -23,7 +23,7 @@ SIZE: Final = Path("/sys/kernel/mm/transparent_hugepage/hpage_pmd_size")
 def use_large_pages() -> int:
     """Ask for large pages under this process's own memory, and return how many bytes have them.
 
-    What comes later has small ones. Where the kernel cannot, does not want to, or is none that could: 0.
+    Later memory has small pages. Returns 0 if the kernel cannot, refuses, or is another one.
     """
     try:
         size, lines = int(SIZE.read_text()), MAPS.read_text().splitlines()

@@ -23,10 +23,10 @@ SWITCH_INTERVAL_S: Final = 5e-4
 
 
 def schedule_fifo(priority: int) -> str:
-    """Ask for SCHED_FIFO and return what was got.
+    """Request SCHED_FIFO and return the result.
 
     Raises:
-        ValueError: The priority is outside what the kernel has.
+        ValueError: The priority is outside the kernel's range.
     """
     low, high = os.sched_get_priority_min(os.SCHED_FIFO), os.sched_get_priority_max(os.SCHED_FIFO)
     if not low <= priority <= high:
@@ -42,7 +42,7 @@ def schedule_fifo(priority: int) -> str:
 
 
 def pin(cpus: Sequence[int]) -> str:
-    """Ask to run on some CPUs only and return what was got.
+    """Restrict the process to some CPUs and return the result.
 
     Raises:
         ValueError: A CPU does not exist or is not ours.
@@ -56,7 +56,7 @@ def pin(cpus: Sequence[int]) -> str:
 
 
 def lock_memory() -> str:
-    """Ask that no page of this process is ever swapped out, and return what was got."""
+    """Lock the process's memory against swapping, and return the result."""
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(MCL_CURRENT | MCL_FUTURE) != 0:
         reason = os.strerror(ctypes.get_errno())
@@ -79,7 +79,7 @@ def more_files() -> str:
 def settle() -> None:
     """Take what was made so far out of the garbage collector's rounds, shorten the interpreter's turns, free memory.
 
-    What is left gets large pages (:mod:`eitskin.diagnostics.large_pages`).
+    The remaining memory gets large pages (:mod:`eitskin.diagnostics.large_pages`).
 
     Loading took several MB for a moment, which glibc keeps unless it is asked for them. Code that turned the
     collector off while modules and bundle were loaded has it on again: their garbage is not worth the 30 ms of a round.

@@ -27,7 +27,7 @@ from eitskin_proto.sensor.table import N_ROWS
 Array = npt.NDArray[np.float64]
 
 MAX_UNEVEN_RATIO: Final = 0.25
-"""Uneven part of a change over its common part, up to which it is no touch: a quarter of what touches have."""
+"""Largest ratio of the uneven to the common part of a change without touch: a quarter of that of touches."""
 
 MAX_CHI2: Final = 1.0 + 5.0 * np.sqrt(2.0 / N_ROWS)
 """Mean square of e over its noise: five standard deviations above 1."""
@@ -43,7 +43,7 @@ UNEVEN_FRAMES: Final = 2000.0
 """Frames in which a still sheet's uneven part is followed, at least: ten seconds at 200 frames/s."""
 
 AFTER_EFFECT: Final = 0.08
-"""Share of a press that may stay behind: twice what real sheets showed (3 to 4 %)."""
+"""Share of a press that may stay behind: twice that of real sheets (3 to 4 %)."""
 
 UNEVEN_STEP: Final = 0.0007
 """Rms of the uneven part of drift from before a press to after it, as measured on real sheets."""
@@ -82,7 +82,7 @@ class Split:
     rms: float
     """Of e, weighted."""
     noise: float
-    """What ``rms`` would be of noise alone."""
+    """``rms`` of noise alone."""
 
     @property
     def still(self) -> bool:
@@ -112,7 +112,7 @@ class UntouchedBaseline:
         self.start(np.full(N_ROWS, LEAST_SIGMA), 1, known=False)
 
     def start(self, sigma: Array, frames: int, *, known: bool) -> None:
-        """Begin with a sheet that reads what its reference does.
+        """Begin with a sheet that equals its reference.
 
         Args:
             sigma: (104,) relative standard deviation of a single frame's rows.
@@ -150,17 +150,17 @@ class UntouchedBaseline:
 
     @property
     def drift(self) -> Array:
-        """(104,) what the untouched sheet has moved since the reference, its shape apart."""
+        """(104,) change of the untouched sheet since the reference, without that of its shape."""
         return np.asarray(self.base - self.scene)
 
     @property
     def common(self) -> float:
-        """What is the same in all rows of ``drift``."""
+        """The common part of ``drift``."""
         return float(self._weights @ self.drift)
 
     @property
     def uneven(self) -> float:
-        """Rms of what is not."""
+        """Rms of the rest."""
         rest = self.drift - self.common
         return float(np.sqrt(self._weights @ (rest * rest)))
 
@@ -188,7 +188,7 @@ class UntouchedBaseline:
         Args:
             logs: (104,) l of the mean of some frames.
             frames: How many.
-            touched: What the gate says of most of them.
+            touched: The gate's decision on most of them.
         """
         share = 1.0 / frames
         self._average(logs, share, frames)
@@ -229,7 +229,7 @@ class UntouchedBaseline:
             self._slow, self._slow_share, self.steady = logs.copy(), share, 0
 
     def _follow(self, long: Split, frames: int) -> None:
-        """Let the untouched sheet be what the running mean says, at once as far as that is common."""
+        """Adopt the running mean as the untouched sheet, its common part at once."""
         if long.even:
             self.base = self.base + long.common
         part = min(frames / max(UNEVEN_FRAMES, 8.0 * self.span), 1.0)
@@ -241,7 +241,7 @@ class UntouchedBaseline:
         self._base_share += (1.0 - (1.0 - part) ** 2) * (self._slow_share - self._base_share)
 
     def _come_back(self, logs: Array, *, touched: bool) -> None:
-        """Know the sheet again that is as it was left, but for what drift and the press left behind."""
+        """Recognise the sheet that has returned to its earlier state, except for drift and the press's after-effect."""
         change = logs - self.base
         if self._square(change) > self._square(self._peak):
             self._peak = change
@@ -273,7 +273,7 @@ class UntouchedBaseline:
         return float(self._weights @ (values * values))
 
     def _is_after_effect(self, change: Array, share: float, press: Array) -> bool:
-        """Take over what a press left behind, d = c + k p + e, and return whether that is all there is."""
+        """Adopt a press's after-effect, d = c + k p + e, and return whether it explains the whole change."""
         pattern = press - float(self._weights @ press)
         size = self._square(pattern)
         if not size:

@@ -59,7 +59,7 @@ EXPECTED_PERCENT: Final = (0.0, 100.0 * FILE_PRIOR)
 """Drift and its standard deviation before the first frame."""
 
 CAPTURE_PRIOR: Final = 5e-4
-"""Standard deviation of what is followed from the reference on."""
+"""Standard deviation of drift at the reference."""
 
 FEW_FRAMES: Final = 30
 """Frames of a reference whose spread is not believed below ``USUAL_SPREAD``."""
@@ -75,7 +75,7 @@ class Drift:
 
     Args:
         consistency: Of the bundle.
-        compensate: Whether to take it out of the frames.
+        compensate: Whether to correct the frames.
     """
 
     def __init__(self, consistency: Consistency, *, compensate: bool = True) -> None:
@@ -83,10 +83,10 @@ class Drift:
         self._low_high = (float(consistency.ratio_range[0]) - 1.0, float(consistency.ratio_range[1]) - 1.0)
         self._compensate = compensate
         self.resting = UntouchedBaseline()
-        """What the untouched sheet reads."""
+        """The untouched sheet's voltages."""
         self._factor = np.ones(N_ROWS, dtype=np.float32)
         self.changes = 0
-        """How often what is taken out has changed."""
+        """Number of changes of the correction."""
         self._gone = np.zeros(N_ROWS, dtype=np.bool_)
         self._scan = np.zeros(N_ROWS, dtype=np.float32)
         self.percent, self.sigma_percent, self.uneven_percent = *EXPECTED_PERCENT, math.nan
@@ -127,19 +127,19 @@ class Drift:
 
     @property
     def taken_out(self) -> float:
-        """The common part of what is taken out of the frames, in log."""
+        """The common part of the correction of frames, in log."""
         return self.resting.common if self._compensate and self._followed else 0.0
 
     @property
     def factors(self) -> npt.NDArray[np.float32] | None:
-        """(104,) what 1 + dV is multiplied with, a copy; None if nothing is taken out."""
+        """(104,) factors on 1 + dV, a copy; None without a correction."""
         return self._factor.copy() if self.active else None
 
     def set_factors(self, factors: npt.NDArray[np.float32] | None) -> None:
-        """Take out of the frames, from the next one on, what was found before, whatever they say.
+        """Apply a given correction from the next frame on.
 
         Args:
-            factors: (104,) what 1 + dV is multiplied with; None for nothing.
+            factors: (104,) factors on 1 + dV; None for none.
         """
         before = self.factors
         self.active = factors is not None
@@ -150,7 +150,7 @@ class Drift:
 
     @property
     def known(self) -> bool:
-        """Whether the sheet is followed now; else what was found is held."""
+        """Whether the sheet is followed now; else the last estimate stays."""
         return self.resting.known
 
     def summary(self) -> dict[str, float | bool | None]:
@@ -177,12 +177,12 @@ class Drift:
     def update(
         self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32], *, touched: bool
     ) -> tuple[str, ...]:
-        """Take the evidence of one frame or of several and return what a frame should say of it: events, mostly none.
+        """Use the evidence of one or several frames, and return events for a frame, mostly none.
 
         Args:
             change: (104,) or (n, 104) dV before compensation, failed rows filled in.
             predicted: (104,) log(V_pred / V0) of the cloud in use; zeros without one.
-            touched: What the gate says of the frame, or of most of them.
+            touched: The gate's decision on the frame, or on most of them.
         """
         seen = np.atleast_2d(change)
         frames, resting = len(seen), self.resting
@@ -219,7 +219,7 @@ class Drift:
         self._variance, self._followed, self._fresh_scan = self._scene_variance, True, False
 
     def _count_strange(self, frames: int, distance: float, model: Untouched, *, touched: bool) -> None:
-        """Count frames that fit no untouched sheet, though the gate says untouched and a scan what the shape does."""
+        """Count frames of a scanned shape that fit no untouched sheet although the gate calls them untouched."""
         far = distance > UNEVEN_FACTOR * model.limit and model is self._models[1] and not touched
         self._strange = self._strange + frames if far else 0
         self.uneven = self._strange >= REST_FRAMES
@@ -227,7 +227,7 @@ class Drift:
             self.percent, self.sigma_percent = EXPECTED_PERCENT
 
     def _report(self) -> None:
-        """Say how far the sheet is, and make that what is taken out."""
+        """Report the sheet's drift, and make it the correction."""
         resting = self.resting
         if self._followed:
             self.percent, self.sigma_percent = 100.0 * math.expm1(resting.common), 100.0 * math.sqrt(self._variance)
@@ -244,7 +244,7 @@ class Drift:
             self.changes += not np.array_equal(before, self._factor)
 
     def _news(self) -> tuple[str, ...]:
-        """Return the events of drift, or of its unevenness, that is above what is worth one and was not before."""
+        """Return events if drift, or its unevenness, newly exceeds its threshold."""
         told = abs(self.percent) > 100.0 * MIN_COMMON and abs(self.percent) > EVENT_SIGMAS * self.sigma_percent
         self.uneven = self.uneven or self.uneven_percent > 100.0 * MIN_UNEVEN
         events: tuple[str, ...] = ()

@@ -81,12 +81,12 @@ class ElectrodeWatch:
         self._pair_in_use = np.ones(N_ELECTRODES, dtype=np.bool_)
         self._healthy: dict[int, int] = {}
         self.imputation = Imputation(self._mean, self.precision, self._range, consistency.layers)
-        """Fills in what is missing."""
+        """Fills in missing rows."""
         self.rearranged: Rewiring | None = None
         """Undoes an exchange of wires."""
         self.findings: tuple[Finding, ...] = ()
         self.texts: tuple[str, ...] = ()
-        """What a frame says of electrodes that are not well."""
+        """A frame's entries for failed electrodes."""
         self.unclear = False
         """The frames fit nothing: neither a sheet nor any single failure."""
         self.alters = False
@@ -98,7 +98,7 @@ class ElectrodeWatch:
 
     @property
     def evidence(self) -> Evidence:
-        """What the last frame said."""
+        """The votes of the last frame."""
         return self._weigher.evidence(self._row)
 
     @property
@@ -135,7 +135,7 @@ class ElectrodeWatch:
     def give_up(self, electrode: int) -> bool:
         """Leave an electrode out because it is not reciprocal, and return whether it is, now, for that reason.
 
-        What 104 rows say of an electrode goes before; and no more than ``MAX_OUT`` are left out.
+        Findings from 104 rows come first, and no more than ``MAX_OUT`` electrodes are excluded.
         """
         if len(self.findings) >= MAX_OUT or any(finding.electrode == electrode for finding in self.findings):
             return False
@@ -165,7 +165,7 @@ class ElectrodeWatch:
     def update(self, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
         """Take the evidence of one frame or of several in a row and return whether any electrode's state changed.
 
-        Frames behind the one with which something changed say nothing: they were put right by what was known before.
+        Frames after a change are ignored, because they were corrected with the earlier findings.
 
         Args:
             raw: (104,) or (n, 104) dV as measured.
@@ -210,7 +210,7 @@ class ElectrodeWatch:
         return surprise[0], float(total[0])
 
     def _judge(self, counts: npt.NDArray[np.intp], change: npt.NDArray[np.float32]) -> bool:
-        """Say what explains the frame best, and act on it."""
+        """Report the failure that explains the frame best, and act on it."""
         out = {finding.electrode for finding in self.findings}
         jumping = [int(e) for e in np.flatnonzero(counts[JUMPING] >= AGREEING_FRAMES // 2) if int(e) not in out]
         shorted = self.evidence.pair_ratio < SHORTED_RATIO

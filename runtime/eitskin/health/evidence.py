@@ -57,12 +57,12 @@ Votes = npt.NDArray[np.bool_]
 
 @dataclass(slots=True, eq=False)
 class Evidence:
-    """What one frame said of each electrode, for display."""
+    """The evidence of one frame for each electrode, for display."""
 
     surprise: Array
     """(16,) against the threshold of :class:`eitskin.health.electrodes.ElectrodeWatch`."""
     pair_ratio: Array
-    """(16,) |V| of pair e, e + 1 against its reference, less what noise alone reads."""
+    """(16,) |V| of pair e, e + 1 over its reference, minus that of noise alone."""
     pair_sign: Array
     """(16,) the same with sign."""
     jumping: Array
@@ -73,7 +73,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Batch:
-    """What n frames said."""
+    """The evidence of n frames."""
 
     scores: Array
     """(n, 104) y"""
@@ -136,7 +136,7 @@ class Weigher:
 
         Args:
             raw: (n, 104) dV as measured.
-            change: (n, 104) the same with what is known to be wrong put right.
+            change: (n, 104) the same, with known faults corrected.
             in_use: (16,) pairs of which both electrodes are in use.
         """
         frames = np.concatenate([self._before, raw])  # (n + 2, 104), in float64
@@ -177,7 +177,7 @@ class Weigher:
         return votes
 
     def evidence(self, row: int = -1) -> Evidence:
-        """Return what one of the frames that were weighed last said."""
+        """Return the evidence of one of the last frames."""
         last = self._last
         jumping = (last.jumps[row] @ self._members)[:16] / self._pairs
         surprise = self._surprise(last.scores, last.total)[row]

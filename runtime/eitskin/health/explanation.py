@@ -35,13 +35,13 @@ class Finding:
         return "rearranged" if self.state == "swapped" else "imputed"
 
     def text(self) -> str:
-        """Return what a frame says: ``5:detached:imputed``, ``7:swapped with 8:rearranged``."""
+        """Return a frame's entry: ``5:detached:imputed``, ``7:swapped with 8:rearranged``."""
         partner = "" if self.partner is None else f" with {self.partner}"
         return f"{self.electrode}:{self.state}{partner}:{self.remedy}"
 
 
 class Explanation:
-    """Weighs failures against each other by what they leave unexplained.
+    """Compares failures by the residuals that they leave.
 
     Args:
         weigher: Of the frames.

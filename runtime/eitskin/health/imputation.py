@@ -3,7 +3,7 @@
 A healthy sheet's l = log(V / V0) is close to a Gaussian with mean and precision P (made at export, from the data that
 the network learned from). With rows m missing and y = P (l - mean), :mod:`eitskin_proto.sensor.row_gaussian` gives ::
 
-    E[l_m | the others] = l_m - P_mm^-1 y_m                               what the network gets
+    E[l_m | the others] = l_m - P_mm^-1 y_m                               for the network
     M' = M - M_:m K_mm^-1 K_m: with K = (J J^T + tau I)^-1, column m = 0     the projection without these rows
 
 The second is the same identity, and equals building the projection anew from the rows that are left. A row that was
@@ -55,7 +55,7 @@ MISSING: Final = "not available in this bundle; make it again with 'eitskin expo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Consistency:
-    """What rows look like together; read from a bundle."""
+    """The joint distribution of rows, read from a bundle."""
 
     mean: Array
     """(104,) of l = log(V / V0)."""
@@ -80,7 +80,7 @@ class Consistency:
     thresholds: Array
     """(2,) an electrode's surprise and a whole frame's, above which they are no touch and no deformation."""
     layers: Layers | None = None
-    """What corrects filled-in rows; None in a bundle whose network never learned with it."""
+    """The correction of filled-in rows; None in a bundle whose network was not trained with it."""
 
     @classmethod
     def of(cls, arrays: Mapping[str, npt.NDArray[np.generic]]) -> "Consistency":
@@ -183,7 +183,7 @@ class Imputation:
         return not len(self._filled)
 
     def fill(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32] = UNPREDICTED) -> None:
-        """Overwrite the missing rows by what the others say of them, and the noisy ones by what they are worth.
+        """Overwrite the missing rows by their estimates from the others, and the noisy ones by weighted means.
 
         Args:
             change: (104,) dV.

@@ -24,7 +24,7 @@ from eitskin.model.gate import Gate
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
 
 BATCH_FRAMES: Final = 5
-"""Frames whose electrodes are looked at together: a failure is named at most 4 frames later than by looking at each."""
+"""Frames whose electrodes are examined together: a failure is reported at most 4 frames later than one by one."""
 
 MAX_BATCH: Final = BATCH_FRAMES + 1
 """Frames after which they are examined even if the line never rests."""
@@ -50,7 +50,7 @@ class Health:
         self._wanted: tuple[int, ...] | None = None
         self._raw = np.zeros((MAX_BATCH, N_ROWS), dtype=np.float32)
         self._waiting = 0
-        """Frames of ``_raw`` that were published and not yet looked at."""
+        """Frames of ``_raw`` that were published and not yet examined."""
         self._followed = np.zeros((DRIFT_TOGETHER, N_ROWS), dtype=np.float32)
         self._following = 0
         """Frames of ``_followed`` that drift has not seen yet."""
@@ -247,7 +247,7 @@ class Health:
 
 
 def health_of(bundle: Bundle, *, exclude: tuple[int, ...] = (), compensate_drift: bool | None = None) -> Health | None:
-    """Return what watches over electrodes and drift, or None for a bundle that cannot.
+    """Return the monitor of electrodes and drift, or None for a bundle that cannot.
 
     Args:
         bundle: The solvers.

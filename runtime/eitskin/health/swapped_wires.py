@@ -6,7 +6,7 @@ and p + 1 is therefore a sum of device pairs along the ring, the shorter way rou
     V(k, m) = sum over i, j of A[k, i] A[m, j] V_device(i, j),     A[p] = pairs from q(p) to q(p + 1), with sign
 
 Rows that need a pair with itself or with its neighbour were never measured and stay missing: one row of 104 for
-neighbours. No touch does this to a sheet, so it can be told, and undone, while the stream goes on.
+neighbours. No touch does this to a sheet, so it can be detected and undone while the stream goes on.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ _NEVER: Final = np.setdiff1d(np.arange(N_ELECTRODES**2), np.concatenate(_HELD))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rewiring:
-    """What undoes an exchange of two wires."""
+    """The inverse of an exchange of two wires."""
 
     electrodes: tuple[int, int]
     matrix: Array
@@ -39,7 +39,7 @@ class Rewiring:
 
 
 def rewiring(first: int, second: int) -> Rewiring:
-    """Return what undoes an exchange of the wires of two electrodes.
+    """Return the inverse of an exchange of the wires of two electrodes.
 
     Raises:
         ValueError: They are the same, or do not exist.

@@ -43,7 +43,7 @@ class Untouched:
         return cls(mean, covariance, *consistency.drift_limits[int(predicted)])
 
     def estimate(self, logs: Array) -> tuple[float, float]:
-        """Return c, and the distance D of what is left from an untouched sheet.
+        """Return c, and the distance D of the rest from an untouched sheet.
 
         Args:
             logs: (104,) l, prediction subtracted.

@@ -16,13 +16,12 @@ next client's answer away when a message has no delimiter. ::
 command        fields                                                answer
 =============  ====================================================  ===========================
 ``cloud``      ``cloud``: float32 LE (3, rows, columns) mm, 16200     ``cloud``: its revision;
-               bytes for the paper's skin; optional ``grid_id``
-               and ``skin_digest``: whose cloud it is;
-               optional ``predicted`` and ``predicted_flat``:        ``warnings``: list of lines,
-               832 bytes each, float64 LE (104,) V                   what is doubtful about it
+               bytes for the paper's skin; optional ``grid_id`` and ``skin_digest``: whose cloud it is; optional
+               ``predicted`` and ``predicted_flat``:        ``warnings``: list of lines, 832 bytes each, float64 LE
+               (104,) V                   warnings about it
 ``reference``  optional ``frames``: 2 to 10000; optional             ``frames``, ``weak_rows``,
-               ``force``: true takes it even if the sheet seems      and what was found of it
-               bent, touched or moving                               (``Judgement.fields``)
+               ``force``: true takes it even if the sheet seems      and the findings bent, touched or moving
+               (``Judgement.fields``)
 ``exclude``    ``electrodes``: list of at most 4 numbers, 0 to 15;    ``electrodes``
                empty uses all again
 ``status``                                                            counters and ids
@@ -107,7 +106,7 @@ class ControlServer:
         return self._listener.refused
 
     def _serve(self) -> None:
-        """Answer until told to end, or with the context; whatever ends it, the address is given back."""
+        """Answer until stopped, or until the context ends; the address is released in any case."""
         try:
             self._answer_all()
         finally:
@@ -238,7 +237,7 @@ class _SlowRequest:
                 os.eventfd_write(self.wake, 1)
 
     def finished(self, wait_s: float) -> tuple[Route, bool, bytes] | None:
-        """Return whom to answer what; None if nothing is finished within the time."""
+        """Return a client and its answer; None if nothing is finished within the time."""
         try:
             os.eventfd_read(self.wake)
         except BlockingIOError:

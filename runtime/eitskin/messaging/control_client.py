@@ -146,7 +146,7 @@ def send_cloud(
 
 
 def _why_silent(endpoint: str) -> str:
-    """What to do about a runtime that does not answer."""
+    """Advice if a runtime does not answer."""
     path = Path(endpoint.removeprefix("ipc://"))
     of_robot = (path.parent.parent / ROBOT).exists()
     command = "eitskin run --config ROBOT.toml" if of_robot else f"eitskin run --port PORT --control {endpoint}"

@@ -22,7 +22,7 @@ LARGEST_REQUEST: Final = 32768
 more, before it takes memory."""
 
 REFERENCE_FRAMES: Final = (2, 10_000)
-"""Fewest and most frames of a reference that is asked for."""
+"""Fewest and most frames of a requested reference."""
 
 WAITING_COMMANDS: Final = ("reference",)
 """Commands that wait for frames."""
@@ -55,7 +55,7 @@ def unpack_fields(parts: list[bytes], largest: int = LARGEST_REQUEST) -> dict[st
 
 
 class Controlled(Protocol):
-    """What the server needs of the runtime; called in its threads, never in the frame loop's."""
+    """The server's interface to the runtime; called in the server's threads, never in the frame loop's."""
 
     def use_cloud(
         self,
@@ -63,10 +63,10 @@ class Controlled(Protocol):
         predicted: npt.NDArray[np.float64] | None = None,
         predicted_flat: npt.NDArray[np.float64] | None = None,
     ) -> tuple[int, tuple[str, ...]]:
-        """Use a cloud from the next frame on, and return its revision and what is doubtful about it."""
+        """Use a cloud from the next frame on, and return its revision and warnings."""
 
     def recapture(self, frames: int, *, force: bool = False) -> Mapping[str, object]:
-        """Replace the reference by the mean of the next frames, and return what was captured and found of it.
+        """Replace the reference by the mean of the next frames, and return it with its findings.
 
         It is called in a thread of its own, one call at a time; the other methods may be called meanwhile. ``stop``
         must end it.
@@ -87,7 +87,7 @@ class Commands:
 
     Args:
         controlled: The runtime.
-        skin: Whose clouds it takes.
+        skin: The skin whose clouds it accepts.
     """
 
     def __init__(self, controlled: Controlled, skin: SkinDescription) -> None:
@@ -101,7 +101,7 @@ class Commands:
         }
 
     def prepare(self, parts: list[bytes]) -> tuple[Callable[[], Answer], bool]:
-        """Return what performs a request, and whether that waits for frames.
+        """Return the function that performs a request, and whether it waits for frames.
 
         Args:
             parts: Of the message, without its envelope.

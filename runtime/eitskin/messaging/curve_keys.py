@@ -49,7 +49,7 @@ class ServerKeys:
     admitted: frozenset[bytes] = frozenset()
     """Those keys, in Z85."""
     damaged: tuple[str, ...] = ()
-    """What is wrong with files of this folder that hold no key, a line each."""
+    """Faults of files in this folder that hold no key, a line each."""
 
     def apply(self, socket: Any) -> None:
         """Make a ZeroMQ socket a CURVE server; before it is bound."""
@@ -124,7 +124,7 @@ def load_server_keys(folder: str | Path) -> ServerKeys:
 
 
 def _admitted(clients: Path) -> tuple[set[bytes], list[str]]:
-    """Return the keys of a folder, in Z85, and what is wrong with files that hold none."""
+    """Return the keys of a folder, in Z85, and the faults of files that hold none."""
     try:
         with os.scandir(clients) as entries:
             names = [entry.name for entry, _ in zip(entries, range(MOST_FILES + 1), strict=False)]

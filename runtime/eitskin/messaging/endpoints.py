@@ -68,12 +68,12 @@ def runtime_folder() -> Path:
 
 
 def default_publish() -> str:
-    """Return where frames are published, and looked for, unless told otherwise."""
+    """Return the default endpoint of frames."""
     return f"ipc://{runtime_folder() / FRAMES}"
 
 
 def default_control() -> str:
-    """Return where control requests are taken unless told otherwise."""
+    """Return the default endpoint of control requests."""
     return f"ipc://{runtime_folder() / CONTROL}"
 
 

@@ -23,7 +23,7 @@ Distance = tuple[float, float, float]
 
 @dataclass(slots=True)
 class FrameDecisions:
-    """What was decided of the frame to come; None where the pipeline decides."""
+    """The recorded decisions about the next frame; None where the pipeline decides."""
 
     touched: bool | None = None
     """The gate calls it touched."""
@@ -84,7 +84,7 @@ class RecordedHealth(Health):
         """Use recorded conditions from the next frame on, and return whether other rows are missing.
 
         Args:
-            drift: (104,) what 1 + dV is multiplied with; None for nothing.
+            drift: (104,) factors on 1 + dV; None for none.
             electrodes: Number, state and partner of each that has failed or is excluded.
         """
         self.drift.set_factors(drift)

@@ -58,9 +58,9 @@ class Statistics:
         Args:
             stamps: ``perf_counter_ns`` at the end of each of ``STAGES``.
             solver: Name of the engine, or ``none``.
-            touched: What the gate said.
-            skipped: What was left out.
-            events: What happened.
+            touched: The gate's decision.
+            skipped: The saved computation.
+            events: Its events.
         """
         _STAMPS.pack_into(self._memory, _STAMPS.size * (self.frames % len(self._stamps)), *stamps, 0, 0, 0)
         if self.frames == 0:
@@ -76,12 +76,12 @@ class Statistics:
             self.events[name] = self.events.get(name, 0) + 1
 
     def ready(self, now_ns: int) -> None:
-        """Take note that the frame which was added last is done with, but for what streams are told."""
+        """Record that the frame added last is finished, except for the streams."""
         row = self._stamps[(self.frames - 1) % len(self._stamps)]
         row[REST], row[READY] = now_ns - row[TOLD - 1], now_ns
 
     def told(self, begin_ns: int, end_ns: int) -> None:
-        """Take note that streams were told of the frame which was added last."""
+        """Record that the streams have sent the frame added last."""
         row = self._stamps[(self.frames - 1) % len(self._stamps)]
         row[TOLD], row[READY] = end_ns - begin_ns, end_ns
 

@@ -87,7 +87,7 @@ def stuck(
     limit: float = 0,
     symmetric: int = SYMMETRIC,
 ) -> str:
-    """Return what is wrong with rows that no sheet can read, or "".
+    """Return the fault of rows that no sheet can have, or "".
 
     Args:
         counts: (104,) as converted, or means of two readings; or (n,) of the idle drives.
@@ -196,7 +196,7 @@ class RepeatedFrames:
             self.unlike += 1
 
     def refusals(self, mean_V: Array, spread_V: Array, step_V: float) -> tuple[str, ...]:
-        """Return why a capture is of no living front end.
+        """Return why a capture is not from a working front end.
 
         Args:
             mean_V: (104,) V.
@@ -227,7 +227,7 @@ class RepeatedFrames:
 
 
 def front_end_faults(voltages: Array, step_V: float | None = None) -> tuple[str, ...]:
-    """Return what recorded frames show of a front end that does not live; none if it does.
+    """Return the faults of the front end that recorded frames show; none if it works.
 
     Args:
         voltages: (n, 104) V.

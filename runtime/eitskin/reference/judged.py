@@ -60,7 +60,7 @@ REMEDY: Final = (
 )
 
 OTHER_SHEET_HINT: Final = "a sheet that the bundle was not made for needs a bundle of its own: --bundle FILE"
-"""What else a large difference from the bundle's sheet may mean."""
+"""Another possible cause of a large difference from the bundle's sheet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ class ReferenceChecks:
 def reference_checks(
     bundle: "Bundle", older: Reference | None = None, missing: npt.NDArray[np.bool_] | None = None
 ) -> ReferenceChecks:
-    """Return what a bundle has to hold a reference against, with an older one.
+    """Return a bundle's checks for a reference, with those of an older one.
 
     Args:
         bundle: Its flat sheet and its gate are used, where it has them.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What was found of a reference."""
+    """The findings about a reference."""
 
     median_spread: float
     """Of a single frame's row, relative."""
@@ -16,14 +16,14 @@ class Judgement:
     older_difference: float | None
     """Rms of log(V / V_older); None without an older reference."""
     touched: bool | None
-    """What the gate says against the older reference; None without one, or without a gate."""
+    """The gate's decision against the older reference; None without one, or without a gate."""
     refusals: tuple[str, ...]
-    """Reasons not to take it."""
+    """Reasons to refuse it."""
     remarks: tuple[str, ...]
-    """What people should know if it is taken."""
+    """Remarks for people if it is accepted."""
 
     def fields(self) -> dict[str, object]:
-        """Return what was found, for an answer or ``--json``."""
+        """Return the findings, for an answer or ``--json``."""
         return {
             "median_spread": self.median_spread,
             "movement": self.movement,

@@ -1,8 +1,8 @@
-"""The second, predicted reference: what the forward model expects of the bent sheet when nothing touches it.
+"""The second, predicted reference: the forward model's voltages of the bent, untouched sheet.
 
 From a cloud the forward model predicts the untouched voltages of the deformed sheet. The head sees their logarithm
-against the flat sheet and subtracts it from that of the measurement, which leaves what the touch did. The prediction
-is made where the cloud is made; the runtime has no forward model.
+against the flat sheet and subtracts it from that of the measurement, which leaves the effect of the touch. The
+prediction is made where the cloud is made; the runtime has no forward model.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ def check_voltages(name: str, voltages: npt.ArrayLike) -> npt.NDArray[np.float64
     """Return (104,) V as float64, or say what is wrong with them.
 
     Args:
-        name: What to call them.
+        name: Their name in messages.
         voltages: (104,) V.
 
     Raises:

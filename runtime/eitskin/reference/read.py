@@ -13,11 +13,11 @@ from eitskin.errors import BadReference
 from eitskin_proto.files.reading import FileError, read_bytes
 
 OTHER_FILE_HINT: Final = "name a reference, or capture one into a new file: eitskin reference --port PORT --out NEW"
-"""What to do about a file that is no reference and must stay as it is."""
+"""Advice about a file of another kind, which must stay."""
 
 
 def capture_again(where: Path) -> str:
-    """Return what to do about a reference that cannot be used, or that is not there."""
+    """Return advice about a missing or unusable reference."""
     return f"capture it again: eitskin reference --port PORT --out {where}"
 
 
@@ -48,7 +48,7 @@ def read_reference(where: Path, form: str, largest: int) -> bytes:
 
 
 def _denied(where: Path) -> str:
-    """Return whose file it is that this user may not read, and what to do."""
+    """Return the owner of a file that this user may not read, and advice."""
     me = _user(os.geteuid())
     with suppress(OSError):
         found = where.stat()

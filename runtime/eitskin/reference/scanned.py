@@ -28,7 +28,7 @@ RATIO: Final = (0.08, 6.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceScan:
-    """What was scanned, and what the forward model says of it."""
+    """A scan and the forward model's prediction for it."""
 
     cloud_mm: Array
     """(3, rows, columns)"""

@@ -67,7 +67,7 @@ RESTARTS: Final = ("never", "on-failure", "always")
 
 @dataclass(frozen=True, slots=True)
 class RobotSkin:
-    """What a subscriber needs to know about one skin.
+    """A subscriber's data about one skin.
 
     Attributes:
         name: Of the skin.
