@@ -16,12 +16,13 @@ next client's answer away when a message has no delimiter. ::
 command        fields                                                answer
 =============  ====================================================  ===========================
 ``cloud``      ``cloud``: float32 LE (3, rows, columns) mm, 16200     ``cloud``: its revision;
-               bytes for the paper's skin; optional ``grid_id`` and ``skin_digest``: whose cloud it is; optional
-               ``predicted`` and ``predicted_flat``:        ``warnings``: list of lines, 832 bytes each, float64 LE
-               (104,) V                   warnings about it
+               bytes for the paper's skin; optional ``grid_id``      ``warnings``: list of lines
+               and ``skin_digest``: the skin of the cloud;
+               optional ``predicted`` and ``predicted_flat``:
+               832 bytes each, float64 LE (104,) V
 ``reference``  optional ``frames``: 2 to 10000; optional             ``frames``, ``weak_rows``,
-               ``force``: true takes it even if the sheet seems      and the findings bent, touched or moving
-               (``Judgement.fields``)
+               ``force``: true accepts it even if the sheet seems    and the findings
+               bent, touched or moving                               (``Judgement.fields``)
 ``exclude``    ``electrodes``: list of at most 4 numbers, 0 to 15;    ``electrodes``
                empty uses all again
 ``status``                                                            counters and ids

@@ -1,9 +1,9 @@
 """The messages of a recording that are not bodies of streams: maps and published frames.
 
 ===========  =========================================================================================================
-frame        JSON; the published frame without its map, whose BLAKE2b of 8 bytes is ``digest`` map          MessagePack:
-seq, shape (rows, columns), map float32, little-endian ===========
-=========================================================================================================
+frame        JSON; the published frame without its map, whose BLAKE2b of 8 bytes is ``digest``
+map          MessagePack: seq, shape (rows, columns), map float32, little-endian
+===========  =========================================================================================================
 
 Wire, clouds and conditions are the bodies of their streams, as they came (:mod:`eitskin.messaging.streams`).
 """

@@ -3,8 +3,8 @@
 The first model is that of the scan. If frames show a likely sheet beyond the range of the derivatives, the model is
 made again there. If nothing explains a frame, other sheets are tried, each once a deformation:
 
-    scanned        the sheet that the frame suggests, limited to a likely one seen at rest   that of the scan alone: the
-    sheet has changed since
+    scanned        the sheet that the frame suggests, limited to a likely one
+    seen at rest   that of the scan alone: the sheet has changed since
 
 The verifier keeps one only if it explains the frame.
 """
