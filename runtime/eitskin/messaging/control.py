@@ -46,7 +46,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.skin import Skin as SkinDescription
 
 MOST_CONNECTIONS: Final = 64
-"""Clients at once; one more ends the one that has asked for nothing for the longest time."""
+"""Clients at once; one more ends the one with the oldest last request."""
 
 MOST_PARTS: Final = 16
 """Of a message: identities of proxies, the delimiter, the map."""

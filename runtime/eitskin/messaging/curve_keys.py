@@ -3,7 +3,7 @@
 A folder of keys, as made by :func:`make_keys`; the format of the files is ZeroMQ's own. ::
 
     DIR/server.key_secret     the runtime's, mode 0600
-    DIR/server.key            for subscribers: whom to trust
+    DIR/server.key            for subscribers, to authenticate the runtime
     DIR/clients/NAME.key      public keys that may connect; nobody else may
     DIR/client.key_secret     a first client's own key, to be carried to its machine
 

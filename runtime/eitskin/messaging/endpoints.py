@@ -132,7 +132,7 @@ def check_client_keys(endpoint: str, keys: ClientKeys | None) -> None:
 
 
 def bind_problem(endpoint: str, error: zmq.ZMQError | OSError) -> str:
-    """Return what to say of an endpoint that cannot be bound."""
+    """Return the message for an endpoint that cannot be bound."""
     if error.errno in (errno.EADDRINUSE, errno.EEXIST):
         return f"{endpoint} is in use: stop the program that serves it, or name another endpoint"
     if error.errno == errno.ENOENT:

@@ -38,7 +38,7 @@ NUMBERS: Final = (
     "n", "seq", "device_us", "age_us", "touched", "gate_logit", "cloud", "weak_rows", "map_seq", "drift",
     "drift_sd", "drift_uneven", *STAGES, *COUNTS,
 )  # fmt: skip
-"""What changes with each frame, in the order of the message."""
+"""Fields that change with each frame, in the order of the message."""
 
 TOUCHED: Final = (0xC2, 0xC3)
 """False and true in MessagePack."""
@@ -88,7 +88,7 @@ MAX_TEXT: Final = 128
 
 @lru_cache(maxsize=1)
 def host_id() -> str:
-    """Return what tells this boot of this machine from others: stamps compare only within it."""
+    """Return the id of this boot of this machine; stamps compare only within it."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()[:36]
     except OSError:
@@ -160,7 +160,7 @@ class Frame:
     touch_list: TouchList | None = None
 
     def __repr__(self) -> str:
-        """Return one line: which frame, touched or not, by what, how old when it came."""
+        """Return one line: number, touched or not, solver, age at arrival."""
         state = "touched" if self.touched else "untouched"
         events = f", {' '.join(self.events)}" if self.events else ""
         return f"<Frame {self.sequence} of {self.serial_number}: {state}, {self.solver}, {self.age_us} us old{events}>"
@@ -282,7 +282,7 @@ def _map(fields: Mapping[str, Any]) -> npt.NDArray[np.float32]:
 
 
 def _regions(fields: Mapping[str, Any], shape: tuple[int, int]) -> Regions:
-    """Return what a message says was computed of a map of this shape."""
+    """Return the computed regions of a map of this shape, from a message."""
     found = fields.get("regions")
     if found is None:
         return whole(shape)

@@ -122,7 +122,7 @@ class FramePacker:
         self._short_end = self._map_at
 
     def _whole(self) -> tuple[int, struct.Struct, list[Any]]:
-        """Return where the numbers begin, and what writes all of them, and the names between them, in one call."""
+        """Return the numbers' offset, and the struct and arguments that write them with the names between them."""
         first = end = self._slots[NUMBERS[0]][1]
         layout, arguments = ">", list[Any]()
         for name in NUMBERS:
@@ -204,11 +204,11 @@ class FramePacker:
         struct.pack_into(">H", self._short, 1, entries - 2)
 
     def message(self) -> memoryview:
-        """Return the message as it stands; the next ``put`` changes it."""
+        """Return the present message; the next ``put`` changes it."""
         return self._view[: self._end + self._extra]
 
     def short_message(self) -> memoryview:
-        """Return the message as it stands without shape and map; the next call changes it."""
+        """Return the present message without shape and map; the next call changes it."""
         short, whole, at = self._short_view, self._view, self._map_at
         short[3:at] = whole[3:at]
         end = self._short_end + self._extra
@@ -223,7 +223,7 @@ class FramePacker:
 
 
 MAP_UNCHANGED: Final = ("map:unchanged",)
-"""What is skipped in a message without its map."""
+"""The entry of ``skipped`` in a message without its map."""
 
 ZERO: Final = "zero"
 """Instead of a map's key: nothing was computed."""

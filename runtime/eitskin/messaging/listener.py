@@ -50,7 +50,7 @@ PAUSE_S: Final = 0.05
 """Pause before the next look at waiting clients when there was no room for them."""
 
 RESERVE: Final = 24
-"""Files that stay free for what the process opens itself, and for connections that another address lets in just now."""
+"""Files that stay free for the process itself, and for new connections of another address."""
 
 HANDSHAKE_MS: Final = 2000
 """How long a handshake may take; libzmq ends a connection that takes longer."""
@@ -58,7 +58,7 @@ HANDSHAKE_MS: Final = 2000
 IPC: Final = "ipc://"
 
 MOST_FILES: Final = 65536
-"""What counts as no limit."""
+"""Limits from here on count as none."""
 
 _EVENT: Final = struct.Struct("=Hi")
 _EVENTS: Final = zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_MONITOR_STOPPED
@@ -73,7 +73,7 @@ class _Connection:
     listener: str
     """Endpoint of its listener, as libzmq names it."""
     heard_s: float
-    """When it came, or last asked for something."""
+    """Time of its connection or last request."""
     served: bool = False
     """It stays, however many others come."""
 
@@ -236,7 +236,7 @@ class Listener:
                     self._socket.unbind(endpoint)
 
     def mark_used(self, descriptor: int, *, served: bool) -> None:
-        """Take note that a connection asked for something.
+        """Record a request of a connection.
 
         Args:
             descriptor: See :func:`sender_of`.

@@ -17,7 +17,7 @@ it. ::
     b"eitskin/unchanged"           ... or b"eitskin/always"
     b"eitskin/touches"             also: the list of touches, in every frame
     b"\xdf"                        touches without maps, alone
-    b"\x86\xa4wire"                what was measured (:mod:`eitskin.messaging.streams.envelope` has the list)
+    b"\x86\xa4wire"                measurements (:mod:`eitskin.messaging.streams.envelope` has the list)
     b"\x8f\xa8verified"            verdicts of the verifier (:mod:`eitskin.messaging.streams.verified`)
 
 Subscribers with the empty topic get touch messages and streams too, and ignore them by their version. Touch messages
@@ -60,7 +60,7 @@ MOST_AT_ONCE: Final = 256
 """Subscription messages that are taken in one update; a crowd of 128 that comes at once has 400, for two."""
 
 MOST_TOPICS: Final = 512
-"""Topics that are remembered; beyond it everything counts as asked for."""
+"""Topics that are remembered; beyond this everything counts as requested."""
 
 MOST_SUBSCRIBERS: Final = 128
 """Subscribers at once; further connections are ended."""
@@ -71,7 +71,7 @@ DESERTED_S: Final = 2.0
 """Time without any connection after which all topics are forgotten."""
 
 DECLARING: Final = frozenset((FIRST_BYTE, *patient_topics(FIRST_BYTE)))
-"""Topics of frames for subscribers that say by topics of their own what they need of them."""
+"""Topics of frames for subscribers that declare their needs by further topics."""
 
 
 class Publisher:
@@ -156,7 +156,7 @@ class Publisher:
         return False
 
     def _update_demand(self) -> None:
-        """Make of the topics what the loop must know."""
+        """Derive the loop's flags from the topics."""
         topics = self._topics
         plain = len(topics) >= MOST_TOPICS or any(
             topic == b"" or (topic[:1] == FIRST_BYTE and topic not in DECLARING) for topic in topics

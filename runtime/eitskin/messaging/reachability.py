@@ -17,16 +17,16 @@ LONGEST_PROBE_S: Final = 0.3
 START: Final = "start a runtime with 'eitskin run --port PORT', or name the endpoint on which it says it publishes"
 
 KINDS: Final = {FRAMES: ("publishes", "eitskin subscribe"), CONTROL: ("takes requests", "eitskin status")}
-"""Of sockets, by name: what a runtime does on one, and the command that shows a runtime by it."""
+"""For each name of a socket: a runtime's activity on it, and the command that shows a runtime by it."""
 
 
 def explain_silence(endpoint: str, waited_s: float, what: str = "frame", likely: str = "") -> str:
-    """Return why nothing may have come from an endpoint, and what to do about it, without a full stop.
+    """Return why nothing may have come from an endpoint, and advice, without a full stop.
 
     Args:
         endpoint: The endpoint of the subscription: ``ipc:///path`` or ``tcp://address:port``.
         waited_s: Time waited; the check takes at most a quarter of that, and 0.3 s.
-        what: Was waited for.
+        what: The expected item.
         likely: The likeliest cause if a program listens, as a clause.
     """
     found = _nobody(endpoint, min(LONGEST_PROBE_S, waited_s / 4))

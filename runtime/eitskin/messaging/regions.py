@@ -97,7 +97,7 @@ class Region:
 
     @property
     def slices(self) -> tuple[slice, slice]:
-        """What ``frame.map`` is indexed with."""
+        """Index into ``frame.map``."""
         return slice(self.first_row, self.last_row), slice(self.first_column, self.last_column)
 
 
@@ -105,16 +105,16 @@ EVERYWHERE: Final = Region(0, MOST_PIXELS[0], 0, MOST_PIXELS[1])
 """All pixels of any map."""
 
 Regions = tuple[Region, ...]
-"""What of a map is computed: the union of these; never empty."""
+"""The computed part of a map: the union of these; never empty."""
 
 
 def whole(shape: tuple[int, int]) -> Regions:
-    """Return what is computed of a map of all rows and columns."""
+    """Return the regions of a whole map."""
     return (Region(0, shape[0], 0, shape[1]),)
 
 
 def other_skin(endpoint: str, shape: tuple[int, ...], grid: Grid) -> MismatchError:
-    """Return what is raised where a region means other pixels than were meant: the maps have another shape."""
+    """Return the error for a region that would mean other pixels than intended, because the maps have another shape."""
     hint = "name the runtime's skin beside the region: --skin FILE, or subscribe(..., skin=...)"
     what = f"{endpoint}: rows and columns of the maps"
     return MismatchError(what, found=list(shape), expected=list(grid.shape), hint=hint)

@@ -42,7 +42,7 @@ LONGEST_WAIT_MS: Final = 1000
 """How long the socket waits at a time."""
 
 Item = TypeVar("Item")
-"""What a subscription yields."""
+"""The items of a subscription."""
 
 
 class Subscriber(Generic[Item]):
@@ -58,7 +58,7 @@ class Subscriber(Generic[Item]):
         conflate: In mode ``latest`` libzmq keeps one message only; it does not go with more than one topic.
         timeout_s: How long to wait for an item; None waits 5 s for the first and then for ever.
         keys: CURVE keys, which TCP needs.
-        nothing: What did not come, for people.
+        nothing: Name of the missing item, for people.
 
     Raises:
         ValueError: The time is not positive, or the mode does not exist.
@@ -89,15 +89,15 @@ class Subscriber(Generic[Item]):
         self.reconnected = 0
         """Reconnections because the connection was gone, or nothing had ever come over it."""
         self.rejected = 0
-        """Messages that were not what was subscribed to, or were damaged."""
+        """Messages of another kind than subscribed to, or damaged."""
         self._timeout_s = math.inf if timeout_s is None else timeout_s
         self._first_s = FIRST_S if timeout_s is None else timeout_s
         self._nothing = nothing
         self._newest_only = mode == "latest" and not conflate
         self._wait_ms = -1
-        """What the socket waits at most, as it was told last. It waits by itself: a ``poll`` would delay frames."""
+        """The socket's present receive timeout. It waits by itself, because a ``poll`` would delay frames."""
         self._unusable: tuple[int, str] = (0, "")
-        """Messages that were rejected since the last one that was taken, and what the last of them was."""
+        """Messages rejected since the last accepted one, and the kind of the last of them."""
         self._connection: Connection | None = None
         """The connection of the last message, if known; checked again after silence."""
         self._patience_s = PATIENCE_S
@@ -126,7 +126,7 @@ class Subscriber(Generic[Item]):
             ) from error
 
     def _item(self, message: bytes) -> Item | None:
-        """Return what a message holds; None where it is nothing by itself.
+        """Return the item of a message; None if the message alone makes none.
 
         Raises:
             FrameError: It cannot be used.
@@ -138,7 +138,7 @@ class Subscriber(Generic[Item]):
         return before if found is None else found
 
     def _why(self, waited_s: float) -> str:
-        """Return why nothing came, and what to do about it."""
+        """Return why nothing came, with advice."""
         return self.silence(waited_s)
 
     def _next(self, timeout_s: float | None = None) -> Item:

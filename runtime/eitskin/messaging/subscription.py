@@ -37,10 +37,10 @@ QUEUE_FRAMES: Final = 2000
 
 @dataclass(frozen=True, slots=True)
 class SubscriptionOptions:
-    """What a subscriber asks for (:mod:`eitskin.messaging.publish` lists the topics)."""
+    """The options of a subscriber (:mod:`eitskin.messaging.publish` lists the topics)."""
 
     region: Region
-    """What of the map is needed."""
+    """The needed part of the map."""
     grid: Grid | None
     """Whose pixels the region means; None without one."""
     topics: tuple[bytes, ...]
@@ -48,7 +48,7 @@ class SubscriptionOptions:
     touches: bool
     """Whether a frame without touches is of no use."""
     skip_unchanged: bool
-    """Whether frames that are not returned must be looked at too: a later one may lack the map that they have."""
+    """Whether frames that are not returned must be read too, because a later one may lack their map."""
 
     @classmethod
     def of(
@@ -61,7 +61,7 @@ class SubscriptionOptions:
         maps: bool,
         patient: bool,
     ) -> Self:
-        """Return what the arguments of :class:`Subscription` mean.
+        """Return the options for the arguments of :class:`Subscription`.
 
         Raises:
             ValueError: The region is not on the sheet, or something is asked of maps that are not wanted.

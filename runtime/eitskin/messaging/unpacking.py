@@ -25,12 +25,12 @@ def unpacked(
 
     Args:
         message: As it came.
-        what: It should be, for people: ``a frame``.
+        what: The expected kind, for people: ``a frame``.
         largest: Bytes.
         longest_text: Bytes of a text.
         longest_list: Items of a list.
         longest_map: Keys of a map.
-        error: Class of what is raised.
+        error: Class of the errors raised.
 
     Raises:
         FrameError: It is too large, or no map with texts as keys; or else of class ``error``.
@@ -50,11 +50,11 @@ def unpacked(
 
 
 def fields_of(body: bytes, what: str) -> Fields:
-    """Return the fields of a body of any origin; what is wrong with them is a :class:`FrameError`.
+    """Return the fields of a body of any origin; faults in them raise :class:`FrameError`.
 
     Args:
         body: As it came.
-        what: It should be, for people: ``stream wire``.
+        what: The expected kind, for people: ``stream wire``.
     """
     return Fields(unpacked(body, what), what, error=FrameError, joint=", ")
 

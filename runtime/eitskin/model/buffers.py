@@ -16,7 +16,7 @@ class Engine(Protocol):
 
     @property
     def name(self) -> str:
-        """What frames call it: ``vd2t``, ``vd2t-int8``, ``vd2t-small``, ``tikhonov``."""
+        """Its name in frames: ``vd2t``, ``vd2t-int8``, ``vd2t-small``, ``tikhonov``."""
 
     def infer(self) -> None:
         """Fill the map from dV, without making an array."""
@@ -46,7 +46,7 @@ class Buffers:
         self.revision = 0
         """Of the cloud in use."""
         self.geometry: Geometry | None = None
-        """What was taken last."""
+        """The geometry used last."""
         self.surface = Surface(bundle.skin.grid.flat_cloud_mm(), bundle.skin.grid)
         """The cloud in use, as it was given."""
 

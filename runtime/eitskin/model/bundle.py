@@ -57,16 +57,16 @@ REQUIRED: Final = ("geometry.onnx", "head.onnx", "tikhonov.npy")
 LARGEST_MANIFEST: Final = 1 << 20
 LARGEST_FILE: Final = 64 << 20
 LARGEST_BUNDLE: Final = 256 << 20
-"""Bounds in bytes on what a file, and all of them, may have; a default bundle is a few MB."""
+"""Bounds in bytes on a file, and on all of them; a default bundle is a few MB."""
 
 LARGEST_ARRAYS: Final = 16 << 20
-"""Bytes of all arrays of a gate, or of what healthy frames look like."""
+"""Bytes of all arrays of a gate, or of the statistics of healthy frames."""
 
 EXPORT_HINT: Final = "make it again with 'eitskin export'"
 
 
 def graphs_of(name: str) -> tuple[str, str]:
-    """Return the files of a network beside the bundle's own: what a cloud means to it, and its head."""
+    """Return the files of an additional network: its geometry graph and its head."""
     return f"{name}_geometry.onnx", f"{name}_head.onnx"
 
 

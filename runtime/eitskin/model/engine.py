@@ -26,7 +26,7 @@ VD2T_SMALL: Final = "vd2t-small"
 """The head of a smaller network, which some bundles have in addition."""
 
 HEADS: Final = {"vd2t": "head.onnx", "vd2t-int8": "head_int8.onnx", VD2T_SMALL: graphs_of(SMALL)[1]}
-"""What frames call a head, and its file; from the most accurate to the fastest."""
+"""Names of heads in frames, and their files; from the most accurate to the fastest."""
 
 QUANTISED: Final = "vd2t-int8"
 """The head that takes half the time."""
@@ -41,7 +41,7 @@ class HeadEngine:
     Args:
         bundle: Where the graph is.
         file: A graph of :data:`HEADS`, or another head of a network beside the bundle's own.
-        name: What frames call it.
+        name: Its name in frames.
         buffers: Bound as inputs and output.
 
     Raises:
@@ -101,11 +101,11 @@ class ProjectionEngine:
         self._map = buffers.map[0]
 
     def change_matrix(self, change: Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]) -> None:
-        """Use what ``change`` makes of the bundle's matrix from the next frame on: one without some rows."""
+        """Replace the bundle's matrix by ``change`` of it from the next frame on, such as one without some rows."""
         self._matrix = flushed(change(self._whole))
 
     def infer(self) -> None:
-        """Fill the map; what is negative becomes 0, since a touch only adds, and the largest value becomes 1."""
+        """Fill the map; negative values become 0, since a touch only adds, and the largest value becomes 1."""
         np.matmul(self._matrix, self._change, out=self._map)
         np.maximum(self._map, 0.0, out=self._map)
         largest = float(self._map.max())
@@ -124,7 +124,7 @@ def engines(
 
     Args:
         bundle: Where they are.
-        buffers: What they read and write.
+        buffers: The engines' memory.
         best: Leave out those before the one of this name; None leaves none out.
         alone: Leave out those behind the first; without ``best`` it is :func:`default_solver`.
 
@@ -153,7 +153,7 @@ def longest(engine: Engine) -> Callable[[], None]:
 
 
 def solvers(bundle: Bundle) -> list[str]:
-    """Return the names of what a bundle offers, from the most accurate to the fastest."""
+    """Return the names of a bundle's solvers, from the most accurate to the fastest."""
     heads = [name for name, file in HEADS.items() if file in bundle.files]
     if SMALL not in bundle.beside and VD2T_SMALL in heads:
         heads.remove(VD2T_SMALL)
@@ -180,7 +180,7 @@ def flipped_pixels(bundle: Bundle) -> float:
 
 
 def _bias_of(file: str, buffers: Buffers) -> npt.NDArray[np.float32]:
-    """Return what the cloud adds in the network of a head."""
+    """Return the cloud's bias in the network of a head."""
     return next((bias for name, bias in buffers.beside.items() if file == graphs_of(name)[1]), buffers.bias)
 
 

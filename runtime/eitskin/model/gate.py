@@ -78,7 +78,7 @@ RIDGE: Final = 1e-13
 
 @dataclass(frozen=True, slots=True)
 class Filters:
-    """What a gate of matched filters is made of.
+    """The parts of a gate of matched filters.
 
     Args:
         whitened: k; a response begins with w (k,) and goes on with f.
@@ -126,7 +126,7 @@ class Filters:
     def without(
         self, first: npt.NDArray[np.floating], rows: npt.NDArray[np.bool_]
     ) -> tuple[npt.NDArray[np.float64], "Filters"]:
-        """Return the (n + 1, h) weights that judge by the rows that are left, and what the gate is made of then.
+        """Return the (n + 1, h) weights for the remaining rows, and the gate's parts then.
 
         Args:
             first: (n + 1, h) weights of responses to the logarithms, and the bias.
@@ -200,7 +200,7 @@ _largest, _smallest, _sum = np.maximum.reduce, np.minimum.reduce, np.add.reduce
 
 
 class ChangeDetector:
-    """Judges frames one after the other by what has changed; allocates nothing a frame.
+    """Judges successive frames by their change; allocates nothing a frame.
 
     Args:
         filters: Of the gate.
@@ -232,20 +232,20 @@ class ChangeDetector:
         self.seen = 0
         """Untouched frames that are remembered."""
         self.level = 0.0
-        """What the strongest filter is on average, of untouched frames."""
+        """Average of the strongest filter over untouched frames."""
         self.held = False
         """Whether the sheet is touched; the means then stay."""
         self.strength = 0.0
-        """Of the last change that was looked at: its strongest filter."""
+        """The strongest filter of the last change examined."""
         self._peak = 0.0
         self._missed = self._looked = 0
 
     def step(self, response: Array, touched: bool) -> bool:
-        """Return whether a frame shows a touch by what has changed.
+        """Return whether the change of a frame shows a touch.
 
         Args:
             response: (width,) p.
-            touched: What the gate says of the frame by itself.
+            touched: The gate's decision on the frame alone.
         """
         if self.held:
             return self._judge_touched(response, touched)
@@ -324,7 +324,7 @@ class ChangeDetector:
         return (strength if strength >= against else -against) / (self._size() + self._filters.still)
 
     def _moved(self) -> bool:
-        """Return whether the sheet has moved since ``base``: then ``recent`` is nearer to what it reads untouched."""
+        """Return whether the sheet has moved since ``base``: then ``recent`` is nearer to the untouched sheet."""
         np.subtract(self._recent, self._base, out=self._change)
         return self._size() > SETTLED_LEVEL * self._filters.still
 
@@ -397,7 +397,7 @@ class Gate:
         self._whole: npt.NDArray[np.float32] | None = None
         """The first layer for all rows, while another is used."""
         self._all_filters = self.filters = Filters.of(arrays) if start else None
-        """What a gate of matched filters is made of now; None for any other."""
+        """The present parts of a gate of matched filters; None for any other."""
         first = first if self.filters is None else self.filters.once(first)
         self._first = np.ascontiguousarray(flushed(first), dtype=np.float32)
         self._second: npt.NDArray[np.float32] | None = None
@@ -485,7 +485,7 @@ class Gate:
 
 
 class RememberingGate(Gate):
-    """Judges frames that come one after the other, each by itself and by what has changed (``eitskin.model.gate``).
+    """Judges successive frames, each alone and by its change (``eitskin.model.gate``).
 
     A gate that is not made of matched filters judges each frame by itself alone.
 

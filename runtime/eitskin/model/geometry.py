@@ -40,10 +40,10 @@ class GivenCloud:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Geometry:
-    """What a cloud means to the head; immutable, so that it may cross threads."""
+    """The head's inputs from a cloud; immutable, so that it may cross threads."""
 
     bias: npt.NDArray[np.float32]
-    """(1, H) what the cloud adds in the first fusion layer."""
+    """(1, H) the cloud's bias in the first fusion layer."""
     beside: Mapping[str, npt.NDArray[np.float32]]
     """(1, H) likewise of each network beside the bundle's own, by its name."""
     log_predicted: npt.NDArray[np.float32]
@@ -53,7 +53,7 @@ class Geometry:
     surface: Surface
     """The cloud in the pose in which it was given."""
     given: GivenCloud | None = None
-    """What it was made of; None for the flat sheet that a runtime starts with."""
+    """The surface; None for the flat sheet with which a runtime starts."""
 
 
 class GeometryGraph:
@@ -101,7 +101,7 @@ class GeometryGraph:
     def geometry(
         self, cloud: npt.ArrayLike | None, log_predicted: npt.NDArray[np.float32] | None, revision: int
     ) -> Geometry:
-        """Return what a cloud means to the head.
+        """Return the head's inputs from a cloud.
 
         Args:
             cloud: (3, rows, columns) mm in any pose; None for the flat sheet.

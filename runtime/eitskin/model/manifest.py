@@ -13,16 +13,16 @@ FORMAT: Final = "eitskin-bundle"
 VERSION: Final = 1
 
 LABELS: Final = ("area", "units")
-"""What a bundle's maps may mean."""
+"""The kinds of labels of a bundle's maps."""
 
 SOLVERS: Final = ("vd2t", "vd2t-int8", "vd2t-small", "tikhonov")
 """Names of a bundle's solvers, from the most accurate to the fastest."""
 
 SMALL: Final = "small"
-"""What the manifest calls a second, smaller network, for a machine that is too slow."""
+"""The manifest's name of a second, smaller network, for a machine that is too slow."""
 
 GENTLE: Final = "gentle"
-"""What it calls one that draws touches which the bundle's own hardly shows (:mod:`eitskin.model.gentle`)."""
+"""Its name of one that draws touches which the bundle's own hardly shows (:mod:`eitskin.model.gentle`)."""
 
 MOST_FILES: Final = 32
 LARGEST_WIDTH: Final = 65536

@@ -43,12 +43,12 @@ class Field:
     value: memoryview | int
     """Its content: a number, or the bytes of a text, a message or packed values."""
     raw: memoryview
-    """All of it, as it stands in the file."""
+    """Its bytes in the file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """An operator of a graph, by the names of what it reads and writes."""
+    """An operator of a graph, with the names of its inputs and outputs."""
 
     kind: str
     inputs: tuple[str, ...]
@@ -141,7 +141,7 @@ def integers(field: Field) -> list[int]:
 
 
 def signed(value: int) -> int:
-    """Return the signed number that 64 bits stand for."""
+    """Return the signed number of 64 bits."""
     return (value ^ 1 << 63) - (1 << 63)
 
 
@@ -166,12 +166,12 @@ Made = tuple[list[Shape], int]
 
 
 class UnknownShapeError(ValueError):
-    """A shape depends on what is only computed when the graph runs."""
+    """A shape depends on values that are only computed when the graph runs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Operands:
-    """What an operator is given."""
+    """The inputs of an operator."""
 
     shapes: list[Shape | None]
     """Of its inputs; None for one that is left out."""
@@ -220,7 +220,7 @@ def _broadcast(given: Operands) -> Made:
 
 
 def _joint(shapes: Sequence[Shape]) -> Shape:
-    """Return what shapes broadcast to, by arithmetic alone: nothing of that size is made."""
+    """Return the broadcast of shapes, without making an array of that size."""
     axes = max(map(len, shapes))
     found = []
     for sizes in zip(*((1,) * (axes - len(shape)) + shape for shape in shapes), strict=True):
@@ -484,7 +484,7 @@ def _check(graph: list[Field]) -> None:
 def _shapes(
     node: Node, field: Field, shapes: Mapping[str, Shape], values: Mapping[str, list[int]]
 ) -> tuple[list[Shape], int]:
-    """Return the shapes of what an operator makes, and its multiplications."""
+    """Return the shapes of an operator's outputs, and its multiplications."""
     rule = RULES.get(node.kind)
     if rule is None or text(field, 7) not in ("", "ai.onnx"):
         raise BundleError(f"a graph uses the operator {quoted(node.kind)}, which no exported network has")

@@ -119,5 +119,5 @@ def check_signature(
 
 
 def first_line(error: BaseException) -> str:
-    """Return what ONNX Runtime says went wrong, in a line that can be printed."""
+    """Return ONNX Runtime's error in a printable line."""
     return plain(str(error).strip().partition("\n")[0][:200])

@@ -117,7 +117,7 @@ class GateAudit:
         return False
 
     def overrules(self, touch_map: npt.NDArray[np.float32]) -> bool:
-        """Return whether the map of a frame that was to be looked at shows a strong touch.
+        """Return whether the map of an audited frame shows a strong touch.
 
         Args:
             touch_map: (pixels,) of a network; a projection's is scaled to 1 whatever it shows, and says nothing.
@@ -158,7 +158,7 @@ class FrontEndWatch:
         self._intake.most_repeats = (patience(spread), idle)
 
     def check(self, normaliser: Normaliser) -> str:
-        """Return what no sheet reads in the rows of a whole frame, or "".
+        """Return the fault in the rows of a whole frame that no sheet can have, or "".
 
         Args:
             normaliser: Has the frame.
@@ -216,7 +216,7 @@ class GeometryInUse:
         self._reference: Reference | None = None
 
     def use_reference(self, reference: Reference) -> None:
-        """Hold what is in use against another reference, and all that comes."""
+        """Use another reference for the present geometry and later ones."""
         self._reference = reference
         if self._buffers.geometry is not None:
             self.use_geometry(self._buffers.geometry)
@@ -308,7 +308,7 @@ class Pipeline:
 
     @property
     def engines(self) -> list[Engine]:
-        """What computes maps, from the most accurate to the fastest."""
+        """The engines, from the most accurate to the fastest."""
         return self.maps.engines
 
     def greet(self, hello: Hello) -> None:
@@ -457,7 +457,7 @@ class Pipeline:
         return True
 
     def _describe(self) -> None:
-        """Say what state the frame was computed in."""
+        """Record the state in which the frame was computed."""
         record, health = self.record, self.health
         self.intake.name_events()
         record.weak_rows = self.normaliser.weak_count
@@ -465,7 +465,7 @@ class Pipeline:
             record.drift, record.electrodes = health.drift.distance, health.electrodes.texts
 
     def _use_new_geometry(self) -> bool:
-        """Use what other threads brought since the last frame, and return whether it was a cloud."""
+        """Adopt changes from other threads since the last frame, and return whether there was a cloud."""
         geometry = self._next_geometry
         if geometry is None:
             return False
@@ -494,13 +494,13 @@ class Pipeline:
         return False
 
     def keep_for_health(self) -> None:
-        """Keep what electrodes and drift are judged by of the frame that was just published."""
+        """Keep the data of the frame just published, for judging electrodes and drift."""
         health, record = self.health, self.record
         if health is not None and not record.idle and health.put_aside(self.intake.counts, touched=record.touched):
             self.check_health()
 
     def check_health(self) -> None:
-        """Look at electrodes and drift in the last few frames; what changes acts on the next one."""
+        """Examine electrodes and drift in the last few frames; changes act on the next one."""
         if self.health is not None and self.health.examine(self.buffers.log_predicted[0]):
             self.maps.change_projection(self.health.projection)
 

@@ -28,10 +28,10 @@ from eitskin_proto.wire.messages import Hello
 from eitskin_proto.wire.scan_rows import drives_to_list, table_rows
 
 PREFIX: Final = "idle_"
-"""What the idle gate's arrays begin with in gate.npz."""
+"""Prefix of the idle gate's arrays in gate.npz."""
 
 RETRY_NS: Final = 400_000_000
-"""After which a change of mode is asked for again."""
+"""Time after which a change of mode is requested again."""
 
 
 class IdleGate:
@@ -117,7 +117,7 @@ class IdleMode:
         self._touched_ns = -1
         self._asked_ns = -RETRY_NS
         self.switches = 0
-        """How often another mode was asked for."""
+        """Number of requests for another mode."""
 
     def step(self, now_ns: int, *, touched: bool, idle: bool) -> Mode | None:
         """Return the mode to ask for now, if any.

@@ -54,7 +54,7 @@ class Intake:
     Args:
         hello: Of the device.
         record: Where a frame's numbers go.
-        idle_drives: What a scan of some drives may consist of; None where nothing can judge one.
+        idle_drives: Allowed drives of a partial scan; None without an idle gate.
     """
 
     __slots__ = (
@@ -82,12 +82,12 @@ class Intake:
         self.generation = hello.generation
         """Of the configuration that frames must carry."""
         self.generation_differs = False
-        """A frame carried another one: the device must be asked what it runs now."""
+        """A frame carried another one, so the device must be asked for HELLO."""
         self.withheld = dict.fromkeys(REASONS, 0)
         """Frames that were not fit to publish."""
         self.withheld_total = 0
         self._since: tuple[str, ...] = ()
-        """What the next published frame will say of those before it."""
+        """Events of earlier frames for the next published one."""
 
     @property
     def counts(self) -> npt.NDArray[np.int32]:
@@ -157,7 +157,7 @@ class Intake:
         return self._view.drives == ALL_DRIVES
 
     def _counted(self) -> Step:
-        """Count the frame in hand, and let the next published one say what it shows: a reset, or lost frames."""
+        """Count the current frame, and add its events, a reset or lost frames, to the next published one."""
         step = self.counter.step(self._view.sequence, self._view.device_us)
         if step.reset:
             self.clock.restart()
@@ -209,7 +209,7 @@ class Intake:
         return self.withhold(reason)
 
     def name_events(self) -> None:
-        """Let the frame in hand say what happened before it, and put the totals into it."""
+        """Put earlier events and the totals into the current frame."""
         record = self._record
         if self._since:
             record.events = (*self._since, *(event for event in record.events if event not in self._since))

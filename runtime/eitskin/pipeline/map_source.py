@@ -63,7 +63,7 @@ class MapSource:
         self._record = record
         self._change = buffers.change[0]
         self.map = buffers.map[0]
-        """(pixels,) what was computed last."""
+        """(pixels,) the map computed last."""
         self.engines: list[Engine] = engines(bundle, buffers, best=solver, alone=budget_ns is None)
         self._named = {engine.name: engine for engine in self.engines}
         self.stillness = Stillness() if skip_unchanged else None
@@ -115,14 +115,14 @@ class MapSource:
         return self.engines[self.budget.engine].name != PROJECTION
 
     def change_projection(self, change: Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]) -> None:
-        """Let the projections use what ``change`` makes of the bundle's matrix, and the map that is held go."""
+        """Let the projections use ``change`` of the bundle's matrix, and discard the kept map."""
         self._held = ""
         for engine in self.engines:
             if isinstance(engine, ProjectionEngine):
                 engine.change_matrix(change)
 
     def drop_map(self) -> None:
-        """Hold no map: what it depends on has changed."""
+        """Discard the kept map, because a dependency has changed."""
         self._held = ""
 
     def compute_next(self) -> None:

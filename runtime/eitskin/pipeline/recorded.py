@@ -40,9 +40,9 @@ class FrameDecisions:
 
 
 class RecordedHealth(Health):
-    """Takes electrodes and drift from recorded conditions, and looks at no frame.
+    """Takes electrodes and drift from recorded conditions, without examining frames.
 
-    Electrodes may still be excluded by hand, by a program that asks for it: those replace the recorded ones.
+    A program may still exclude electrodes: these replace the recorded ones.
 
     Args:
         consistency: Of the bundle.

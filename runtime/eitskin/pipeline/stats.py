@@ -22,7 +22,7 @@ RING: Final = 1 << 14
 
 
 TOLD, REST, READY = (len(STAGES) + index for index in range(3))
-"""Behind the stages: how long streams were told of the frame and how long the rest took, in ns; when all was done."""
+"""After the stages: time of the streams and of the rest, in ns, and the end of all."""
 
 _STAMPS: Final = struct.Struct(f"={READY + 1}q")
 

@@ -1,1 +1,1 @@
-"""What was measured, published on request: the wire's frames, clouds, conditions, state."""
+"""Measurements, published on request: the wire's frames, clouds, conditions, state."""

@@ -31,7 +31,7 @@ FIRST_BYTE: Final = b"\x86"
 """A stream's message begins with it: a MessagePack map of six keys."""
 
 TOPICS: Final = {name: FIRST_BYTE + bytes(msgpack.packb(name)) for name in NAMES}
-"""What selects each stream."""
+"""The topic of each stream."""
 
 PIECE: Final = 65_535
 """Bytes of a body in one message."""

@@ -32,7 +32,7 @@ class StreamPublisher:
         """A subscriber came since this was last set to False: send again what is otherwise sent on changes."""
 
     def set_topics(self, topics: Collection[bytes]) -> None:
-        """Take note of what is subscribed to."""
+        """Update the subscribed streams."""
         streams = [topic for topic in topics if topic[:1] == FIRST_BYTE]
         self.first = b"" in topics
         if not streams and not self.asked:
@@ -83,10 +83,10 @@ _NOBODY: Final = StreamPublisher(_discard), NullFeed()
 
 
 def begin(feed: StreamFeed | None, publisher: object, run: str) -> tuple[StreamPublisher, StreamFeed]:
-    """Return a publisher of streams and what feeds it; one that is never asked where there is none of them.
+    """Return a publisher of streams and its source; without streams, a publisher that is never asked.
 
     Args:
-        feed: Of what was measured.
+        feed: The source of measurements.
         publisher: Of frames; it may have ``streams``.
         run: Differs after each start of the runtime.
     """

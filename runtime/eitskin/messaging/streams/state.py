@@ -27,7 +27,7 @@ DEEPEST: Final = 4
 LARGEST_HELLO: Final = 1024
 
 Event = tuple[int, str]
-"""Of a published frame: its ``seq``, and what happened (SPEC.md, section 7)."""
+"""``seq`` of a published frame, and an event of it (SPEC.md, section 7)."""
 
 _TEXTS: Final = ("host", "serial", "configuration", "bundle", "skin", "protocol_id", "grid_id", "version")
 

@@ -28,7 +28,7 @@ QUEUE: Final = 4000
 """Messages that wait on this side: 20 s of the wire at 200 frames/s."""
 
 Item = WireFrame | CloudInUse | Conditions | SkinState
-"""What a subscription yields."""
+"""The items of a subscription."""
 
 
 class StreamSubscription(Subscriber[Item]):
@@ -114,4 +114,4 @@ class StreamSubscription(Subscriber[Item]):
 
 
 subscribe_streams = StreamSubscription
-"""Opens a subscription to what a runtime measures, to be iterated."""
+"""Opens a subscription to a runtime's measurements, to be iterated."""

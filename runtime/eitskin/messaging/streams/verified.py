@@ -30,7 +30,7 @@ FIRST_BYTE: Final = b"\x8f"
 
 NAME: Final = "verified"
 TOPIC: Final = FIRST_BYTE + bytes(msgpack.packb(NAME))
-"""What selects verified messages."""
+"""The topic of verified messages."""
 
 STARTING, PREPARING, READY, WAITING, FAILED = STATES = ("starting", "preparing", "ready", "waiting", "failed")
 """Of a verifier: its process begins; it makes the model of the cloud in use; it verifies; it ended and will be started
@@ -62,7 +62,7 @@ NUMBERS: Final = (
     "angle_error_rad", "size_contrast_correlation",
 )  # fmt: skip
 ADDED: Final = ("angle_error_rad", "area_range_mm2", "contrast_range", "size_contrast_correlation")
-"""Left out of a message where they are not told, and by releases that did not know them."""
+"""Absent from a message where they are unknown, and in older releases."""
 
 UNKNOWABLE: Final = ("centre_error_mm", "size_error_mm", "area_error_mm2", "strength_error_mm2", *ADDED)
 """None where a verifier does not tell them."""
@@ -186,7 +186,7 @@ def pack_verdict(
         device_us: Of the frame.
         cloud: Revision of the cloud that it was verified on.
         state: One of ``STATES``.
-        why: What is wrong, for people; of a flagged verdict one of ``FLAGS``; empty where nothing is.
+        why: The problem, for people; for a flagged verdict one of ``FLAGS``; empty without a problem.
         host_ns: In the order of ``STAMPS``.
         verdict: chi-squared, degrees of freedom, p-value, flagged; None where the frame was not verified.
         touches: That explain the frame best.
@@ -263,7 +263,7 @@ class VerifiedFrame:
 
 
 def unpack_verified(message: bytes, received_ns: int = 0) -> VerifiedFrame:
-    """Return what a message says.
+    """Return the content of a message.
 
     Args:
         message: Of any origin.

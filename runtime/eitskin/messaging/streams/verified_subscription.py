@@ -107,4 +107,4 @@ class VerifiedSubscription(Subscriber[VerifiedFrame]):
 
 
 subscribe_verified = VerifiedSubscription
-"""Opens a subscription to what physics says of a runtime's frames, to be iterated."""
+"""Opens a subscription to the verifier's verdicts on a runtime's frames, to be iterated."""
