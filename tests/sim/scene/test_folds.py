@@ -40,13 +40,6 @@ def test_no_sheet_that_runs_ahead_meets_itself() -> None:
     assert found.sum(axis=0).min() >= 4  # both kinds are there
 
 
-@pytest.mark.slow
-def test_half_a_turn_does_not_run_ahead_and_most_of_family_a_does() -> None:
-    assert not runs_ahead(Bend(angle_deg=180.0))
-    assert runs_ahead(Bend(angle_deg=140.0))
-    assert np.mean([runs_ahead(bend) for bend in draw("A", 100, 12)]) > 0.6
-
-
 TIGHT = Bend(angle_deg=359.0, skew=1.0)
 
 

@@ -41,6 +41,7 @@ def test_help_fits_a_screen_and_shows_an_example_that_is_understood(capsys, name
     monkeypatch.setenv("COLUMNS", "80")
     status, text, _ = said(capsys, name, "--help")
     assert status == 0
+    assert text.startswith(f"usage: eitskin {name}")
     assert len(text.splitlines()) <= 45
     assert "  eitskin " + cli.COMMANDS[name].example in text
     cli._parser(name).parse_args(cli.COMMANDS[name].example.split())
@@ -51,13 +52,6 @@ def test_help_all_has_the_options_that_help_leaves_out(capsys):
     assert "--mlock" in long
     assert "--mlock" not in short
     assert "eitskin run --help-all" in short
-
-
-@pytest.mark.parametrize("name", cli.COMMANDS)
-def test_every_subcommand_explains_itself(capsys, name):
-    status, text, _ = said(capsys, name, "--help")
-    assert status == 0
-    assert text.startswith(f"usage: eitskin {name}")
 
 
 def test_what_is_no_command_is_bad_usage(capsys):
@@ -80,12 +74,3 @@ def test_ctrl_c_is_130_without_a_word(monkeypatch, capsys):
     monkeypatch.setattr(doctor, "run", interrupted)
     assert cli.main(["doctor"]) == 130
     assert capsys.readouterr() == ("", "")
-
-
-def test_importing_the_runtime_pulls_in_neither_torch_nor_scipy():
-    code = (
-        "import sys, eitskin; eitskin.subscribe; eitskin.Skin; "
-        "print([name for name in ('torch', 'scipy') if name in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
-    assert done.stdout.strip() == "[]"

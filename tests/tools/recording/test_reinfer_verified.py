@@ -19,7 +19,7 @@ from eitskin_tools.recording.reinfer import ComputedFrame, Rerun, reinfer, write
 from eitskin_tools.recording.script import Script, Step
 
 from . import conftest
-from .conftest import CLOUD, TINY, VOLTS, counts, measured, recorded
+from .conftest import CLOUD, TINY, measured, recorded
 
 
 class Physics:
@@ -120,30 +120,6 @@ def test_rows_that_are_missing_are_left_out(tmp_path: Path, monkeypatch: pytest.
     reinfer(script, bundle, VerifiedSolver(script, bundle))
     assert seen
     assert (seen[0] == ~some).all()
-
-
-def test_what_the_sheet_read_untouched_is_told_before_its_first_touch(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    recorded(tmp_path / "a.mcap", measured(3 * BASELINE_FRAMES, skip_unchanged=True))
-    told: list[Any] = []
-
-    def solve(self: VerifiedNetwork, case: Any) -> Any:
-        told.append("frame")
-        raise ValueError("enough")
-
-    monkeypatch.setattr(VerifiedNetwork, "use_untouched", lambda self, *words: told.append(words))
-    monkeypatch.setattr(VerifiedNetwork, "solve", solve)
-    script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
-    reinfer(script, bundle, VerifiedSolver(script, bundle))
-    (volts, frames), *others, behind = told
-    assert volts == pytest.approx(counts() * VOLTS, rel=1e-4)
-    assert frames == BASELINE_FRAMES
-    assert others == ["frame", "frame"], "its cloud came amid the touch: of that shape nothing is known"
-    assert len(behind) == 2, "but after it"
-    told.clear()
-    reinfer(script, bundle, VerifiedSolver(script, bundle), every=2)
-    assert told == ["frame", "frame"], "every other frame is too few"
 
 
 def test_one_frame_in_some_meets_a_cloud_that_was_given_between(file: Path) -> None:
