@@ -92,8 +92,8 @@ def header() -> str:
     lines += [
         f"#define EIT_MAX_REQUEST_BYTES {largest}u",
         "",
-        "/* Type, length without tail, longest tail and field kinds of each message: 1 2 4 numbers of so many bytes,",
-        " * f a finite double, i an id, v a version, M the magic, t text of 16, * a tail. */",
+        "/* Type, length without tail, longest tail and field kinds of each message: 1 2 4 unsigned numbers of 1, 2, 4",
+        " * bytes, f a finite double, i an id, v a version, M the magic, t text of 16 bytes, * a tail. */",
         "#define EIT_LAYOUTS \\",
         *_continued([_layout(kind.LAYOUT) for kind in messages.PLAIN]),
         "",

@@ -17,7 +17,7 @@ uint8_t eit_flash_code(enum eit_status status)
     }
 }
 
-/* Milliseconds until the lock expires; 0 if nobody holds it. */
+/* Milliseconds until the lock expires; 0 if the lock is free. */
 uint32_t eit_flash_lock_ms(struct eit_device *device, uint32_t now_us)
 {
     const uint32_t silent_us = now_us - device->token_us;

@@ -24,7 +24,7 @@ static inline struct eit_answer eit_answer(uint8_t code, uint32_t detail)
 /* What a status of the store or of a configuration is on the wire. */
 uint8_t eit_flash_code(enum eit_status status);
 
-/* Milliseconds until the lock expires; 0 if nobody holds it. */
+/* Milliseconds until the lock expires; 0 if the lock is free. */
 uint32_t eit_flash_lock_ms(struct eit_device *device, uint32_t now_us);
 
 /* Each takes a payload that eit_message_check() accepted. */

@@ -22,7 +22,7 @@ static uint32_t read_word(const struct eit_port *port, uint8_t slot, uint32_t of
     return eit_get32(raw);
 }
 
-/* Program one word and read it back: a storage that lies is found here, not at the next boot. */
+/* Program one word and read it back: a faulty storage is found here, not at the next boot. */
 static enum eit_status program(const struct eit_port *port, uint8_t slot, uint32_t offset, uint32_t word)
 {
     const enum eit_status status = port->storage_program(port->ctx, slot, offset, word);

@@ -191,8 +191,8 @@
 #define EIT_FRAME_BYTES 20u
 #define EIT_MAX_REQUEST_BYTES 40u
 
-/* Type, length without tail, longest tail and field kinds of each message: 1 2 4 numbers of so many bytes,
- * f a finite double, i an id, v a version, M the magic, t text of 16, * a tail. */
+/* Type, length without tail, longest tail and field kinds of each message: 1 2 4 unsigned numbers of 1, 2, 4
+ * bytes, f a finite double, i an id, v a version, M the magic, t text of 16 bytes, * a tail. */
 #define EIT_LAYOUTS \
     {0x01u, 8u, 0u, "1M11"}, \
     {0x02u, 6u, 0u, "14"}, \
