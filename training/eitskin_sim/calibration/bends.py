@@ -53,7 +53,7 @@ MIN_EXPLAINED_SHARE: Final = 0.95
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BendError:
-    """What the model of a scanned bend is off by."""
+    """The error of the model of a scanned bend."""
 
     mean: Array
     """(104,) of the logarithm of the ratio to the flat sheet."""
@@ -67,7 +67,7 @@ class BendError:
 
 @dataclass(frozen=True, slots=True)
 class ScanError:
-    """What is known of a scan whose model's error is asked for: bends are drawn that look as this one does."""
+    """The properties of a scan whose model's error is estimated, so that similar bends are drawn."""
 
     strain: float
     """Rms of the strain that it shows; a drawn bend that is stretched more is scaled down to it."""
@@ -87,7 +87,7 @@ def bend_error(skin: Skin, like: ScanError | None = None) -> BendError:
 
 
 def scan_error(cloud_mm: Array, surface: FittedSurface, grid: Grid) -> ScanError:
-    """Return what a scan (3, rows, columns) and the surface through it tell of the scan's own error."""
+    """Return a scan's own error, from the scan (3, rows, columns) and the surface through it."""
     xy = grid.pixel_centres_mm().reshape(-1, 2)
     off = np.asarray(cloud_mm).reshape(3, -1).T - surface.points(xy)
     noise_mm = float(np.sqrt(np.mean(off**2)))
@@ -103,7 +103,7 @@ def strain_of(metric: Array) -> float:
 
 
 def error_of(errors: Array, slopes: Array, gauges: Array) -> BendError:
-    """Return what drawn errors tell of the next one.
+    """Return the distribution of the next error from drawn ones.
 
     Args:
         errors: (draws, 104) of the logarithm.

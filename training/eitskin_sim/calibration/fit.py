@@ -64,7 +64,7 @@ class UnsettledError(CalibrationError):
     """The search does not converge.
 
     Args:
-        why: What was seen.
+        why: The observation.
         residuals: (rows,) over their noise, where it ended.
     """
 
@@ -111,7 +111,7 @@ class Fit:
 
     @property
     def limit(self) -> float:
-        """What chance alone exceeds once in ten thousand recordings."""
+        """The limit that chance alone exceeds once in ten thousand recordings."""
         return _limit(len(self.residuals)) / len(self.residuals)
 
     @property
@@ -209,7 +209,7 @@ def _descend(
 
 
 def _limit(rows: int) -> float:
-    """Return what chance alone lets |r|^2 + |z|^2 exceed once in ten thousand recordings."""
+    """Return the value that |r|^2 + |z|^2 exceeds by chance once in ten thousand recordings."""
     return float(chi2.isf(MISFIT_LEVEL, rows))
 
 

@@ -56,7 +56,7 @@ class SheetState:
     """The sheet's shape and press; by default those of the reference."""
 
     scanned: Metric | None = None
-    """What a scan shows; None is flat."""
+    """The scanned shape; None is flat."""
     touches: Callable[[Array], tuple[Touch, ...]] = field(default=lambda _: ())
     """z (count,) -> the touches."""
     touched_by: Sequence[int] = ()
@@ -70,7 +70,7 @@ class Model:
 
     Args:
         skin: The stated one.
-        recording: What was read.
+        recording: The recording.
         snr_db: Of a single frame; None takes the least that the skin states.
         more: Groups of parameters besides the skin's.
 
@@ -113,7 +113,7 @@ class Model:
         self._whitener = self._whitening(error)
 
     def residuals(self, z: Array) -> Array:
-        """Return (rows,) whitened: what was read less what should be."""
+        """Return (rows,) whitened residuals."""
         return self.whitened(self.read(z, derivatives=False).voltages_V)
 
     def linearised(self, z: Array) -> tuple[Array, Array]:
@@ -153,7 +153,7 @@ class Model:
         )
 
     def shape(self, z: Array, lying: SheetState) -> Shape:
-        """Return what changes the metric; a scan shows the true lengths."""
+        """Return the change of the metric; a scan shows the true lengths."""
         parameters = self.parameters
         gauge, thickness = parameters.one(GAUGE, z), parameters.one("thickness_mm", z)
         if lying.scanned is not None:
@@ -170,7 +170,7 @@ class Model:
         return Solved(self.size_mm, self.electrodes(z), metric, shape, self.layer.at, own, lying.touches(z))
 
     def read(self, z: Array, lying: SheetState | None = None, *, derivatives: bool) -> ModelVoltages:
-        """Return what should be read; as the sheet lay when the reference was taken where nothing else is said.
+        """Return the expected voltages; by default for the shape of the reference.
 
         Raises:
             ValueError: Electrodes overlap, or the sheet folds: parameters that no sheet has.

@@ -57,7 +57,7 @@ class Parameters:
     """All groups of a skin, in order, as one vector of z.
 
     Args:
-        skin: Whose uncertainties are the priors.
+        skin: The skin whose uncertainties are the priors.
         n_modes: Smooth modes of the layer.
         more: Additional groups, which the skin does not state: those of presses.
     """

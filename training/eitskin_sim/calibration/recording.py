@@ -44,7 +44,7 @@ class RecordingError(SkinError, ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaterReading:
-    """What the sheet read after its reference: bent, with a scan, or pressed."""
+    """Voltages after the reference: bent, with a scan, or pressed."""
 
     voltages_V: Array
     """(104,)"""
@@ -59,7 +59,7 @@ class LaterReading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """What an untouched sheet read, and what came after that."""
+    """The voltages of an untouched sheet, and the later moments."""
 
     reference_V: Array
     """(104,) or (208,)"""
@@ -76,7 +76,7 @@ def load_recording(path: str | Path, skin: Skin) -> Recording:
 
     Args:
         path: The file.
-        skin: Whose it must be.
+        skin: The expected skin.
 
     Raises:
         RecordingError: An array is missing, has another shape, is not finite, or contradicts another one.

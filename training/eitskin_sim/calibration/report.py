@@ -155,7 +155,7 @@ def check_rows(model: Model, found: Fit, block: slice) -> None:
 
     Args:
         model: Of the reference.
-        found: What was fitted.
+        found: The fit.
         block: Which residuals are the reference's.
 
     Raises:
@@ -192,7 +192,7 @@ def row_names(model: Model) -> list[str]:
 
 
 def fields(session: Session, found: Fit, twin: Skin) -> dict[str, Any]:
-    """Return what is printed as JSON."""
+    """Return the object for JSON."""
     model, block = session.flat, session.blocks[0]
     parameters = {}
     for name, group in model.parameters.groups.items():
@@ -262,7 +262,7 @@ def own_fields(session: Session, found: Fit, number: int) -> dict[str, Any]:
 
 
 def scan_fields(model: Model, found: Fit) -> dict[str, float] | None:
-    """Return what the reference's scan does not show of it, rms of logarithms; None where the sheet lay flat."""
+    """Return the unseen error of the reference's scan, rms of logarithms; None if the sheet was flat."""
     if model.unseen is None:
         return None
     return {
@@ -272,7 +272,7 @@ def scan_fields(model: Model, found: Fit) -> dict[str, float] | None:
 
 
 def press_fields(session: Session, found: Fit) -> dict[str, Any] | None:
-    """Return what a press of the stamp is like, with standard errors; None where there were none."""
+    """Return the parameters of a press of the stamp, with standard errors; None without presses."""
     if not session.flat.recording.presses:
         return None
     stamp_mm = session.flat.recording.presses[0].stamp_mm

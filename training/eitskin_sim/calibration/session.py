@@ -61,7 +61,7 @@ class Session:
 
     Args:
         skin: The stated one.
-        recording: What was read.
+        recording: The recording.
         snr_db: Of a single frame; None takes the least that the skin states.
         way: Which way presses change conductance; see :func:`eitskin_sim.calibration.stamp.ways`.
     """

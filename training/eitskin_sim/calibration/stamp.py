@@ -55,7 +55,7 @@ Way = int
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """What presses."""
+    """A stamp with which the sheet is pressed."""
 
     size_mm: tuple[float, ...]
     """A disc's diameter; or length along x and width along y of a rectangle."""
@@ -99,7 +99,7 @@ def groups(touches: Touches, way: Way, count: int) -> list[ParameterGroup]:
     """Return the parameters of some presses.
 
     Args:
-        touches: What the skin states.
+        touches: The touches of the skin's description.
         way: Of :func:`ways`.
         count: How many presses.
     """
@@ -120,7 +120,7 @@ def press(stamp: Stamp, xy_mm: Array, way: Way, number: int, parameters: Paramet
     """Return one press as a function of all parameters z (count,).
 
     Args:
-        stamp: What pressed.
+        stamp: The stamp.
         xy_mm: (2,) where it was said.
         way: Of :func:`ways`.
         number: Which of the presses.

@@ -36,7 +36,7 @@ def calibrated_skin(skin: Skin, session: Session, found: Fit) -> Skin:
     pattern, of which the rms alone is kept; everything static divides out by the reference.
 
     Args:
-        skin: What calibration started from.
+        skin: The skin from which calibration started.
         session: The recording.
         found: The most probable parameters.
     """

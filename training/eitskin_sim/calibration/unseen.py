@@ -49,12 +49,12 @@ class Unseen:
 
     @property
     def expected_rms(self) -> float:
-        """What the logarithms of voltages are expected to be off by."""
+        """The expected errors of the logarithms of voltages."""
         return float(np.sqrt(np.mean(np.sum(self.root**2, axis=1))))
 
 
 def unseen_of(skin: Skin, cloud_mm: Array) -> Unseen:
-    """Return what is unseen of a reference; half a minute for each scan that is new.
+    """Return the unseen error of a reference; takes half a minute for each new scan.
 
     Args:
         skin: Its deformations, and how it is scanned.

@@ -55,7 +55,7 @@ def _parsed(text: str) -> Skin:
 
 
 def device_job(plan: Plan, first: int) -> dict[str, Any]:
-    """Return what a worker needs to draw the device of the deformations that are made together; ideal ones: nothing."""
+    """Return the data from which a worker draws the device of a shard's deformations; empty for ideal devices."""
     return {"device": first} if plan.devices == "random" else {}
 
 
@@ -123,7 +123,7 @@ def true_bend(drawn: DrawnDevice, bend: Bend) -> Bend:
 
 
 def moment_of(job: dict[str, Any], number: int) -> Moment:
-    """Return what is true of a job's device at a deformation."""
+    """Return the state of a job's device at a deformation."""
     return draw_moment(job_skin(job), np.random.default_rng([job["seed"], MOMENT, number]))
 
 
@@ -135,7 +135,7 @@ def device_file(
     made: tuple[Array, Array],
     references: tuple[Array, Array],
 ) -> dict[str, npt.NDArray[Any]]:
-    """Return what a deformation's file holds beside the numbers of its touch sets.
+    """Return the arrays of a deformation's file apart from the numbers of its touch sets.
 
     Args:
         job: See :func:`device_job`.

@@ -53,7 +53,7 @@ def generate(
     """Write a data set, or resume one, and return its index.
 
     Args:
-        plan: What it holds.
+        plan: The plan of the data set.
         folder: Where to; made if it is not there.
         workers: Processes on this machine; 0 computes in this one.
         scheduler: Address of a Dask scheduler that makes the shards instead, such as "tls://10.0.0.1:8786".

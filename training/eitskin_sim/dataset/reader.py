@@ -80,7 +80,7 @@ class DataSet:
     unit_contrasts: UnitContrasts | None = None
     """Of touches on the unit grid, where they are not the paper's of 50."""
     skin: Skin = PAPER
-    """What it was made for."""
+    """The skin for which it was made."""
     touch_kind: TouchKind = "raise"
     """Which way its touches change conductance."""
     drift: npt.NDArray[np.float32] | None = None

@@ -32,7 +32,7 @@ from eitskin_sim.unit_grid.patterns import Bits, UnitContrasts, pack, paper_touc
 from eitskin_sim.unit_grid.units import UnitGenerator, to_voltages
 
 Arrays = dict[str, npt.NDArray[Any]]
-"""What one ``.npz`` holds."""
+"""The arrays of one ``.npz``."""
 
 
 def unit_sets(plan: Plan) -> Bits:
@@ -72,7 +72,7 @@ def freeform_sets(plan: Plan) -> TouchTable:
 
 
 def touches_file(plan: Plan) -> Arrays:
-    """Return what ``touches.npz`` holds."""
+    """Return the arrays of ``touches.npz``."""
     common: Arrays = {"validation": plan.validation(), "reference": reference(plan.skin)}
     if plan.set_name == "free":
         sets = freeform_sets(plan)
@@ -115,7 +115,7 @@ def shard_job(plan: Plan, deformations: list[int]) -> dict[str, Any]:
 
 
 def make_shard(job: dict[str, Any]) -> list[Arrays]:
-    """Return what each deformation's file holds.
+    """Return the arrays of each deformation's file.
 
     Potentials come from the generator's mesh, and what a finer mesh says of the untouched sheet over what the
     generator's says takes the mesh's own error out of every reference.

@@ -11,7 +11,7 @@ from eitskin_sim.scene.parts import Electrodes, LaterChanges, Sheet
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """What voltages depend on beside the bend and the touches; the default is the paper's ideal device."""
+    """A device: everything apart from bend and touches that affects voltages; the default is the paper's ideal one."""
 
     sheet: Sheet = field(default_factory=Sheet)
     electrodes: Electrodes = field(default_factory=Electrodes)

@@ -66,17 +66,17 @@ class DrawnDevice:
         return self.bent(Bend(stretch_along=self.reference_stretch[0], stretch_across=self.reference_stretch[1]))
 
     def bent(self, bend: Bend) -> Bend:
-        """Return what a bend of the stated sheet is of the true one, which is a little longer or wider."""
+        """Return a bend of the stated sheet as a bend of the true one, which is a little longer or wider."""
         along, across = self.scale
         return replace(bend, stretch_along=bend.stretch_along * along, stretch_across=bend.stretch_across * across)
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What is true of a device at one deformation, and how it is scanned there."""
+    """The state of a device at one deformation, and the scan there."""
 
     late: LaterChanges
-    """What came to the layer since the reference was taken."""
+    """The change of the layer since the reference."""
     scan_noise_mm: float
     scan_factor: float
     """Of every length of the scan."""
@@ -125,7 +125,7 @@ def draw_front_end(skin: Skin, rng: np.random.Generator) -> FrontEnd:
 
 
 def draw_moment(skin: Skin, rng: np.random.Generator) -> Moment:
-    """Return what is true of a device at a random moment after its reference was taken."""
+    """Return the state of a device at a random moment after its reference."""
     doubts = skin.may_be_off
     rms = float(rng.uniform(*doubts.late_rms) * _walked(1, rng)[0])
     turn = float(rng.uniform(0.0, np.pi / 2))

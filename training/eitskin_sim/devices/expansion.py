@@ -54,7 +54,7 @@ SIZES: Final = slice(N_ELECTRODES, 2 * N_ELECTRODES)
 IMPEDANCES: Final = slice(2 * N_ELECTRODES, 3 * N_ELECTRODES)
 LAYER: Final = slice(3 * N_ELECTRODES, 3 * N_ELECTRODES + WAVES[0] * WAVES[1])
 GAUGE: Final = LAYER.stop
-"""What each slope is by; the last is the gauge factor's."""
+"""The parameter of each slope; the last is the gauge factor."""
 
 
 @dataclass(frozen=True, slots=True)

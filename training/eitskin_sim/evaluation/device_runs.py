@@ -79,13 +79,13 @@ class Trial:
 
     @property
     def labels(self) -> Literal["units", "area"]:
-        """What the truth's pixels mean."""
+        """The meaning of the truth's pixels."""
         return self.phantoms[0].truth
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What every row is run on."""
+    """The conditions of every row."""
 
     draws: int = 1
     """Devices a row."""
@@ -102,7 +102,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What one map is worth."""
+    """The scores of one map."""
 
     cc: float
     distances_mm: Array
@@ -150,7 +150,7 @@ def run_rows(
         judges: Gate by trial.
         plan: Draws, seed, noise.
         progress: Called with devices done and all devices.
-        followers: What takes drift out, by trial; None leaves it in.
+        followers: Drift corrections, by trial; None for none.
     """
     found = []
     for index, (name, mismatch) in enumerate(rows):
@@ -217,11 +217,11 @@ def cases(
 
     Args:
         device: The true one.
-        kind: What touches it.
+        kind: The kind of touches.
         reference: "pre" or "predicted".
         plan: Seed and noise.
         number: Of the device.
-        follower: What takes drift out; None leaves it in.
+        follower: The drift correction; None for none.
     """
     taken, flat = voltages_of(device.reference(), device.front_end), flat_voltages(plan.skin)
     seeds = [DRAW_SEED, plan.seed, number]
@@ -271,7 +271,7 @@ def _response(scene: Scene) -> Array:
 
 
 def figures(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Return what the maps of one trial come to; the rms is over the touches that are not missed."""
+    """Return the summary of one trial's maps; the rms is over the touches that are not missed."""
     cc = np.array([one.cc for one in outcomes])
     missed, rms = missed_and_rms(np.concatenate([one.distances_mm for one in outcomes]))
     return {

@@ -8,7 +8,7 @@ without noise::
 
     pre        the flat, untouched sheet, once, before what came late (paper Fig. 10; what the network gets)
     post       the bent, untouched sheet (paper Table II)
-    predicted  V_pred, from the cloud by the forward model: what a robot can have while the sheet is being touched
+    predicted  V_pred, from the cloud by the forward model: available to a robot while the sheet is touched
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -45,7 +45,7 @@ from eitskin_sim.surface.predict import flat_voltages, predict
 Array = npt.NDArray[np.float64]
 
 Reference = Literal["pre", "post", "predicted"]
-"""What the voltages are compared with."""
+"""The reference of the voltages."""
 
 REFERENCES: Final[tuple[str, ...]] = get_args(Reference)
 """The kinds of reference."""
@@ -76,16 +76,16 @@ class Conditions:
     shift_px: float = 0.0
     """Every touch is moved by up to this part of a pixel along x and y."""
     cloud: CloudKind = "scan"
-    """What the solvers know of the shape; the others are ablations."""
+    """The shape that the solvers know; the others are ablations."""
     skin: Skin = PAPER
-    """Whose model, map and clouds the solvers have; the voltages are those of the phantoms' own scenes."""
+    """The skin whose model, map and clouds the solvers have; the voltages are those of the phantoms' own scenes."""
     first_seed: int = 0
     """The first draw of noise, cloud and shift."""
 
 
 @dataclass(slots=True)
 class Sheet:
-    """One bent sheet: what is known of it before a touch, computed once and kept while the process runs."""
+    """One bent sheet with its data before a touch, computed once and kept while the process runs."""
 
     cloud_mm: Array
     """(3, rows, columns) as measured."""
@@ -118,7 +118,7 @@ class Sheet:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """What a solver may see of one measurement."""
+    """The data of one measurement that a solver may see."""
 
     voltages: Array
     """(104,) V, touched and noisy."""

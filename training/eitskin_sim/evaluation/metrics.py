@@ -47,7 +47,7 @@ PSNR_CAP_DB: Final = 120.0
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """What one map is worth."""
+    """The scores of one map."""
 
     cc: float
     """Correlation coefficient."""
@@ -122,7 +122,7 @@ def touched_units(image: npt.NDArray[np.floating], grid: Grid = PAPER.grid) -> n
 
 
 def truth_level(truth: npt.NDArray[np.floating]) -> float:
-    """Return what a pixel of a truth has to reach to be of a touch: one half, or half of the highest below that."""
+    """Return the level at which a pixel of a truth belongs to a touch: one half, or half of a lower maximum."""
     highest = float(np.max(truth, initial=0.0))
     return highest / 2 if 0.0 < highest < TOUCHED else TOUCHED
 

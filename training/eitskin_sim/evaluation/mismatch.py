@@ -119,7 +119,7 @@ BOUNDS: Final[dict[str, tuple[float, float]]] = {
 """Least and most of each number."""
 
 SHAPES: Final = {"field_mm": "field_rms", "stray_spread": "stray_pF"}
-"""What only says how another number is spread."""
+"""Fields that only state the distribution of another number."""
 
 LAB: Final = Mismatch(
     electrodes_mm=0.5, impedance_factor=10.0, impedance_spread=0.5, field_rms=0.05, gauge_factor=1.0, contrast=10.0,
@@ -153,7 +153,7 @@ def random_mismatch(rng: np.random.Generator, skin: Skin = PAPER) -> Mismatch:
 
     Args:
         rng: Source of the draws.
-        skin: What the device was meant to be.
+        skin: The nominal skin of the device.
     """
     electrode_mm = float(np.mean(skin.electrodes.size_mm.nominal(N_ELECTRODES)))
     thickness_mm, gauge = (float(one.nominal(1)[0]) for one in (skin.layer.thickness_mm, skin.layer.gauge_factor))
@@ -227,6 +227,6 @@ def _row(given: Fields) -> Row:
 
 
 def deviations(mismatch: Mismatch) -> dict[str, Any]:
-    """Return what a mismatch says beyond the ideal, as a row of JSON."""
+    """Return the deviations of a mismatch from the ideal, as a row of JSON."""
     ideal = asdict(IDEAL)
     return {name: value for name, value in asdict(mismatch).items() if value != ideal[name]}

@@ -29,7 +29,7 @@ MEASURES: Final = (
     "two_point_mm",
     "distance_error",
 )
-"""What is reported of each phantom and of their mean: the fields of a score, and the share of right counts."""
+"""The reported values of each phantom and of their mean: the fields of a score, and the share of right counts."""
 
 MAX_RESOLVED_DISTANCE_MM: Final = 5.0
 """Touches count as resolved if all are found within this distance: half the width of a touch."""
@@ -66,7 +66,7 @@ def report(solver: str, noise: str, results: Results) -> dict[str, Any]:
 
 
 def summary(results: Results, each: int, grid: Grid = PAPER.grid) -> dict[str, Any]:
-    """Return what trials at several deformations come to.
+    """Return the summary of trials at several deformations.
 
     Args:
         results: ``each`` phantoms in a row for each deformation.

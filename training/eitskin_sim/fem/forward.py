@@ -70,7 +70,7 @@ class System:
 
 @dataclass(frozen=True, slots=True)
 class Plate:
-    """What contacts pass between n nodes and their electrodes: the current out of each node is (Y (u - U))_i."""
+    """The contacts' admittance between n nodes and their electrodes: the current out of each node is (Y (u - U))_i."""
 
     nodes: Index
     """(n,); a node on the edge between two contacts stands here once for each."""

@@ -24,7 +24,7 @@ REMEDY: Final = "conductivities, thickness and contact impedances lie too far ap
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """What a scene's forward solve gives."""
+    """The result of a scene's forward solve."""
 
     voltages: Array
     """(104,) V, table order, under the scene's current."""
@@ -57,7 +57,7 @@ def solve_scene(scene: Scene, law: Law = "constant") -> Solution:
     """Return the voltages of a scene.
 
     Args:
-        scene: What to solve.
+        scene: The scene.
         law: How a face contact passes current: "constant", by an effective impedance with one fitted constant, which
             data sets and bundles are made with, or "modes", by the modes of the layer's depth, which needs no fit.
             An edge contact has no such modes: both are the same for it.

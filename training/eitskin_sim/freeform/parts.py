@@ -49,7 +49,7 @@ class PartGeometry:
 
 @dataclass(frozen=True, slots=True)
 class CondensedPart:
-    """What a part does at one deformation: m unknowns on its outline, rank r."""
+    """The effect of a part at one deformation: m unknowns on its outline, rank r."""
 
     dofs: Index
     """(m,)"""
@@ -62,7 +62,7 @@ class CondensedPart:
 
 
 def geometry(parts: TouchTable, grid: SharedMesh) -> list[PartGeometry]:
-    """Return what parts do to a mesh's elements, in batches.
+    """Return the effect of parts on a mesh's elements, in batches.
 
     Raises:
         ValueError: A touch would change nothing, or its border cannot be represented.
@@ -78,7 +78,7 @@ def geometry(parts: TouchTable, grid: SharedMesh) -> list[PartGeometry]:
 
 
 def joined_geometry(parts: TouchTable, groups: Sequence[tuple[int, ...]], grid: SharedMesh) -> list[PartGeometry]:
-    """Return what groups of parts, each one part, do to a mesh's elements, in batches.
+    """Return the effect of groups of parts, each one part, on a mesh's elements, in batches.
 
     Args:
         parts: The parts that groups are made of.
@@ -169,7 +169,7 @@ def _change(touched: Array, untouched: Array, inside: int) -> Array:
 
 
 DIAGONAL_LIFT: Final = 1e-14
-"""What is added to the diagonal of dS, as a share of its largest: thin cuts leave eigenvalues of zero."""
+"""Term added to the diagonal of dS, as a share of its largest: thin cuts leave eigenvalues of zero."""
 
 
 def _part(sheet: InvertedSheet, dofs: Index, change: Array, sign: int) -> CondensedPart:

@@ -62,7 +62,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Ranges:
-    """What touches are drawn from."""
+    """The distribution of touches."""
 
     way: ways.TouchKind
     lowering: Range = (0.2, 0.85)
@@ -84,7 +84,7 @@ FIRM_RANGES: Final = Ranges("raise", raising=(5.0, 200.0), borders_mm=(MIN_BORDE
 
 
 def ranges_of(kind: str, skin: Skin) -> Ranges:
-    """Return what touches of a kind are drawn from on a skin.
+    """Return the distribution of touches of a kind on a skin.
 
     Raises:
         ValueError: There are no such touches, or the skin's do not fit on its sheet.

@@ -25,7 +25,7 @@ MIN_LOG_CONTRAST: Final = 1e-6
 
 
 class SceneError(SkinError, ValueError):
-    """A scene that is no scene, or cannot be solved: what was found, what was expected, and where."""
+    """An invalid scene, or one that cannot be solved: what was found, what was expected, and where."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class SmoothField:
 
 @dataclass(frozen=True, slots=True)
 class LaterChanges:
-    """What came to the layer's conductivity after the reference was taken; all three multiply it."""
+    """The changes of the layer's conductivity since the reference; all three multiply it."""
 
     factor: float = 1.0
     """Of the whole sheet."""
@@ -68,7 +68,7 @@ class Sheet:
     field: SmoothField | None = None
     """Unevenness of log conductivity that was there when the reference was taken."""
     late: LaterChanges | None = None
-    """What came since; the reference is without it."""
+    """The change since the reference."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,7 +60,7 @@ def load_scene(path: str | Path, skin: Skin = PAPER) -> Scene:
 
     Args:
         path: The file.
-        skin: Whose sheet, electrodes and units it means where it does not say.
+        skin: The skin whose sheet, electrodes and units are the defaults.
 
     Raises:
         SceneError: The file is no valid scene.
@@ -105,7 +105,7 @@ def _read(path: str | Path) -> object:
 
 
 def parse_text(text: str, where: str) -> object:
-    """Return what a JSON text says; a repeated key, NaN or Infinity is a SceneError."""
+    """Return the content of a JSON text; a repeated key, NaN or Infinity is a SceneError."""
     try:
         return parse_json(text, strict=True)
     except FileError as error:
@@ -136,7 +136,7 @@ def parse_phantoms(value: object, skin: Skin = PAPER) -> tuple[Phantom, ...]:
 
 
 def fields_of(content: object, where: str = "") -> Fields:
-    """Return what reads an object of a scene's JSON; its errors are SceneErrors and give paths with dots."""
+    """Return a reader of an object of a scene's JSON; its errors are SceneErrors and give paths with dots."""
     return Fields(content, where, error=SceneError, joint=".")
 
 

@@ -31,7 +31,7 @@ from eitskin_sim.surface.predict import fit_cloud
 Array = npt.NDArray[np.float64]
 
 Cells = Literal["pixels", "units"]
-"""What the unknowns are: the map's pixels, or its touch units."""
+"""The unknowns: the map's pixels, or its touch units."""
 
 SATURATED_CONTRAST: Final = 2.0
 """Effective contrast of a perfectly conducting touch: the polarisability of a disc, 2 (c - 1) / (c + 1), as c grows."""

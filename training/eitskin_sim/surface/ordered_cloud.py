@@ -50,8 +50,8 @@ STRETCH_BOUNDS: Final = (0.7, 1.5)
 """A side outside these multiples of the flat sheet's is not this sheet."""
 
 RMS_PER_MM: Final = 0.12
-"""What V_pred is off by for each millimetre that the sides are uncertain by: the median of 350 draws of families A and
-B, points 0.7 to 3 mm apart, noise 0.05 to 0.3 mm."""
+"""Error of V_pred for each millimetre of the sides' uncertainty: the median of 350 draws of families A and B, points
+0.7 to 3 mm apart, noise 0.05 to 0.3 mm."""
 
 RMS_PER_SHIFT_MM: Final = 0.045
 """The same where whole sides are shifted: that changes lengths, but bends nothing."""
@@ -74,10 +74,10 @@ class OrderedCloud:
     size_mm: tuple[float, float]
     """Mean arc length along x and along y."""
     outline_sigma_mm: float
-    """What the places of the sheet's sides are uncertain by, rms."""
+    """Uncertainty of the places of the sheet's sides, rms."""
     prediction_rms: float
-    """What V_pred is off by, relative and rms over the rows: the median of drawn sheets with such an outline, of which
-    one in ten is off by three times as much."""
+    """Error of V_pred, relative and rms over the rows: the median of drawn sheets with such an outline, of which one in
+    ten is off by three times as much."""
     noise_mm: float
     """Robust standard deviation of the points off the surface."""
     points: int
@@ -87,14 +87,14 @@ class OrderedCloud:
     largest_hole_mm: float
     """Diameter of the largest hole, which was filled."""
     corner: str
-    """What decided where (0, 0) is: ``"given"`` or ``"scanner frame"``."""
+    """The source of the place of (0, 0): ``"given"`` or ``"scanner frame"``."""
     rotation: Array
     """(3, 3) that turns the points' frame into the cloud's."""
     translation_mm: Array
     """(3,) added after the rotation."""
 
     def surface(self, predicted: tuple[Array, Array] | None = None) -> Surface:
-        """Return what is stored, or sent to a runtime: the cloud, and where its points were measured.
+        """Return the surface to store, or to send to a runtime: the cloud, and the measured places of its points.
 
         Args:
             predicted: (104,) V_pred of it and (104,) of the flat sheet, by :mod:`eitskin_sim.surface.predict`.
@@ -172,7 +172,7 @@ def save_cloud(
         path: See :mod:`eitskin_proto.skin.cloud_file` for what is in it.
         result: The cloud.
         predicted: (104,) V_pred of it and (104,) of the flat sheet, by :mod:`eitskin_sim.surface.predict`.
-        skin: Whose cloud it is.
+        skin: The skin of the cloud.
 
     Raises:
         OSError: The file cannot be written.

@@ -53,7 +53,7 @@ _DEGREE: Final = 3
 
 
 def model(skin: Skin = PAPER) -> str:
-    """Return what names everything of this module that a stored prediction depends on, beside the forward model."""
+    """Return an id of everything in this module, apart from the forward model, on which a stored prediction depends."""
     along_x, along_y = _counts(skin.grid)
     return f"spline {along_x}x{along_y}, elements {COARSE_MM:g} and {FINE_MM:g} mm"
 
@@ -103,7 +103,7 @@ def fit_cloud(cloud_mm: npt.ArrayLike, grid: Grid = PAPER.grid) -> FittedSurface
 
 
 def noise_tangents(xy_mm: Array, grid: Grid = PAPER.grid) -> tuple[Array, Array]:
-    """Return what a scanner's noise does to the tangents of a fitted surface, exactly: the fit is linear.
+    """Return the effect of a scanner's noise on the tangents of a fitted surface; exact, because the fit is linear.
 
     Args:
         xy_mm: (n, 2) flat points.

@@ -47,7 +47,7 @@ BOUND_TOLERANCE: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Common:
-    """What rows changed alike."""
+    """The common change of rows."""
 
     relative: float
     """c."""
@@ -70,7 +70,7 @@ class Common:
 
 
 def common_factor(operator: Array, change: Array, noise: float) -> Common:
-    """Return what (104,) relative changes have in common that objects do not make.
+    """Return the common part of (104,) relative changes that objects do not cause.
 
     Args:
         operator: (104, n) from cells to rows.

@@ -26,7 +26,7 @@ WEIGHT_ROUNDS: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OffsetAndGains:
-    """What was fitted to one frame of water."""
+    """The front end fitted to one frame of water."""
 
     offset_V: complex
     gains: Complex

@@ -101,7 +101,7 @@ def _disc(width_deg: float) -> Disc:
 
 
 def model_of(disc: Disc) -> TankModel:
-    """Return what images of a disc are made by."""
+    """Return the model of a disc, from which its images are made."""
     mesh = cell_mesh(disc.sheet, disc.electrodes, CELLS, ELEMENT_MM)
     factor = assemble_disc(mesh, disc).factorise()
     count = CELLS[0] * CELLS[1]

@@ -77,7 +77,7 @@ def find_objects(model: TankModel, image: Array) -> list[ImageObject]:
 
 
 def judge(objects: Sequence[Object], found: Sequence[ImageObject]) -> list[JudgedObject]:
-    """Return what was found of every object: each found one counts once, for the object that it is nearest to."""
+    """Return the result for every object: each found one counts once, for the object that it is nearest to."""
     pairs = sorted(
         (angle_error_deg(one, other), i, j)
         for i, one in enumerate(objects)

@@ -21,7 +21,7 @@ from eitskin_sim.verification.residual import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AtRest:
-    """What was learned of a sheet that nothing touched."""
+    """The findings about an untouched sheet."""
 
     change: Array
     """(rows,) dV that it read."""

@@ -21,7 +21,7 @@ DISTINCT_PLACES: Final = 60
 EXPECTED_TOUCHES: Final = 3.0
 
 COST_OF_TOUCH_NOT_SHOWN: Final = 8.0
-"""Beside what every touch costs: what the network shows is evidence, too."""
+"""In addition to the cost of every touch, because the network's map is evidence too."""
 
 CONTRAST_LOG_SD_BEYOND_SKIN: Final = 0.3
 """About the range that a skin states: no range is a wall."""
@@ -107,7 +107,7 @@ MIN_SHARE_TO_CUT: Final = 0.3
 """Rows and columns of pixels without a larger share are not cut between."""
 
 MIN_MISFIT_TO_CUT_PX: Final = 2.5
-"""What one rectangle leaves of a map, in squares of whole pixels, before two are thought of."""
+"""Residual of a map after one rectangle, in squares of whole pixels, above which two are tried."""
 
 MAX_MISFIT_RATIO_OF_TWO: Final = 0.45
 """Of what two rectangles leave to what one leaves."""
@@ -130,7 +130,7 @@ JOINT_CONTRAST_SD: Final = 0.05
 """Of the difference of two shapes' log contrasts."""
 
 MAX_CHI2_PER_JOINT: Final = 10.0
-"""What a joint may leave more: beyond it is one of a hundred bodies, as two degrees of freedom have."""
+"""Largest increase of the residual by a joint: one of a hundred bodies exceeds it, as with two degrees of freedom."""
 
 # Usual contrast tried outright: 0.004.
 
@@ -201,7 +201,7 @@ ELEMENT_MM: Final = 4.5
 """The largest element: fitted centres are off by up to 0.1 mm by it, sizes by 0.2 mm."""
 
 MESH_ERROR: Final = 1e-3
-"""Of V over V0: what each row may be off by alone. A floor of 2 % hides wrong answers: keep it this low."""
+"""Independent error of each row, of V over V0. A floor of 2 % hides wrong answers: keep it this low."""
 
 MIN_SD_OF_DV: Final = 1e-5
 """A row at nearly 0 V is still read by a converter."""
@@ -332,7 +332,7 @@ COST_OF_UNIT: Final = 6.0
 """Chi-squared that a unit must explain."""
 
 MODEL_ERROR_OF_UNITS: Final = 0.01
-"""What the model is off by of what units change, as a share."""
+"""Error of the model as a share of the units' change."""
 
 MAX_STEPS_OF_UNITS: Final = 6
 """Of a fit of their contrasts."""

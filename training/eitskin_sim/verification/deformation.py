@@ -32,7 +32,7 @@ class Deformation:
         self._others: list[Callable[[Array], SheetModel | None]] = []
         self._made_again = 0
         self.spent_s = 0.0
-        """What the present deformation's models took so far."""
+        """Time spent on the present deformation's models."""
         self.spent_cpu_s = 0.0
         """The same by the processor."""
 

@@ -58,7 +58,7 @@ class Budget:
 
     @property
     def seconds(self) -> float:
-        """Return what the frame took so far, models apart."""
+        """Return the time spent on the frame, without models."""
         return self._clock() - self._begin - self.models_s
 
     def search_over(self) -> bool:
@@ -160,7 +160,7 @@ class Fit:
 
     @property
     def chi_squared(self) -> float:
-        """What is left of the frame."""
+        """The residual of the frame."""
         return float(self.residual @ self.residual)
 
     @property
@@ -170,7 +170,7 @@ class Fit:
 
     @property
     def cost(self) -> float:
-        """What is minimised."""
+        """The cost that is minimised."""
         n = len(self.pieces)
         number = self.frame.prior.per_touch * n + c.COST_OF_TOUCH_NOT_SHOWN * max(n - self.frame.n_shown, 0)
         return self.chi_squared + float(self.unlikely @ self.unlikely) + number

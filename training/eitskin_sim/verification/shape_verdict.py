@@ -83,7 +83,7 @@ class ShapeVerdict(Verdict[ShapeTouch]):
         return count_bodies(len(self.pieces), self.joints)
 
     def map(self, grid: Grid = PAPER.grid) -> Array:
-        """Return the (rows, columns) map: what depends on a contrast that is not known is drawn in part."""
+        """Return the (rows, columns) map: parts that depend on an unknown contrast have reduced values."""
         return np.asarray(sum(share * map_of(pieces, grid) for share, pieces in self.likely))
 
     @property
@@ -93,7 +93,7 @@ class ShapeVerdict(Verdict[ShapeTouch]):
 
 
 def touches_of(fit: Fit, scatter: Array, others: Sequence[Array] = ()) -> tuple[ShapeTouch, ...]:
-    """Return what a fit says of every touch.
+    """Return the verdict of a fit on every touch.
 
     Args:
         fit: The fit.

@@ -36,7 +36,7 @@ from eitskin_sim.verification.unseen import Spreads
 from eitskin_sim.verification.verdict import LEVEL
 
 BUDGET_S: Final = 2.0
-"""What a frame may take; most take a thirtieth of it."""
+"""Time limit of a frame; most take a thirtieth of it."""
 
 Made = TypeVar("Made")
 
@@ -48,7 +48,7 @@ class ShapeVerifier:
         reference_V: (104,) flat and untouched, as measured; 0 in rows that every frame leaves out.
         noise: Of a frame.
         touches: Which way this skin's touches change conductance.
-        skin: Whose frames.
+        skin: The skin of the frames.
         spreads: How much may differ between the sheet and its model; None is what the skin says.
         clock: In seconds, for budgets; ``time.process_time`` on a machine that is shared.
     """
@@ -145,7 +145,7 @@ class ShapeVerifier:
         )
 
     def _explained(self, change: Array, rows: Rows, starts: list[Array], shares: Array, budget: Budget) -> Fit:
-        """Return what explains a frame best on the present sheet."""
+        """Return the fit that explains a frame best on the present sheet."""
         fit = self._best_start(self.frame(change, rows, len(starts[0])), starts, budget)
         if not fit.explains:
             usual = alternatives.of_usual_contrast(fit.frame, fit, budget)

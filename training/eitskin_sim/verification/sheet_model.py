@@ -53,7 +53,7 @@ class SheetModel:
     held: Array
     """(k,) amplitudes of the first columns, waves and layer, that the model has already."""
     rest: AtRest | None = None
-    """What is known of the sheet since it was seen untouched; None before."""
+    """The findings from the untouched sheet; None before."""
 
     @property
     def gauge(self) -> float:
@@ -128,7 +128,7 @@ class SheetModel:
         return self.unseen.columns / self.flat_V[:, None] if self.rest is None else self.rest.columns
 
     def expected(self, ratio: Array) -> Array:
-        """Return (104,) dV that is expected of a frame beside the touches: what the model has is unlikely.
+        """Return (104,) dV expected of a frame in addition to its touches: the model's own state is unlikely.
 
         What the model has already was believed of one frame; before any it is none. What the sheet read at rest beside
         its model it still does.

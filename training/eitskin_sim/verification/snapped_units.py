@@ -92,7 +92,7 @@ class UnitFrame:
         voltages_V: (104,) of the frame.
         reference_V: (104,) flat and untouched; 0 in rows that every frame leaves out.
         noise: Of the frame.
-        prior: What touches are like.
+        prior: The prior of touches.
         rows: (104,) which rows there are; None is all.
     """
 
@@ -119,7 +119,7 @@ class UnitFrame:
         Args:
             found: The shapes.
             shown: (units,) what the network shows.
-            budget: What the frame took so far, and may take.
+            budget: The frame's time so far, and its limit.
         """
         grid = self._model.skin.grid
         covered = unit_shares(found.map(grid), grid)
@@ -189,7 +189,7 @@ class UnitFrame:
 
 
 def unverified(seconds: float = 0.0) -> UnitVerdict:
-    """Return what is said of a frame whose units are too many: nothing, and that it is flagged."""
+    """Return the verdict on a frame with too many units: no touches, flagged."""
     return UnitVerdict((), 0.0, 1, 0.0, LEVEL, 0, seconds)
 
 

@@ -35,7 +35,7 @@ Free = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class TouchPrior:
-    """What the touches of a skin are like: means and standard deviations."""
+    """The distribution of a skin's touches: means and standard deviations."""
 
     log_contrast: float
     """Mean over all touches of a frame."""

@@ -49,7 +49,7 @@ class Spreads:
 
 
 def spreads_of(skin: Skin) -> Spreads:
-    """Return what a verifier assumes that knows nothing of the device but its skin.
+    """Return the assumptions of a verifier that knows only the skin of the device.
 
     Of the scanner that is the least noise that the skin states: a scan that has more shows it by its own points.
     """
@@ -103,7 +103,7 @@ def unseen(
     skin: Skin = PAPER,
     gauge: float = 0.0,
 ) -> Unseen:
-    """Return what may differ on a deformation.
+    """Return the possible differences on a deformation.
 
     Args:
         touched: Its sheet.

@@ -40,7 +40,7 @@ class MaterialPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsualWaves:
-    """What the shapes of a skin's deformations say of their material."""
+    """A model of the material's displacement, from the shapes of a skin's deformations."""
 
     waves: Waves
     at: Array

@@ -13,7 +13,7 @@ LEVEL: Final = 0.01
 """A verdict whose p-value is below is flagged."""
 
 Touch = TypeVar("Touch")
-"""What one touch is: a unit with its contrast, or a shape."""
+"""One touch: a unit with its contrast, or a shape."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Verdict(Generic[Touch]):
     evaluations: int
     """How many sets of touches were modelled."""
     seconds: float
-    """What it took."""
+    """The time it took."""
     unfinished: bool = False
     """Whether time ended the search before these explained the frame, or were confirmed."""
 
