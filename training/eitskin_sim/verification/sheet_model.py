@@ -128,10 +128,10 @@ class SheetModel:
         return self.unseen.columns / self.flat_V[:, None] if self.rest is None else self.rest.columns
 
     def expected(self, ratio: Array) -> Array:
-        """Return (104,) dV expected of a frame in addition to its touches: the model's own state is unlikely.
+        """Return (104,) dV that the prior expects of a frame in addition to its touches.
 
-        What the model has already was believed of one frame; before any it is none. What the sheet read at rest beside
-        its model it still does.
+        A model that was made again about one frame's sheet expects the way back to the scan; the first model expects
+        none. A deviation that the sheet showed at rest persists.
 
         Args:
             ratio: (104,) of the frame's voltages over the untouched sheet's.
