@@ -65,7 +65,7 @@ def test_a_loss_a_withheld_frame_and_a_failed_electrode_are_said_at_once_with_th
     assert "3 lost" in lines[0]
     assert "touched" in lines[1]
     assert "2 withheld (corrupt: 2)" in lines[1]
-    assert "electrode 5 detached (rows imputed)" in lines[2]
+    assert "electrode 5 detached (rows estimated)" in lines[2]
 
 
 def test_a_terminal_gets_one_line_that_is_rewritten():

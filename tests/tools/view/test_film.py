@@ -106,7 +106,7 @@ def test_losses_and_events_are_marked_once_and_within_bounds():
     for k in range(2 * MAX_MARKS):
         overview.add(note(0.01 * k, events=[f"electrode:{k}"]))
     ((head, _),) = unpacked(overview.message(done=False))
-    assert [text for _, text in head["events"]].count("saturated") == 100
+    assert [text for _, text in head["events"]].count("A row exceeds the converter's range") == 100
     assert len(head["events"]) == MAX_MARKS
     assert [(row["t"], row["losses"]["corrupt"]) for row in head["rows"] if row["losses"]["corrupt"]] == [
         (pytest.approx(50.0, abs=0.2), 5)

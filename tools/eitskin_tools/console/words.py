@@ -1,4 +1,4 @@
-"""Plain words for the codes that frames, status and recordings carry; a code without words is shown as it is."""
+"""Plain words for the codes of frames, status and recordings, on a terminal and on the page of ``eitskin view``."""
 
 from typing import Final
 
@@ -28,28 +28,74 @@ EVENTS: Final = {
     "overrun": "over the latency budget",
     "electrodes:unclear": "rows fit no sheet and no single electrode failure",
     "drift:uneven": "uneven drift",
+    "verifier:starting": "verifier starts",
+    "verifier:preparing": "verifier prepares its model of the surface",
+    "verifier:ready": "verifier ready, checks frames",
+    "verifier:waiting": "verifier stopped and will restart, frames are not checked",
+    "verifier:failed": "verifier failed, frames are not checked",
+    "device:restarting": "device restarts",
+    "device:configuration_changed": "device has a new configuration",
+    "device:rolled_back": "device returned to its previous configuration",
+    "device:overrun": "device skipped scans, too slow for its rate",
+    "device:front_end_failed": "the device's front end does not answer",
 }
 """Events whose code says everything."""
+
+SKIPPED: Final = {
+    "inference:untouched": "no map computed: nothing touches",
+    "inference:unchanged": "last map kept: only noise changed",
+    "inference:idle": "no map computed: few drives scanned",
+    "acquisition:idle": "few drives scanned: nothing touches",
+    "map:region": "only a part of the map computed",
+    "map:unchanged": "map not sent again: unchanged",
+    "map:untouched": "untouched, confirmed by a map",
+    "geometry:cloud_unchanged": "surface kept: no new cloud",
+}
+"""What the runtime left out for a frame."""
+
+STATES: Final = {"back": "works again", "not reciprocal": "inconsistent", "excluded": "switched off"}
+"""Of electrodes, whose other states are words."""
+
+REPAIRS: Final = {"imputed": "estimated", "rearranged": "reordered"}
+"""How an electrode's rows are replaced."""
 
 
 def event_words(code: str) -> str:
     """Return an event of a frame in words."""
+    kind, _, rest = code.partition(":")
     if code in EVENTS:
         return EVENTS[code]
-    kind, _, rest = code.partition(":")
     if kind == "withheld":
         return f"frame withheld: {WITHHELD.get(rest, rest)}"
     if kind == "electrode":
         return electrode_words(rest)
-    if kind in ("drift", "verifier", "device"):
-        return f"{kind} {rest.replace('_', ' ')}"
-    return code
+    if kind == "drift":
+        return f"drift of {rest.replace('%', ' %')}, or a long touch"
+    return readable(code)
+
+
+def skipped_words(code: str) -> str:
+    """Return an entry of ``skipped`` in words."""
+    return SKIPPED.get(code) or readable(code)
+
+
+def electrode_parts(entry: str) -> tuple[str, str, str]:
+    """Return an entry of ``electrodes``, such as ``5:detached:imputed``: number, state and repair in words."""
+    number, state, repair = (*entry.split(":"), "", "")[:3]
+    return number, STATES.get(state, state), REPAIRS.get(repair, repair)
 
 
 def electrode_words(entry: str) -> str:
-    """Return an entry of ``electrodes`` in words, such as ``5:detached:imputed``."""
-    number, _, state = entry.partition(":")
-    if state == "back":
-        return f"electrode {number} works again"
-    state, _, replaced = state.partition(":")
-    return f"electrode {number} {state}" + (f" (rows {replaced})" if replaced else "")
+    """Return an entry of ``electrodes`` in words."""
+    number, state, repair = electrode_parts(entry)
+    return f"electrode {number} {state}" + (f" (rows {repair})" if repair else "")
+
+
+def readable(code: str) -> str:
+    """Return a code without words as readable text."""
+    return code.replace("_", " ").replace(":", ": ")
+
+
+def capital(words: str) -> str:
+    """Return words that begin with a capital letter, for a list on a page."""
+    return words[:1].upper() + words[1:]

@@ -23,7 +23,7 @@ from eitskin_tools.recording.frames import RecordedFrames, count, number, texts
 from eitskin_tools.recording.layout import FRAME, WIRE, RecordingError
 from eitskin_tools.recording.reader import Entry, Recording
 from eitskin_tools.recording.script import SeekableRecording, bundle_of
-from eitskin_tools.view.messages import frame_message, packed, skin_message, status_message, surface_message
+from eitskin_tools.view.messages import event_list, frame_message, packed, skin_message, status_message, surface_message
 from eitskin_tools.view.server import PageServer
 
 PART_S: Final = 1.0
@@ -141,9 +141,6 @@ MAX_MARKS: Final = 2000
 REPORT_S: Final = 0.5
 """Between two messages while the file is read."""
 
-UNMARKED_EVENTS: Final = ("lost", "overrun", "cloud")
-"""Events that are counted, or visible on the surface."""
-
 Row = dict[str, Any]
 
 
@@ -214,14 +211,10 @@ class Overview:
                 if (more := now - self._before.get(name, now)) > 0:
                     self._count(row, name, more)
                 self._before[name] = now
-        for code in texts(note.get("events")):
-            if code not in UNMARKED_EVENTS:
-                self._event(at_ms, code)
-
-    def _event(self, at_ms: float, code: str) -> None:
-        if at_ms - self._last.get(code, -MIN_GAP_MS) >= MIN_GAP_MS and len(self._events) < MAX_MARKS:
-            self._events.append((at_ms, code))
-        self._last[code] = at_ms
+        for words in event_list(texts(note.get("events"))):
+            if at_ms - self._last.get(words, -MIN_GAP_MS) >= MIN_GAP_MS and len(self._events) < MAX_MARKS:
+                self._events.append((at_ms, words))
+            self._last[words] = at_ms
 
     def _count(self, row: Row, name: str, more: int) -> None:
         row["lost"][name] = row["lost"].get(name, 0) + more

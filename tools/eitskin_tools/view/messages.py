@@ -14,7 +14,7 @@ Positions in space are in the robot's frame: poses are applied here, not in the 
 import json
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import Any, Final
 
@@ -27,9 +27,13 @@ from eitskin.messaging.streams.state import SkinState
 from eitskin.robot.pose import Pose
 from eitskin.touches.touch import Touch
 from eitskin_proto.skin.skin import Skin
+from eitskin_tools.console.words import capital, electrode_parts, event_words, skipped_words
 from eitskin_tools.pictures import palette
 
 HEAD: Final = struct.Struct("<II")
+
+UNLISTED_EVENTS: Final = ("lost", "overrun", "cloud")
+"""Events that the page counts, or shows on the surface."""
 
 
 def packed(head: dict[str, Any], body: bytes = b"") -> bytes:
@@ -79,9 +83,9 @@ def frame_message(frame: Frame, of: int, pose: Pose) -> bytes:
         "solver": frame.solver,
         "age_us": frame.age_us,
         "stages_us": [max(end - begin, 0) / 1000 for begin, end in pairwise(stamps)],
-        "skipped": frame.skipped,
-        "events": frame.events,
-        "electrodes": frame.electrodes,
+        "skipped": [capital(skipped_words(code)) for code in frame.skipped],
+        "events": event_list(frame.events),
+        "electrodes": [electrode_parts(entry) for entry in frame.electrodes],
         "drift": [None, None] if frame.touched else [frame.drift_percent, frame.drift_sd_percent],
         "cloud": frame.cloud,
         "counts": dict(frame.counts),
@@ -92,6 +96,11 @@ def frame_message(frame: Frame, of: int, pose: Pose) -> bytes:
     }
     levels = np.rint(np.clip(frame.map, 0.0, 1.0) * 255.0).astype(np.uint8)
     return packed(head, levels.tobytes())
+
+
+def event_list(codes: Iterable[str]) -> list[str]:
+    """Return in words the events that the page lists."""
+    return [capital(event_words(code)) for code in codes if code not in UNLISTED_EVENTS]
 
 
 def _touch(touch: Touch) -> dict[str, Any]:
@@ -162,7 +171,7 @@ def state_message(state: SkinState, of: int) -> bytes:
         "of": of,
         "n": state.n,
         "run": state.run,
-        "events": [text for _, text in state.events],
+        "events": event_list(code for _, code in state.events),
         "bundle": state.bundle,
         "skin": state.skin,
         "version": state.version,

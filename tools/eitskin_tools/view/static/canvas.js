@@ -52,10 +52,7 @@ export function pill(pen, text, x, y) {
 /** The faulty electrodes: {number: {state, repair}}. */
 export function illOf(frame) {
   const ill = {};
-  for (const entry of frame?.head.electrodes ?? []) {
-    const [number, state, repair] = entry.split(":");
-    ill[Number(number)] = { state, repair };
-  }
+  for (const [number, state, repair] of frame?.head.electrodes ?? []) ill[Number(number)] = { state, repair };
   return ill;
 }
 

@@ -2,7 +2,7 @@
 
 import { indexAt } from "./clock.js";
 import { cut } from "./stream.js";
-import { COUNTED, LOSSES, clockWords, eventWords, framesWords } from "./words.js";
+import { COUNTED, LOSSES, clockWords, framesWords } from "./words.js";
 
 const MOST_BYTES = 64 << 20;
 const AHEAD = 4; // parts
@@ -112,11 +112,11 @@ export class Film {
     this.losses = this.rows.map(({ t, head: { losses } }) => ({ begin: t - half, end: t + half, counts: losses }));
     const touched = head.touched.map(([begin, end]) => ({ kind: "touched", begin, end }));
     const lost = this.losses.filter(({ counts }) => LOSSES.some(([name]) => counts[name]));
-    const events = head.events.map(([t, code]) => ({ kind: "event", begin: t, end: t, code }));
+    const events = head.events.map(([t, text]) => ({ kind: "event", begin: t, end: t, text }));
     this.found = [...touched, ...lost.map(({ begin, end }) => ({ kind: "lost", begin, end })), ...events];
     this.log = [
       ...touched.map(({ begin, end }) => ({ t: begin, text: touchedWords(end - begin) })),
-      ...events.map(({ begin, code }) => ({ t: begin, text: eventWords(code) })),
+      ...events.map(({ begin, text }) => ({ t: begin, text })),
       ...lost.flatMap(({ begin, counts }) => Object.entries(COUNTED).filter(([name]) => counts[name])
         .map(([name, words]) => ({ t: begin, text: framesWords(counts[name], words) }))),
     ].sort((a, b) => a.t - b.t);

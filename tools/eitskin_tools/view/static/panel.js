@@ -2,7 +2,7 @@
 
 import { illOf } from "./canvas.js";
 import { areaOf } from "./history.js";
-import { LOSSES, STAGES, electrodeWords, repairWords, skippedWords, valueWords } from "./words.js";
+import { LOSSES, STAGES, valueWords } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 const say = (node, text) => { if (node.textContent !== text) node.textContent = text; };
@@ -48,7 +48,7 @@ export function drawElectrodes(frame, count) {
   const ill = Object.entries(illOf(frame));
   const list = $("electrodes");
   const words = ill.map(([k, { state, repair }]) =>
-    [`${k} is ${electrodeWords(state)}`, repair ? `voltages ${repairWords(repair)}` : ""]);
+    [`${k} is ${state}`, repair ? `rows ${repair}` : ""]);
   rows(list, ill.length ? words : [[`All ${count} electrodes work.`]], "li", "span");
   for (const row of list.children) row.firstElementChild.className = ill.length ? "ill" : "";
 }
@@ -59,11 +59,11 @@ export function drawSkipped(history, shown) {
   let total = 0;
   for (let k = last; k >= 0 && shown.t - history.frames[k].t < 5000; k--) {
     total++;
-    for (const code of history.frames[k].head.skipped) counts.set(code, (counts.get(code) ?? 0) + 1);
+    for (const words of history.frames[k].head.skipped) counts.set(words, (counts.get(words) ?? 0) + 1);
   }
   const found = [...counts].sort((a, b) => b[1] - a[1]);
-  const words = found.map(([code, n]) => [skippedWords(code), `${Math.round((100 * n) / total)} %`]);
-  rows($("skipped"), found.length ? words : [["Nothing."]], "li", "span");
+  const shares = found.map(([words, n]) => [words, `${Math.round((100 * n) / total)} %`]);
+  rows($("skipped"), found.length ? shares : [["Nothing."]], "li", "span");
 }
 
 export function drawLog(history, shown) {

@@ -3,11 +3,10 @@
 import { Film } from "./film.js";
 import { History } from "./history.js";
 import { Surface } from "./surface.js";
-import { COUNTED, eventWords, framesWords } from "./words.js";
+import { COUNTED, framesWords } from "./words.js";
 
 const ENDED_MS = 500; // a touch that is not listed for this long has ended
 const TOGETHER_MS = 3000; // losses within it are one entry
-const SHOWN_ELSEWHERE = new Set(["lost", "overrun", "cloud"]);
 
 export class Skin {
   constructor(head, cloud, clock, token, onChange) {
@@ -66,7 +65,7 @@ export class Skin {
     const before = this.state;
     this.state = head;
     if (before?.run !== head.run || before.n >= head.n) return;
-    for (const code of head.events) this.diary.event(this.history.newest?.t ?? 0, code);
+    for (const words of head.events) this.diary.say(this.history.newest?.t ?? 0, words, true);
   }
 
   /** The surface to draw a frame on: the newest that arrived, or the flat sheet. */
@@ -108,7 +107,7 @@ class Diary {
       this.highest = 0;
     }
     if (before && before.run === head.run) this.count(t, head.counts, before.counts);
-    if (!eventsComeApart) for (const code of head.events) this.event(t, code);
+    if (!eventsComeApart) for (const words of head.events) this.say(t, words, true);
     for (const [kind, id, other] of head.touch_events) {
       if (kind === "merged" && this.touches.delete(id)) this.say(t, `Touch ${id} merged into touch ${other}`);
     }
@@ -122,10 +121,6 @@ class Diary {
       this.touches.delete(id);
       this.say(t, `Touch ${id} ended`);
     }
-  }
-
-  event(t, code) {
-    if (!SHOWN_ELSEWHERE.has(code)) this.say(t, eventWords(code), true);
   }
 
   count(t, now, before) {
