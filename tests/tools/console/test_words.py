@@ -14,9 +14,8 @@ SPEC = (Path(__file__).parents[3] / "firmware_proto" / "SPEC.md").read_text("utf
 def listed(title):
     """Return the codes of a table of SPEC.md that are written without a placeholder."""
     table = SPEC.split(f"\n### {title}\n")[1].split("\n#")[0].split("| reason |")[0]
-    return {code for row in re.findall(r"^\| ([a-z_:, ]+) \|", table, re.MULTILINE) for code in row.split(", ")} - {
-        "text"
-    }
+    rows = re.findall(r"^\| ([a-z_:, ]+) \|", table, re.MULTILINE)
+    return {code for row in rows for code in row.split(", ")} - {"text"}
 
 
 def test_each_event_and_all_saved_computation_of_the_specification_have_words():
