@@ -14,8 +14,8 @@ port has returned, it repeats the handshake. A device is silent if no frame of i
 does. If its frames are unusable, the source restarts its stream too. Frames from before the first subscription are
 dropped for the newest one, and so are stale ones when time is short. Events of the device go out with the next frame.
 
-:class:`FirstFrame` keeps old frames out. A line that nobody reads fills up with the oldest frames, and the device drops
-those for which there is no room. So waiting frames are old until the line has been read empty.
+:class:`FirstFrame` keeps old frames out. An unread line fills up with the oldest frames, and the device drops those for
+which there is no room. So waiting frames are old until the line has been read empty.
 
 :class:`DeferredWork` waits until the line rests: a frame's message wakes a subscriber, which needs a core at that
 moment. Arriving bytes end the wait, so that no frame waits for deferred work.

@@ -167,7 +167,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with end_signals_as_interrupts(), written_out():
             status = _main(words)
-    except BrokenPipeError:  # nobody reads standard output any more
+    except BrokenPipeError:  # standard output has lost its reader
         return status
     except OSError as error:  # of standard output
         print(f"eitskin: {_one_line(error)}", file=sys.stderr)

@@ -3,8 +3,8 @@
 Before a frame is judged, ``prepare`` corrects it for the gate and ``complete`` for the network; a healthy frame costs
 one copy of 104 numbers. After publishing, the frame is put aside, and several frames are examined together while the
 line rests. This costs a fifth of examining each alone, because the arithmetic is small and its weights leave the caches
-in between, and it delays nobody, because other threads still hand over the frame just published. The next frame reports
-changes. A bundle without ``consistency.npz`` supports none of this, and says so when asked.
+in between, and it delays no subscriber, because other threads still hand over the frame just published. The next frame
+reports changes. A bundle without ``consistency.npz`` supports none of this, and says so when asked.
 """
 
 import threading

@@ -4,7 +4,7 @@ A folder of keys, as made by :func:`make_keys`; the format of the files is ZeroM
 
     DIR/server.key_secret     the runtime's, mode 0600
     DIR/server.key            for subscribers, to authenticate the runtime
-    DIR/clients/NAME.key      public keys that may connect; nobody else may
+    DIR/clients/NAME.key      public keys of the only clients that may connect
     DIR/client.key_secret     a first client's own key, to be carried to its machine
 
 The runtime accepts only clients whose public key is in ``clients``: knowing the server's key is not enough. So it

@@ -174,7 +174,7 @@ def variants(bundle: Bundle, seed: int = 0) -> tuple[dict[str, Infer], dict[str,
     ::
 
         vd2t, vd2t-int8, tikhonov       the deployed engines: geometry folded to a bias, one thread
-        with-gentle                     with the network for faint touches besides: the most a frame takes
+        with-gentle                     with the additional network for faint touches: the longest time of a frame
         unsplit                         both graphs joined: geometry evaluated a frame, one thread
         onnxruntime-default             the same with ONNX Runtime's default session and its threads
         torch-eager                     the whole network as PyTorch runs it, one thread

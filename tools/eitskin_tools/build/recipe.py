@@ -5,8 +5,8 @@
     format = "eitskin-recipe"      version = 1     name = "press"
     skin = "hydrogel"              a shipped skin, or a file beside this one
     network = "free"               what is trained: a recipe of 'eitskin train'
-    small = "press-small"          a smaller network besides: a shipped recipe, or a file beside this one
-    gentle = "gentle"              a network for faint touches besides, likewise
+    small = "press-small"          an additional, smaller network: a shipped recipe, or a file beside this one
+    gentle = "gentle"              an additional network for faint touches, likewise
 
     [data.presses]                 a data set, by any name: the options of 'eitskin dataset'
     set = "free"                   touches, devices, skin, seed, deformations, per_deformation, touch_sets, kept, near
@@ -174,7 +174,7 @@ class BuildRecipe:
 
         Raises:
             MissingFileError: There is no such file.
-            ValueError: One is no recipe, has another network besides itself, or is of another skin or other labels.
+            ValueError: One is not a recipe, has an additional network itself, or is for another skin or other labels.
         """
         named = {name: getattr(self, name) for name in EXTRA_NETWORKS if getattr(self, name)}
         found = {name: self._other(name, recipe) for name, recipe in named.items()}

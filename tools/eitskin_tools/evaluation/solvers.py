@@ -103,7 +103,7 @@ def named(
         labels: ``"units"`` or ``"area"``, what the phantoms' truth means.
         skin: Whose maps and clouds there are.
         touches: What touches the phantoms, see :func:`bundle_for`.
-        conditions: Whose noise a verifier is told; None is N2 at 50 dB.
+        conditions: The noise that a verifier assumes; None is N2 at 50 dB.
 
     Raises:
         ValueError: The name is unknown, the network takes no such reference, or the bundle holds no such network.

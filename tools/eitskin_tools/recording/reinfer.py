@@ -158,7 +158,7 @@ class Rerun:
         return nothing if self._health is None else self._health.electrodes.missing
 
     def compute(self, step: Step, *, every: bool = True) -> ComputedFrame | None:
-        """Compute a frame; None where the recording does not say what it is held against, or it was withheld.
+        """Compute a frame; None if the recording lacks its reference, or it was withheld.
 
         Args:
             step: The frame, and what changed before it.
@@ -433,7 +433,7 @@ class SimulatedSolver:
         script: The recording.
         bundle: Gives the labels of its maps.
         name: As ``eitskin evaluate --solver`` takes it.
-        besides: Further names that there are.
+        besides: Further known names.
 
     Raises:
         ValueError: There is none of this name.
@@ -454,7 +454,7 @@ class SimulatedSolver:
         self._flat_V: Any = None
 
     def compute(self, step: Step) -> ComputedFrame | None:
-        """Compute a frame; None where the recording does not say what it is held against, or it was withheld."""
+        """Compute a frame; None if the recording lacks its reference, or it was withheld."""
         from eitskin_sim.evaluation.harness import Case, Sheet
         from eitskin_sim.surface.predict import flat_voltages
 

@@ -28,7 +28,7 @@ class Supervisor:
     """The supervisor of this process, and the interval of its signs of life.
 
     Args:
-        address: Of a datagram socket: a path, or a name that begins with ``@``; empty for nobody.
+        address: Of a datagram socket: a path, or a name that begins with ``@``; empty for none.
         interval_s: The supervisor ends the process after this time without a sign of life; None for no limit.
         hang_s: The process ends itself after this time without one, even if Python hangs; None for never.
     """

@@ -3,7 +3,7 @@
 Bytes go in, packets come out; time is an argument, so that tests need no clock. ::
 
     receive(bytes, now_ns) -> packets that answer            sweep(now_ns) -> the packet of one scan
-    poll(now_ns) -> packets that nobody asked for            next_ns: when poll has something to do
+    poll(now_ns) -> events                               next_ns: when poll has something to do
 
 ``tests/firmware/test_conformance.py`` asks this device, the C core and the emulated board the same questions. The
 device's clock starts at boot and wraps at 2^32 microseconds. The *script's* time starts at the first START after

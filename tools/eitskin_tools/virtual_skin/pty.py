@@ -6,9 +6,9 @@ The device holds the master side, the host opens the other one by a name that ou
     master fd  <--- kernel,18 KiB --->  /dev/pts/7  <--- symbolic link: <folder>/ttySKIN0
 
 The device keeps the host's side open as well. Without that, a host that closes its port would turn every read of the
-master into EIO, as if the device itself had gone. Bytes that nobody reads stay in the kernel (18 KiB were measured);
-once that is full, packets are dropped whole and counted, as the firmware does. A packet that the kernel took in part is
-finished before anything else is sent.
+master into EIO, as if the device itself had gone. Unread bytes stay in the kernel (18 KiB were measured); once that is
+full, packets are dropped whole and counted, as the firmware does. A packet that the kernel took in part is finished
+before anything else is sent.
 """
 
 import contextlib

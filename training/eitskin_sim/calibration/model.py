@@ -72,7 +72,7 @@ class Model:
         skin: The stated one.
         recording: The recording.
         snr_db: Of a single frame; None takes the least that the skin states.
-        more: Groups of parameters besides the skin's.
+        more: Additional groups of parameters.
 
     Raises:
         ValueError: The skin's contacts are no patches.

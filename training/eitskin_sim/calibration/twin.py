@@ -22,8 +22,8 @@ MAX_LEARNED_SD_RATIO: Final = 0.8
 
 
 PRESS_CONTRAST_RANGE: Final = 2.0
-"""Presses are taken to have from the inverse of so many times the log contrast found to so many times it: as a stamp is
-pressed lightly or hard. Touches that raise conductance touch or do not: theirs reach as far as they are uncertain."""
+"""Presses may have the estimated log contrast divided or multiplied by up to this factor, as a stamp is pressed lightly
+or hard. Touches that raise conductance touch or do not: theirs reach as far as they are uncertain."""
 
 TOUCH_RANGE_SD: Final = 2.0
 """Standard errors that what is uncertain of touches reaches."""

@@ -58,7 +58,7 @@ class Mismatch:
     """Unevenness of the stretch along the sheet that no scan shows."""
     scan_noise_mm: float = 0.1
     scan_stale_deg: float = 0.0
-    """The scan shows the deformation so many degrees of 180 earlier."""
+    """Lag of the scan behind the deformation, in degrees of 180."""
     scan_scale: float = 1.0
     scan: bool = True
     """False: no scan at all."""

@@ -156,7 +156,7 @@ def random(
         seed: Which draw of deformations and touches.
 
     Raises:
-        ValueError: The counts are none, or the wrong way round, or the sheet has no room for so many.
+        ValueError: The counts are none, or the wrong way round, or the sheet has no room for this number.
     """
     if not 1 <= counts[0] <= counts[1] <= 12:
         raise ValueError(f"{counts[0]} to {counts[1]} touches: expected from 1 to 12, the smaller number first")

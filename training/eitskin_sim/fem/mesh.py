@@ -30,7 +30,7 @@ GROWTH_PER_MM: Final = 0.8
 """Growth of the element's size per mm of distance from a fixed line; neighbours differ by about exp(0.8) at most."""
 
 MAX_FIXED_LINES: Final = 3000
-"""Fixed lines along one direction; each is held against each."""
+"""Most fixed lines along one direction, because each is compared with each."""
 
 MERGE_MM: Final = 1e-6
 """Fixed lines nearer than this are one line."""

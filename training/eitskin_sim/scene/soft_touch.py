@@ -124,7 +124,7 @@ def check_touches(scene: Scene) -> None:
 
 
 def soft_json(touch: Touch) -> dict[str, Any]:
-    """Return the keys of a touch's JSON besides its shape."""
+    """Return the keys of a touch's JSON apart from its shape."""
     found: dict[str, Any] = (
         {"conductivity_S_per_m": touch.conductivity_S_per_m} if touch.contrast is None else {"contrast": touch.contrast}
     )

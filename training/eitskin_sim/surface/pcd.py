@@ -14,7 +14,7 @@ from eitskin_sim.surface.words import check_count, table
 Array = npt.NDArray[np.float64]
 
 LARGEST_HEADER: Final = 65_536
-"""A header is over within so many bytes."""
+"""Longest header in bytes."""
 
 MAX_NUMBERS_PER_POINT: Final = 1024
 """Numbers of a point, at most: there are descriptors of 308."""

@@ -25,7 +25,7 @@ PLY_ORDERS: Final = {"ascii": "", "binary_little_endian": "<", "binary_big_endia
 """Formats of a PLY file and their byte order."""
 
 LARGEST_HEADER: Final = 65_536
-"""A PLY header is over within so many bytes."""
+"""Longest PLY header in bytes."""
 
 
 def read_ply(data: bytes) -> Array:

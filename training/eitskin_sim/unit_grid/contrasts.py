@@ -233,7 +233,7 @@ class ContrastPairs:
         return found
 
     def _solved(self, panel: Array, upper: Array, better: int) -> Array:
-        """Return the (16, 16) potentials of a set with so many units that conduct better; overwrites both arrays."""
+        """Return the (16, 16) potentials of a set with ``better`` units that conduct better; overwrites both arrays."""
         size, rank, fall = len(upper) - N_ELECTRODES, self._rank, panel[:, -N_ELECTRODES:]
         left = self._at_terminals + (-1.0 if better else 1.0) * (fall.T @ fall)
         if not size:
