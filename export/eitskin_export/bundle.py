@@ -105,7 +105,7 @@ def read(path: Path) -> tuple[dict[str, bytes], dict[str, Any], Skin]:
         found = load_bundle(path, lazily=True)
         files, facts = dict(found.files), {**found.manifest}
     except BundleError as error:
-        raise SkinError(f"{path} is no bundle ({error}); make one with 'eitskin export'") from error
+        raise SkinError(f"{path} is not a bundle ({error}); make one with 'eitskin export'") from error
     del facts["files"]
     for name in ("format", "version", "protocol_id", "grid_id", "skin_digest"):
         facts.pop(name, None)

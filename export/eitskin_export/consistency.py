@@ -140,7 +140,9 @@ def _half(value: npt.NDArray[np.floating]) -> npt.NDArray[np.float16]:
         ValueError: A weight is too large for half precision, or not finite.
     """
     if not (np.abs(value) <= HALF_LARGEST).all():
-        raise ValueError(f"a filling's weight is {np.abs(value).max()}; expected at most {HALF_LARGEST}: adapt again")
+        raise ValueError(
+            f"a weight of the imputation is {np.abs(value).max()}; expected at most {HALF_LARGEST}: adapt again"
+        )
     return np.asarray(value, dtype=np.float16)
 
 

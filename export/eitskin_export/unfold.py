@@ -42,7 +42,7 @@ def start_of_bundle(path: Path) -> Start:
     try:
         recipe = Recipe.from_dict(facts["recipe"])
     except (KeyError, ValueError, TypeError) as error:
-        raise SkinError(f"{path} does not say how it was trained ({error}); start from a run instead") from error
+        raise SkinError(f"{path} does not record how it was trained ({error}); start from a run instead") from error
     model = unfolded(files["geometry.onnx"], files["head.onnx"], recipe, skin)
     lineage = {"bundle_data": facts.get("data_digest"), "seeds": facts.get("seeds"), "still": True}
     return Start(model.state_dict(), recipe.architecture, skin, lineage)
@@ -81,7 +81,7 @@ def _filled(model: VD2T, geometry: Weights, head: Weights) -> VD2T:
         _norm(first[1], _taken(first[0], head, "voltage.0.0", "voltage.0.1"))
         for number, block in enumerate(list(model.voltage)[1:], start=1):
             if not isinstance(block, Residual):
-                raise SkinError("only networks with a residual voltage channel can be taken apart; train one anew")
+                raise SkinError("only networks with a residual voltage channel can be taken apart; train a new one")
             name = f"voltage.{number}.path"
             _norm(block.path[1], _taken(block.path[0], head, f"{name}.0{mixed}", f"{name}.1{mixed}"))
         name = next(name for name in FUSION if name in head)

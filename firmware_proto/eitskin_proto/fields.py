@@ -161,6 +161,8 @@ class Fields:
         if self._defaults(key, default):
             return default
         value = self._content.get(key)
+        if value == "" and least:
+            raise self._error(f"{self.path(key)} is empty, expected {what or 'a text'}")
         if not isinstance(value, str) or not least <= len(value) <= longest or plain(value) != value:
             raise self.wrong(key, f"{what or 'a text'} of at most {longest} printable characters")
         return value

@@ -401,7 +401,7 @@ class FrameSource:
         if self._failed:
             sent = "only FRONT_END_FAILED: its front end does not answer"
         elif intake.generation_differs:
-            sent = f"frames of another generation than {intake.generation}, which it says that it runs"
+            sent = f"frames of another generation than {intake.generation}, which it reports"
         elif intake.withheld_total > self._withheld:
             sent = f"frames that are withheld as {intake.last_reason}"
         else:
@@ -493,8 +493,8 @@ class FrameLoop:
         """
         if self.reference is None:
             raise BadReference(
-                "there is no reference: call capture_reference() with the sheet flat and untouched, or open the skin "
-                "with reference=FILE"
+                "found no reference: call capture_reference() while the sheet lies flat and untouched, or open the "
+                "skin with reference=FILE"
             )
         pipeline, record = self._pipeline, self._pipeline.record
         streams, feed = begin(self.feed, taker, self._messages.run)
@@ -541,7 +541,7 @@ class FrameLoop:
     def _give_up_recapture(self, why: str) -> None:
         recapture = self._recapture
         if recapture is not None:
-            recapture.settle(BadReference(f"{why} while the reference was captured; the old one stays"))
+            recapture.settle(BadReference(f"{why} while capturing the reference; the old one stays"))
 
     def _choose_mode(self, *, whole: bool) -> None:
         """Ask the device for whole scans, or for those of a few drives, if this frame is a reason to."""
@@ -629,8 +629,10 @@ class FrameLoop:
                 self.use_reference(found, fresh=True)
                 return found
         if self.source.stopping:
-            raise BadReference("stopped while the reference was captured")
-        raise BadReference(f"only {builder.taken} of {frames} frames for the reference came; is the device streaming?")
+            raise BadReference("stopped while capturing the reference")
+        raise BadReference(
+            f"only {builder.taken} of {frames} frames for the reference arrived: is the device streaming?"
+        )
 
     def recapture(self, frames: int, *, force: bool = False) -> Reference:
         """Capture a new reference while the loop runs, from another thread.

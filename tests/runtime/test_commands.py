@@ -126,7 +126,7 @@ def test_ctrl_c_ends_subscribe_without_a_traceback_before_and_after_the_first_fr
 def test_subscribe_without_a_runtime_gives_up_with_one_line(tmp_path):
     code, out, err = finished("subscribe", f"ipc://{tmp_path}/nobody", "--timeout-s", "0.2")
     assert (code, out) == (1, "")
-    assert "nobody listens there" in err
+    assert "no runtime listens there" in err
     assert "'eitskin run --port PORT'" in err
     assert finished("subscribe", "ipc:///tmp/x", "--frames", "0")[0] == 2
 

@@ -54,7 +54,7 @@ def test_a_damaged_bundle_and_a_foreign_device_exit_1(virtual_skin, tiny_path, t
     broken.write_bytes(tiny_path.read_bytes()[:5000])
     code, _, err = finished("run", "--port", "/dev/null", "--bundle", broken)
     assert code == 1
-    assert "no intact bundle" in err
+    assert "not an intact bundle" in err
     with virtual_skin(faults=["foreign"]) as port:
         code, _, err = finished("run", "--port", port, "--bundle", tiny_path, *endpoints)
     assert code == 1
@@ -85,9 +85,9 @@ def test_bad_usage_of_run_exits_2(words):
     ("words", "said"),
     [
         (["--publish", "here"], "endpoint 'here': expected ipc:///path or tcp://address:port"),
-        (["--publish", "tcp://127.0.0.1:7000"], "would let others in, on this machine too: give CURVE keys with"),
+        (["--publish", "tcp://127.0.0.1:7000"], "gives other users access, even on this machine: give CURVE keys with"),
         (["--control", "ipc://relative"], "expected an absolute path"),
-        (["--curve-keys", "/nowhere"], "/nowhere/server.key_secret is no CURVE key"),
+        (["--curve-keys", "/nowhere"], "/nowhere/server.key_secret is not a CURVE key"),
     ],
 )
 def test_what_cannot_be_bound_is_refused_before_the_port_is_opened(words, said):

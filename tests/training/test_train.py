@@ -141,7 +141,7 @@ def test_a_checkpoint_of_another_protocol_or_no_checkpoint_is_refused(tmp_path: 
     with pytest.raises(MismatchError, match="protocol_id: found 0123"):
         run_files.read(tmp_path / "best.pt")
     (tmp_path / "best.pt").write_bytes(b"not a checkpoint")
-    with pytest.raises(SkinError, match="no file of a training run"):
+    with pytest.raises(SkinError, match="not a file of a training run"):
         run_files.read(tmp_path / "best.pt")
     with pytest.raises(SkinError, match="eitskin train"):
         run_files.read(tmp_path / "missing.pt")

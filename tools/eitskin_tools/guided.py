@@ -206,7 +206,7 @@ class Guide:
         while at < len(steps):
             word = steps[at]()
             if word == QUIT:
-                raise GuideError("stopped on request; nothing was written; the same command begins anew")
+                raise GuideError("stopped on request; nothing was written; the same command starts again")
             if word == SKIP and at:
                 self._discard(at - 1)
             at = max(at - 1, 0) if word == BACK else at + (1 if word != SKIP or at else 0)
@@ -247,8 +247,8 @@ class Guide:
                 return word
             if not typed:
                 raise GuideError(
-                    "standard input has ended, so no scan can be named; nothing was written; run it at a terminal, or "
-                    "with --bends 0"
+                    "standard input has ended, so you cannot name a scan; nothing was written; run it in a terminal, "
+                    "or with --bends 0"
                 )
             try:
                 cloud = self._load_scan(typed[0])
@@ -324,7 +324,7 @@ class Guide:
                 typed.append(word)
                 return None
             if word:
-                self._talk.say(f"{word!r} is no answer here: {ANSWERS}")
+                self._talk.say(f"{word!r} is not an answer here: {ANSWERS}")
             if reached():
                 return None
         raise GuideError("the skin sends no more frames; nothing was written; check it with 'eitskin doctor'")

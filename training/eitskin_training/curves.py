@@ -61,7 +61,7 @@ def history_of(run: Path) -> list[Epoch]:
     except FileNotFoundError as error:
         raise SkinError(f"{run} holds no run ({path.name} is missing); run 'eitskin train --out {run}'") from error
     except (ValueError, TypeError, AttributeError) as error:
-        raise SkinError(f"{path} is no history of a training run: {error}; train again") from error
+        raise SkinError(f"{path} is not the history of a training run: {error}; train again") from error
 
 
 def _epoch(value: Any) -> Epoch:
@@ -85,7 +85,7 @@ def compare(histories: Mapping[str, Sequence[Epoch]], path: Path) -> None:
         ModuleNotFoundError: There is no matplotlib.
     """
     if not histories:
-        raise ValueError("there are no runs to draw; name at least one")
+        raise ValueError("found no runs to draw; name at least one")
     from matplotlib.figure import Figure  # noqa: PLC0415 - an extra that training does not need
 
     figure = Figure(figsize=(11, 4), layout="constrained")

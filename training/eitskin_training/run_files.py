@@ -80,7 +80,7 @@ def trained(run: Path) -> Trained:
         return found
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RuntimeError) as error:
         raise SkinError(
-            f"{run / 'best.pt'} is no file of a training run: {plain(str(error))[:200]}; train again"
+            f"{run / 'best.pt'} is not a file of a training run: {plain(str(error))[:200]}; train again"
         ) from error
 
 
@@ -115,7 +115,7 @@ def check_weights(recipe: Recipe, state: dict[str, Tensor]) -> None:
         ValueError: It is, or the weights are no tensors that hold what their shapes say.
     """
     if not all(isinstance(value, Tensor) and _is_stored(value) for value in state.values()):
-        raise ValueError("its weights are no tensors that are stored in full")
+        raise ValueError("its weights are not complete tensors")
     given = sum(value.numel() for value in state.values())
     shape = recipe.architecture
     widths = (*shape.widths, *shape.convolutions, *shape.cloud_channels, *shape.sharpening, shape.hidden)
@@ -181,7 +181,7 @@ def read(path: Path) -> dict[str, Any]:
             f"{path.parent} holds no finished epoch ({path.name} is missing); run 'eitskin train'"
         ) from error
     except Exception as error:
-        raise SkinError(f"{path} is no file of a training run: {type(error).__name__}; train again") from error
+        raise SkinError(f"{path} is not a file of a training run: {type(error).__name__}; train again") from error
     for name, expected in (("format", FORMAT), ("protocol_id", PROTOCOL_ID)):
         found = content.get(name) if isinstance(content, dict) else None
         if found != expected:

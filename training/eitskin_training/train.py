@@ -218,7 +218,7 @@ def _restore(run: Run, path: Path) -> None:
     try:
         _restore_checkpoint(run, read(path), path)
     except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-        raise SkinError(f"{path} is no file of a training run: {plain(str(error))[:200]}; train again") from error
+        raise SkinError(f"{path} is not a file of a training run: {plain(str(error))[:200]}; train again") from error
 
 
 def _restore_checkpoint(run: Run, content: dict[str, Any], path: Path) -> None:

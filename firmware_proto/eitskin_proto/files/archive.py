@@ -45,14 +45,14 @@ class Member:
         """
         name, size = plain(self.entry.filename[:80]), self.entry.file_size
         if size > largest:
-            raise BadArchiveError(f"{name} claims {size} bytes, expected at most {largest}")
+            raise BadArchiveError(f"{name} has {size} bytes by its header, expected at most {largest}")
         try:
             with self.archive.open(self.entry) as stream:
                 content = stream.read(size + 1)
         except DAMAGE as error:
             raise BadArchiveError(f"{name} is damaged: {error}") from error
         if len(content) != size:
-            raise BadArchiveError(f"{name} is damaged: it holds {len(content)} bytes and claims {size}")
+            raise BadArchiveError(f"{name} is damaged: it holds {len(content)} bytes, its header says {size}")
         return content
 
 
@@ -72,7 +72,7 @@ def members(source: bytes | BinaryIO) -> dict[str, Member]:
     except BadArchiveError:
         raise
     except DAMAGE as error:
-        raise BadArchiveError(f"it is no ZIP file, or its directory is damaged: {error}") from error
+        raise BadArchiveError(f" it is not a ZIP file, or its directory is damaged: {error}") from error
     return {entry.filename: Member(archive, entry) for entry in archive.infolist()}
 
 

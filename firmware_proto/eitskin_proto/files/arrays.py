@@ -51,7 +51,7 @@ def parse_npy(data: bytes, what: str = "it") -> npt.NDArray[Any]:
     if data[:2] == b"PK":
         raise FileError(f"{what} is an archive of arrays (.npz), expected one array (.npy)")
     if data[: len(MAGIC)] != MAGIC or len(data) < 10:
-        raise FileError(f"{what} is no .npy file, expected one that numpy.save wrote")
+        raise FileError(f"{what} is not an .npy file, expected one written by numpy.save")
     wide = data[6] > 1
     start = 12 if wide else 10
     length = int.from_bytes(data[8:start], "little")
@@ -62,7 +62,7 @@ def parse_npy(data: bytes, what: str = "it") -> npt.NDArray[Any]:
     needed = math.prod(shape) * kind.itemsize
     if found != needed:
         raise FileError(
-            f"{what} holds {found} bytes of data, its header says {quoted(needed)}: it is cut off or damaged"
+            f"{what} holds {found} bytes of data, expected {quoted(needed)} by its header: it is cut off or damaged"
         )
     values = np.frombuffer(data, dtype=kind, count=math.prod(shape), offset=start + length)
     shaped = values.reshape(shape, order="F" if fortran else "C")
@@ -127,7 +127,7 @@ def parse_npz(source: bytes | BinaryIO, largest: int, what: str = "it") -> dict[
             arrays[name.removesuffix(".npy")] = parse_npy(content, f"{what}: {quoted(name)}")
         return arrays
     except BadArchiveError as error:
-        raise FileError(f"{what} is no intact .npz file: {error}") from error
+        raise FileError(f"{what} is not an intact .npz file: {error}") from error
 
 
 def read_npz(path: str | Path, largest: int) -> dict[str, npt.NDArray[Any]]:
@@ -150,17 +150,17 @@ def _header(raw: bytes, what: str) -> tuple[np.dtype[Any], bool, tuple[int, ...]
         found = ast.literal_eval(raw.decode("latin-1").strip())
     except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError) as error:
         raise FileError(
-            f"{what} has a damaged .npy header ({type(error).__name__}), expected what numpy.save writes"
+            f"{what} has a damaged .npy header ({type(error).__name__}), expected one written by numpy.save"
         ) from error
     if not isinstance(found, dict) or set(found) != {"descr", "fortran_order", "shape"}:
-        raise FileError(f"{what} has a .npy header that names other things than descr, fortran_order and shape")
+        raise FileError(f"{what} has an .npy header with other fields than descr, fortran_order and shape")
     kind, fortran, shape = found["descr"], found["fortran_order"], found["shape"]
     if not isinstance(kind, str) or DESCRIPTION.fullmatch(kind) is None:
         raise FileError(f"{what} holds elements of type {quoted(kind)}, expected plain numbers or texts")
     if not isinstance(shape, tuple) or len(shape) > MOST_AXES or not isinstance(fortran, bool):
         raise FileError(f"{what} has the shape {quoted(shape)}, expected at most {MOST_AXES} axes")
     if not all(isinstance(size, int) and not isinstance(size, bool) and 0 <= size < 1 << 48 for size in shape):
-        raise FileError(f"{what} has a shape that is not made of sizes, expected whole numbers that are not negative")
+        raise FileError(f"{what} has a shape that is not a list of sizes, expected whole numbers from 0 up")
     return np.dtype(kind), fortran, shape
 
 
@@ -185,7 +185,7 @@ def numbers(arrays: Arrays, name: str, shape: Sequence[int | None] | None = None
         where = tuple(int(one) for one in np.argwhere(~finite)[0])
         raise ValueError(
             f"{name}{list(where)} is {found[where]}, expected finite numbers; {int((~finite).sum())} are not: leave "
-            "such samples out"
+            "out such samples"
         )
     return np.asarray(found, dtype=np.float64)
 

@@ -148,7 +148,7 @@ def _once(items: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) < len(items):
         names = [key for key, _ in items]
         twice = next(key for key in names if names.count(key) > 1)
-        raise FileError(f"has the key {quoted(twice)} twice in one object, expected each once")
+        raise FileError(f"has the key {quoted(twice)} twice in one object, expected once")
     return found
 
 

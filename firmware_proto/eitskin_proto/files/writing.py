@@ -37,7 +37,7 @@ def check_target(path: str | Path) -> Path:
     found = Path(path)
     given = os.path.abspath(found)
     if given.startswith(SYSTEM) and not given.startswith("/dev/shm/"):  # /dev/stdout may be a link to a file
-        raise FileError(f"{path} names a device or a stream, expected a regular file to write; name one")
+        raise FileError(f"{path} is a device or a stream, expected a regular file; name one")
     with suppress(FileNotFoundError):
         mode = found.stat().st_mode
         if not stat.S_ISREG(mode):

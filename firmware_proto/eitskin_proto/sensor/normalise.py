@@ -33,7 +33,7 @@ def weak_rows(reference: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
     size = np.abs(np.where(np.isfinite(reference), reference, 0.0))
     largest = float(size.max(initial=0.0))
     if largest == 0.0:
-        raise ValueError("a reference of zeros cannot normalise anything; expected at least one row with a voltage")
+        raise ValueError("a reference of zeros cannot normalise frames; expected at least one row with a voltage")
     if not RANGE_V[0] <= largest <= RANGE_V[1]:
         raise ValueError(
             f"the largest reference row is {largest:.3g} V; expected {RANGE_V[0]:g} to {RANGE_V[1]:g} V; is it damaged?"

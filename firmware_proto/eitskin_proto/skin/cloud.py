@@ -50,7 +50,7 @@ def check_cloud(cloud: npt.ArrayLike, grid: Grid = PAPER.grid) -> npt.NDArray[np
     expected = grid.cloud_shape
     try:
         if np.iscomplexobj(cloud):
-            raise TypeError("complex numbers are no millimetres")
+            raise TypeError("found complex numbers, expected millimetres")
         points = np.array(cloud, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"a cloud must be numbers of shape {expected} in mm, found {type(cloud).__name__}") from error
@@ -70,8 +70,8 @@ def check_cloud(cloud: npt.ArrayLike, grid: Grid = PAPER.grid) -> npt.NDArray[np
     if largest > LARGEST_MM:
         where = tuple(int(i) for i in np.argwhere(np.abs(points) == largest)[0])
         raise ValueError(
-            f"cloud{list(where)} is {points[where]:g} mm, expected at most {LARGEST_MM:g} mm from the origin: give the "
-            "cloud in mm, in a frame that is nearer to the sheet"
+            f"cloud{list(where)} is {points[where]:g} mm, expected at most {LARGEST_MM:g} mm from the origin: give "
+            "the cloud in mm, with its origin near the sheet"
         )
     return points
 

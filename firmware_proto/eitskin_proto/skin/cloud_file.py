@@ -113,7 +113,7 @@ def load_surface(path: str | Path, skin: Skin = PAPER) -> Surface:
     try:
         file = read_npz(path, LARGEST_FILE)
         if str(file["magic"]) != MAGIC:
-            raise CloudFileError(f"{path} is no cloud: make one with 'eitskin surface'")
+            raise CloudFileError(f"{path} is not a cloud: make one with 'eitskin surface'")
         check_made_for(
             str(path),
             skin,
@@ -130,7 +130,7 @@ def load_surface(path: str | Path, skin: Skin = PAPER) -> Surface:
             f"cloud file {path} cannot be read: {error.strerror or error}; make one with 'eitskin surface'"
         ) from error
     except (ValueError, KeyError, TypeError) as error:
-        raise CloudFileError(f"{path} is no cloud ({error}): make one with 'eitskin surface'") from error
+        raise CloudFileError(f"{path} is not a cloud ({error}): make one with 'eitskin surface'") from error
 
 
 def _pose(file: Mapping[str, npt.NDArray[Any]], cloud: Array, skin: Skin) -> tuple[Array, Array] | tuple[None, None]:

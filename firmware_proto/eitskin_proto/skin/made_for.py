@@ -55,7 +55,7 @@ def check_arrays_made_for(what: str, skin: Skin, arrays: Arrays, hint: str) -> N
     given = {name: text(arrays, name) for name in ("grid_id", "skin_digest") if name in arrays}
     digest = given.get("skin_digest")
     if digest is not None and "grid_id" not in given and digest not in _of_this_sheet(skin):
-        why = f"without grid_id nothing tells that it is of the same sheet; store that too, or {hint}"
+        why = f"without grid_id nothing shows that it belongs to the same sheet; store grid_id too, or {hint}"
         raise MismatchError(
             f"{what}: skin_digest", found=stated(digest), expected=f"{skin.digest} ({skin.name})", hint=why
         )

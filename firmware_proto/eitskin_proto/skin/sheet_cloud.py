@@ -203,8 +203,7 @@ def _check_order(along_x: Array, along_y: Array, bounds: _Bounds) -> None:
             at = int(odd[0])
             raise ValueError(
                 f"the cloud's {kind}s {at} and {at + 1} are {steps[at] * pitch_mm:.3g} mm apart, expected "
-                f"{low * pitch_mm:.3g} to {high * pitch_mm:.3g} mm: is a {kind} missing, twice there or "
-                "out of order?"
+                f"{low * pitch_mm:.3g} to {high * pitch_mm:.3g} mm: is a {kind} missing, doubled or out of order?"
             )
 
 

@@ -62,7 +62,9 @@ class Skin:
     def __post_init__(self) -> None:
         length, width = self.outline.size_mm
         if self.outline.kind == "disc" and length != width:
-            raise ValueError(f"[outline] size_mm is {length:g} x {width:g}; a disc's two sizes are alike, its diameter")
+            raise ValueError(
+                f"[outline] size_mm is {length:g} x {width:g}; expected twice the same number, the disc's diameter"
+            )
         self._check_electrodes()
 
     def _check_electrodes(self) -> None:

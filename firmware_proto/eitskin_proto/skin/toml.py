@@ -125,7 +125,7 @@ def _with_kind(touches: Fields) -> Fields:
         return touches
     lower, higher = touches.truth("lower", False), touches.truth("higher", True)
     if not (lower or higher):
-        raise ValueError("[touches] has neither lower nor higher: nothing that touches this skin would be seen")
+        raise ValueError("[touches] has neither lower nor higher, expected one of them: the skin would detect nothing")
     rest = {key: touches.value(key) for key in touches if key not in ("lower", "higher")}
     kind = "both" if lower and higher else "lower" if lower else "raise"
     return Fields({"kind": kind} | rest, touches.where)
@@ -153,7 +153,7 @@ def _value(content: Fields, own: Field[Any], hint: Any) -> Any:
         return content.wholes(key, least=2, most=2, **bounds)
     pair = content.numbers(key, 2, **bounds)
     if not own.metadata["sizes"] and pair[0] > pair[1]:
-        raise ValueError(f"{content.path(key)} is from {pair[0]:g} to {pair[1]:g}; the first is the smaller one")
+        raise ValueError(f"{content.path(key)} is from {pair[0]:g} to {pair[1]:g}, expected the smaller number first")
     return pair
 
 

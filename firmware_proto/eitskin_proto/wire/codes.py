@@ -83,7 +83,7 @@ CODE_TEXT: Final[dict[Code, str]] = {
     Code.TOO_LARGE: "the configuration is larger than the device's slot",
     Code.BAD_OFFSET: "the chunk does not continue where the last one ended",
     Code.INCOMPLETE: "not every byte of the configuration was written",
-    Code.DIGEST_MISMATCH: "what the device stored differs from what was sent",
+    Code.DIGEST_MISMATCH: "the device stored other bytes than were sent",
     Code.INVALID_CONFIGURATION: "the configuration's check or one of its values is wrong",
     Code.STORAGE_FAILED: "the device's storage did not take the write",
     Code.NO_PREVIOUS: "there is no earlier configuration to roll back to",

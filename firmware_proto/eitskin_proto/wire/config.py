@@ -121,7 +121,7 @@ class Configuration:
         if row_count(self.full, self.drives) == 0:
             raise ValueError(f"drives 0x{self.drives:04x} have no row in the table of {self.rows}")
         if bool(self.idle_drives) != bool(self.idle_rate_mHz):
-            raise ValueError("the idle mode needs drives and a rate, or neither")
+            raise ValueError("the idle mode needs both drives and a rate, or neither")
         if self.idle_drives and row_count(self.full, self.idle_drives) == 0:
             raise ValueError(f"idle drives 0x{self.idle_drives:04x} have no row in the table of {self.rows}")
 
@@ -170,11 +170,11 @@ class Configuration:
             raise ProtocolError(f"configuration has {len(blob)} bytes, expected {BLOB_BYTES}")
         found, expected = int.from_bytes(blob[BLOB.size :], "little"), crc32c(blob[: BLOB.size])
         if found != expected:
-            raise ProtocolError(f"configuration carries the check {found:08x}, its bytes have {expected:08x}: damaged")
+            raise ProtocolError(f"configuration is damaged: its checksum is {found:08x}, expected {expected:08x}")
         (_, _, rows, size, hardware_id, revision, raw_name, frequency, rate, idle_rate, current, settle, averages, gain,
          drives, idle_drives, sample_bytes, flags) = BLOB.unpack_from(blob)  # fmt: skip
         if size != BLOB_BYTES or flags not in (0, HAS_SKIN):
-            raise ProtocolError(f"configuration says size {size} and flags {flags}, expected {BLOB_BYTES} and 0 or 1")
+            raise ProtocolError(f"configuration has size {size} and flags {flags}, expected {BLOB_BYTES} and 0 or 1")
         skin = raw_name[SHORT_NAME:].hex() if flags else ""
         name = (raw_name[:SHORT_NAME] if flags else raw_name).rstrip(b"\0")
         try:

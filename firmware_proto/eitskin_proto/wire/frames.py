@@ -204,7 +204,7 @@ class FrameView:
             ProtocolError: It is not exactly one frame; the view then still holds the frame before.
         """
         if len(payload) < HEADER_BYTES or payload[0] != FRAME_TYPE:
-            raise ProtocolError(f"a payload of {len(payload)} bytes with type 0x{payload[:1].hex()} is no FRAME")
+            raise ProtocolError(f"a payload of {len(payload)} bytes with type 0x{payload[:1].hex()} is not a FRAME")
         _, flags, width, rows, generation, sequence, device_us, drives, dropped = _unpack_header(payload)
         shape = (flags, width, rows, drives, len(payload))
         known = shape == self._shape

@@ -390,7 +390,7 @@ def unpack(payload: bytes) -> Message:
         ProtocolError: The type is unknown, or the payload is not exactly that message.
     """
     if not payload:
-        raise ProtocolError("an empty payload is no message; expected a type byte")
+        raise ProtocolError("an empty payload is not a message; expected a type byte")
     if payload[0] == MessageType.FRAME:
         return Frame.unpack(payload)
     kind = _BY_TYPE.get(payload[0])

@@ -69,7 +69,7 @@ def drives_from_list(drives: list[int]) -> int:
         if not 0 <= drive < 16:
             raise ValueError(f"drive {drive} does not exist; drives are 0 to 15")
         if mask >> drive & 1:
-            raise ValueError(f"drive {drive} stands twice in the list")
+            raise ValueError(f"drive {drive} is in the list twice")
         mask |= 1 << drive
     return mask
 

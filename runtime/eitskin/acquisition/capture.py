@@ -92,6 +92,6 @@ def _collect(device: Device, builder: ReferenceBuilder, end_s: float) -> None:
         elif builder.add(normaliser.voltages()):
             return
     raise BadReference(
-        f"only {builder.taken} of {builder.frames} frames for the reference came that were whole and not saturated; "
-        "check the current and the gain of the configuration with 'eitskin flash'"
+        f"only {builder.taken} of {builder.frames} frames for the reference were whole and not saturated; check the "
+        "current and the gain of the configuration with 'eitskin flash'"
     )

@@ -387,8 +387,8 @@ class Device:
             noise = self.deframer.discarded_bytes - before + self.deframer.pending_bytes
             if noise:
                 raise NotReady(
-                    f"{self.transport.name} sends {noise} bytes that are no packets of this protocol: another kind of "
-                    "device, or another baud rate; 'eitskin doctor' lists the ports"
+                    f"{self.transport.name} sends {noise} bytes that do not belong to this protocol: it is another "
+                    "kind of device, or --baud is wrong; 'eitskin doctor' lists the ports"
                 )
             raise NotReady(
                 f"{self.transport.name} did not answer within {HANDSHAKE_S:g} s: check the power and that this is the "

@@ -41,7 +41,7 @@ def check_usable(hello: Hello, line_bytes_per_s: int) -> None:
         )
     if hello.full != (hello.rows == N_FULL_ROWS):
         raise HandshakeError(
-            f"HELLO.rows: found {hello.rows}, but its flags say {N_FULL_ROWS if hello.full else N_ROWS}; update the "
+            f"HELLO.rows: found {hello.rows}, but its flags mean {N_FULL_ROWS if hello.full else N_ROWS}; update the "
             "firmware"
         )
     low, high = VOLTS_PER_COUNT

@@ -131,7 +131,7 @@ class HotPlug:
             except PortLost as error:
                 cause = error
         self._wait(cause)
-        raise PortLost(f"{self.name} is gone, and waiting for it was cancelled") from cause
+        raise PortLost(f"{self.name} is gone, and the wait for it was cancelled") from cause
 
     @property
     def patience_s(self) -> float:
@@ -161,7 +161,7 @@ class HotPlug:
                 os.eventfd_read(self._wake)
                 return b""
             if self._reopened():
-                raise PortReturned(f"{self.name} vanished and is back: shake hands anew")
+                raise PortReturned(f"{self.name} vanished and is back: repeat the handshake")
         raise PortLost(
             f"{self.name} vanished and did not come back within {self._give_up_s:g} s: check the cable and the power"
         ) from cause

@@ -6,6 +6,7 @@ from serial.tools import list_ports
 
 from eitskin.acquisition.serial_port import DEFAULT_BAUD, SerialPort
 from eitskin.acquisition.transport import USB_PREFIX, Transport
+from eitskin.errors import PortMissing
 
 LOOKS: Final = 3
 """At the serial ports, if one of them comes or goes just then."""
@@ -34,6 +35,8 @@ def open_line(port: str, baud: int = DEFAULT_BAUD) -> Transport:
     Raises:
         TransportError: It cannot be opened; the branch and the text say why.
     """
+    if not port:
+        raise PortMissing("port is empty, expected a path such as /dev/ttyACM0, or usb:SERIAL")
     if not port.startswith(USB_PREFIX):
         return SerialPort(port, baud)
     from eitskin.acquisition.usb_port import UsbPort  # noqa: PLC0415 -- pyusb is only loaded by who uses it

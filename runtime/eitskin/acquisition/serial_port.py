@@ -126,11 +126,11 @@ class SerialPort:
 def _open_error(port: str, error: BaseException) -> TransportError:
     number = getattr(error, "errno", None)
     if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-        return PortMissing(f"no port {port}: plug the device in; 'eitskin doctor' lists the ports there are")
+        return PortMissing(f"no port {port}: plug the device in; 'eitskin doctor' lists the ports")
     if number in (errno.EBUSY, errno.EAGAIN):
         return PortBusy(f"{port} is open in another program: close it ('fuser {port}' names it), then start again")
     if number in (errno.EACCES, errno.EPERM):
         return PortDenied(f"{port} may not be opened by this user: 'sudo usermod -aG dialout $USER', then log in again")
     if isinstance(error, ValueError):
         return TransportError(f"{port}: {error}")
-    return TransportError(f"{port} is no serial port that can be opened: {error}")
+    return TransportError(f"{port} cannot be opened as a serial port: {error}")

@@ -197,12 +197,12 @@ def _find(serial_number: str, backend: Any) -> Any:
     if not found:
         which = f" with serial number {serial_number}" if serial_number else ""
         raise PortMissing(
-            f"no USB device {VENDOR_ID:04x}:{PRODUCT_ID:04x}{which}: plug it in; if it is, this user may not read it: "
-            + RULE
+            f"found no USB device {VENDOR_ID:04x}:{PRODUCT_ID:04x}{which}: plug it in; if it is plugged in, give this "
+            "user access: " + RULE
         )
     if len(found) > 1:
         names = ", ".join(f"{USB_PREFIX}{_serial(device)}" for device in found)
-        raise PortMissing(f"{len(found)} USB devices could be meant: name one of {names}")
+        raise PortMissing(f"{len(found)} USB devices match: name one of {names}")
     return found[0]
 
 

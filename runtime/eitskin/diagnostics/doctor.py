@@ -168,7 +168,7 @@ def _usb(problems: list[str]) -> list[dict[str, Any]]:
         state = "usable" if one.usable else "no permission"
         if not one.usable:
             problems.append(
-                f"{one.node}: run {usb_port.RULE}" + (" (the rule is there: plug it in again)" if rule else "")
+                f"{one.node}: run {usb_port.RULE}" + (" (the rule is installed: plug it in again)" if rule else "")
             )
         elif not one.serial_number:
             state = "no serial number"

@@ -143,7 +143,7 @@ class ControlServer:
         try:
             if body is None:
                 raise ControlError(
-                    f"a message of {len(parts) - 1} parts without an empty one before the map; send [b'', map], as a "
+                    f"a message of {len(parts) - 1} parts has no empty part before the map; send [b'', map], as a "
                     "REQ socket does"
                 )
             perform, slow = self._commands.prepare(body)
@@ -219,13 +219,13 @@ class _SlowRequest:
             ControlError: There is one already, or the system has no thread for it.
         """
         if self.waiting is not None:
-            raise ControlError("a reference is being captured already; ask again once it is done")
+            raise ControlError("a reference is already being captured; ask again when it is done")
         self.waiting, self.asker = route, asker
         try:
             threading.Thread(target=self._run, args=(perform,), name="eitskin-reference", daemon=True).start()
         except RuntimeError as error:  # the next request must find a server
             self.waiting = None
-            raise ControlError(f"the runtime cannot do this now: {error}; allow it more threads") from error
+            raise ControlError(f"the runtime cannot do this now ({error}): allow it more threads") from error
 
     def _run(self, perform: Callable[[], Answer]) -> None:
         self._done.put(answer_of(perform))

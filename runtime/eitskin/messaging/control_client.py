@@ -117,7 +117,7 @@ def send_cloud(
     where: str | None = None
     if cloud is None:
         if isinstance(endpoint, str) and endpoint.startswith(SCHEMES):
-            raise ValueError(f"send_cloud was given the endpoint {endpoint} and no cloud: send_cloud(endpoint, cloud)")
+            raise ValueError(f"send_cloud got the endpoint {endpoint} but no cloud: send_cloud(endpoint, cloud)")
         cloud = endpoint
     elif isinstance(endpoint, str):
         where = endpoint

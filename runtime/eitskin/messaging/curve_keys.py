@@ -86,7 +86,7 @@ def make_keys(folder: str | Path) -> list[Path]:
     made = [where / f"{name}.{kind}" for name in ("server", "client") for kind in ("key", "key_secret")]
     made.append(clients / "client.key")
     if there := [path for path in made if os.path.lexists(path)]:
-        raise EndpointError(f"{where} holds keys already, {there[0]}; name another folder, or remove them")
+        raise EndpointError(f"{where} already holds keys, {there[0]}: name another folder, or remove them")
     before = os.umask(0o077)
     try:
         clients.mkdir(parents=True, exist_ok=True)
@@ -118,7 +118,7 @@ def load_server_keys(folder: str | Path) -> ServerKeys:
     if not admitted:
         why = f" ({damaged[0]})" if damaged else ""
         raise EndpointError(
-            f"{clients} holds no client's public key{why}, so that nobody could connect; put NAME.key there"
+            f"{clients} holds no client's public key{why}, so no client could connect: put NAME.key there"
         )
     return ServerKeys(public, secret, clients, frozenset(admitted), tuple(damaged))
 
@@ -154,7 +154,7 @@ def _public_key(path: Path) -> bytes:
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
         found = os.fstat(file.fileno())
         if not stat.S_ISREG(found.st_mode):
-            raise ValueError("it is no file")
+            raise ValueError("it is not a file")
         _refuse_if_others_write(path, found)
         match = PUBLIC_KEY.search(file.read(LARGEST_KEY))
     if match is None:
@@ -165,11 +165,13 @@ def _public_key(path: Path) -> bytes:
 def _refuse_if_others_write(path: Path, found: os.stat_result) -> None:
     """Refuse a file that another user could have changed and so choose the clients."""
     if found.st_mode & 0o022:
-        raise EndpointError(f"{path} can be written to by others, who could let themselves in; run: chmod go-w {path}")
+        raise EndpointError(
+            f"{path} can be written to by others, who could give themselves access; run: chmod go-w {path}"
+        )
     if found.st_uid not in (os.geteuid(), 0):
         raise EndpointError(
-            f"{path} belongs to another user (number {found.st_uid}), who could let himself in; run: "
-            f"sudo chown {os.geteuid()} {path}"
+            f"{path} belongs to another user (number {found.st_uid}), who could give themselves access; run: sudo "
+            f"chown {os.geteuid()} {path}"
         )
 
 
@@ -187,7 +189,7 @@ def load_client_keys(server_key: str | Path, client_secret: str | Path) -> Clien
     try:
         server, _ = _auth().load_certificate(server_key)
     except (OSError, ValueError) as error:
-        raise EndpointError(f"{server_key} is no CURVE key: {error}") from error
+        raise EndpointError(f"{server_key} is not a CURVE key: {error}") from error
     return ClientKeys(public, secret, server)
 
 
@@ -239,7 +241,7 @@ def _certificate(path: Path) -> tuple[bytes, bytes]:
         public, secret = _auth().load_certificate(path)
     except (OSError, ValueError) as error:
         raise EndpointError(
-            f"{path} is no CURVE key ({error}); 'eitskin doctor --make-curve-keys DIR' makes keys"
+            f"{path} is not a CURVE key ({error}); 'eitskin doctor --make-curve-keys DIR' makes keys"
         ) from error
     if secret is None:
         raise EndpointError(f"{path} holds no secret key; expected a file that ends in .key_secret")

@@ -62,7 +62,8 @@ def runtime_folder() -> Path:
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
         raise EndpointError(
-            f"{folder} is no folder of ours alone (mode {stat.filemode(found.st_mode)}); remove it, or name endpoints"
+            f"{folder} is not a private folder of this user (mode {stat.filemode(found.st_mode)}); remove it, or name "
+            "endpoints"
         )
     return folder
 
@@ -92,7 +93,7 @@ def needs_keys(endpoint: str) -> bool:
     try:
         endpoint.encode()
     except UnicodeEncodeError as error:
-        raise EndpointError(f"endpoint {quoted(endpoint)} is no UTF-8, as ZeroMQ wants; name another") from error
+        raise EndpointError(f"endpoint {quoted(endpoint)} is not UTF-8, which ZeroMQ requires; name another") from error
     if scheme == "ipc":
         if not rest.startswith("/"):
             raise EndpointError(f"endpoint {quoted(endpoint)}: expected an absolute path, such as ipc:///tmp/skin")
@@ -113,7 +114,7 @@ def check_allowed(endpoint: str, keys: ServerKeys | None) -> None:
     """
     if needs_keys(endpoint) and keys is None:
         raise EndpointError(
-            f"{endpoint} would let others in, on this machine too: give CURVE keys with --curve-keys DIR "
+            f"{endpoint}gives other users access, even on this machine: give CURVE keys with --curve-keys DIR "
             "('eitskin doctor --make-curve-keys DIR' makes them), or use ipc:///path"
         )
 
@@ -126,7 +127,7 @@ def check_client_keys(endpoint: str, keys: ClientKeys | None) -> None:
     """
     if endpoint.startswith("tcp://") and keys is None:
         raise EndpointError(
-            f"{endpoint} needs CURVE keys, on this machine too: give --server-key FILE --client-key FILE, or "
+            f"{endpoint} needs CURVE keys, even on this machine: give --server-key FILE --client-key FILE, or "
             "keys=eitskin.load_client_keys(...); or use the runtime's ipc:///path"
         )
 
@@ -151,7 +152,7 @@ def clear_path(path: Path) -> None:
     except FileNotFoundError:
         return
     if not stat.S_ISSOCK(mode):
-        raise EndpointError(f"ipc://{path}: a file that is no socket is in the way; name another endpoint")
+        raise EndpointError(f"ipc://{path}: another file is in the way; name another endpoint")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as probe:
         try:
             probe.connect(str(path))
@@ -162,5 +163,5 @@ def clear_path(path: Path) -> None:
         except BlockingIOError:
             pass  # its queue is full, so a program still listens
         except OSError as error:
-            raise EndpointError(f"ipc://{path} cannot be taken over: {error.strerror or error}") from error
+            raise EndpointError(f"ipc://{path} cannot be replaced: {error.strerror or error}") from error
     raise EndpointError(f"ipc://{path} is in use: stop the program that serves it, or name another endpoint")

@@ -215,7 +215,7 @@ def unpack_frame(message: bytes, received_ns: int, known: Frame | None = None) -
     alone = message[:1] == TOUCH_FIRST_BYTE
     if fields.get("v") != (expected := TOUCH_VERSION if alone else VERSION):
         found = plain(str(fields.get("v"))[:20])
-        raise FrameError(f"frames of version {found} come; this program knows {expected}: use the runtime's release")
+        raise FrameError(f"found frames of version {found}, expected {expected}: use the runtime's release")
     sequence = _count(fields, "seq")
     map_sequence = _count(fields, "map_seq") if "map_seq" in fields else sequence
     regions: Regions | None = None

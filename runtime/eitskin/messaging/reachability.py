@@ -14,7 +14,7 @@ from eitskin.messaging.endpoints import CONTROL, FRAMES, ROBOT, runtime_folders
 LONGEST_PROBE_S: Final = 0.3
 """How long connecting to a TCP address may take; a process on this machine answers at once."""
 
-START: Final = "start a runtime with 'eitskin run --port PORT', or name the endpoint on which it says it publishes"
+START: Final = "start a runtime with 'eitskin run --port PORT', or name the endpoint that it publishes on"
 
 KINDS: Final = {FRAMES: ("publishes", "eitskin subscribe"), CONTROL: ("takes requests", "eitskin status")}
 """For each name of a socket: a runtime's activity on it, and the command that shows a runtime by it."""
@@ -33,9 +33,9 @@ def explain_silence(endpoint: str, waited_s: float, what: str = "frame", likely:
     if found is None:
         first = f"{likely}, or " if likely else ""
         return (
-            f"somebody listens there, but sends no {what}: {first}it is not the runtime's publishing endpoint, or the "
-            "runtime still captures its reference, or serves as many subscribers as it may, or CURVE keys are missing "
-            "or wrong; 'ready publishing on ...' is the line in which 'eitskin run' says where"
+            f"a program listens there, but sends no {what}: {first}it is not the runtime's publishing endpoint, or the "
+            "runtime is still capturing its reference, or has no room for another subscriber, or CURVE keys are "
+            "missing or wrong; 'eitskin run' prints the endpoint in its line 'ready publishing on ...'"
         )
     return f"{found}; {other_runtimes(endpoint, FRAMES) or START}"
 
@@ -51,14 +51,14 @@ def other_runtimes(endpoint: str, name: str) -> str:
     found = {other: skin for other, skin in running(name).items() if other != endpoint}
     for other, skin in found.items():
         if not skin:
-            return f"a runtime {does} on {other}: name that endpoint"
+            return f"a runtime {does} on {other}: use that endpoint"
     if found:
         return (
             f"skins run: {', '.join(found.values())}; see one with '{command} {next(iter(found))}', or all with "
             "'eitskin status --all'"
         )
     if any((folder / ROBOT).exists() for folder in runtime_folders()):
-        return "'eitskin run --config' runs skins: 'eitskin status --all' says which, and how they are"
+        return "'eitskin run --config' runs skins: 'eitskin status --all' lists them"
     return ""
 
 
@@ -89,7 +89,7 @@ def _nobody(endpoint: str, patience_s: float) -> str | None:
     except TimeoutError:
         return f"{host} does not answer on port {port}"
     except OSError as error:
-        return f"nobody listens there ({error.strerror or error})"
+        return f"nothing listens there ({error.strerror or error})"
     return None
 
 
@@ -98,9 +98,9 @@ def _nobody_at_path(path: Path) -> str | None:
         try:
             probe.connect(os.fspath(path))
         except FileNotFoundError:
-            return "nobody listens there (there is no such socket)"
+            return "no runtime listens there (the socket does not exist)"
         except ConnectionRefusedError:
-            return "nobody listens there any more (the socket was left behind)"
+            return "no runtime listens there any more (its socket is left over)"
         except PermissionError:
             return "the socket belongs to another user"
         except OSError:

@@ -199,7 +199,7 @@ class Subscriber(Generic[Item]):
         """Return why nothing that was waited for came; arguments as of :func:`explain_silence`."""
         (count, last), self._unusable = self._unusable, (0, "")
         if count:
-            return f"what comes ({count} in that time) is no {what} that can be used: {last}"
+            return f"{count} messages arrived, but none is a usable {what}: {last}"
         return explain_silence(self.endpoint, waited_s, what, likely)
 
     def _recv(self) -> bytes:

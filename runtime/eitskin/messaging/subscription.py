@@ -67,7 +67,7 @@ class SubscriptionOptions:
             ValueError: The region is not on the sheet, or something is asked of maps that are not wanted.
         """
         if not maps and (region_mm is not None or skip_unchanged):
-            raise ValueError("maps=False takes no maps at all: leave region_mm and skip_unchanged out")
+            raise ValueError("maps=False receives no maps: leave out region_mm and skip_unchanged")
         grid = None if region_mm is None else (skin or PAPER).grid
         region = EVERYWHERE if region_mm is None or grid is None else Region.from_mm(*region_mm, grid)
         first = FIRST_BYTE if maps else TOUCH_FIRST_BYTE

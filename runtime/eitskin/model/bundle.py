@@ -260,7 +260,7 @@ class _Opened:
             except FileError as error:
                 raise BundleError(f"no bundle: {error}") from error
             except BadArchiveError as error:
-                raise BundleError(f"{where} is no intact bundle ({error}); {EXPORT_HINT}") from error
+                raise BundleError(f"{where} is not an intact bundle ({error}); {EXPORT_HINT}") from error
             self._held = held.pop_all()
         return self
 
@@ -275,7 +275,7 @@ def _member(found: Mapping[str, Member], name: str, largest: int, where: Path) -
     try:
         return found[name].read(largest)
     except BadArchiveError as error:
-        raise BundleError(f"{where} is no intact bundle ({error}); {EXPORT_HINT}") from error
+        raise BundleError(f"{where} is not an intact bundle ({error}); {EXPORT_HINT}") from error
 
 
 SKIN_FILE: Final = "skin.toml"

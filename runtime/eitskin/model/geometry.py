@@ -130,7 +130,9 @@ class GeometryGraph:
         except Exception as error:  # onnxruntime's exceptions share no base of their own
             raise BundleError(f"{file} cannot be computed ({first_line(error)}); {EXPORT_HINT}") from error
         if flat and not np.isfinite(bias).all():
-            raise BundleError(f"{file} answers the flat sheet with non-finite values; {EXPORT_HINT}")
+            raise BundleError(f"{file} gives values that are not finite for the flat sheet; {EXPORT_HINT}")
         if not np.isfinite(bias).all():
-            raise ValueError("the geometry graph answers this cloud with non-finite values; measure the surface again")
+            raise ValueError(
+                "the geometry graph gives values that are not finite for this cloud; scan the surface again"
+            )
         return flushed(bias)

@@ -114,7 +114,7 @@ def _varint(data: memoryview, at: int) -> tuple[int, int]:
 
 def unreadable() -> BundleError:
     """Return the error of bytes that are no ONNX model."""
-    return BundleError("a graph is no ONNX model that can be read")
+    return BundleError("a graph is not a readable ONNX model")
 
 
 def decoded(data: memoryview) -> str:
@@ -427,7 +427,7 @@ def check_graph(model: bytes) -> None:
     """
     fields = list(fields_of(memoryview(model)))
     if {field.number for field in fields} - MODEL_FIELDS:
-        raise BundleError("a graph brings functions or a training of its own, expected operators alone")
+        raise BundleError("a graph has functions or training of its own, expected operators only")
     for field in fields:
         if field.number == OPSETS:
             domain, version = text(field, 1), _number(content(field), 2)
@@ -524,7 +524,7 @@ def _one_text(fields: list[Field], number: int) -> str:
 def _take_constant(tensor: memoryview, shapes: dict[str, Shape], values: dict[str, list[int]]) -> None:
     fields = list(fields_of(tensor))
     if {field.number for field in fields} - TENSOR_FIELDS or _number(tensor, LOCATION) != 0:
-        raise BundleError("a constant of a graph lies in another file, or is of no known kind")
+        raise BundleError("a constant of a graph is in another file, or of an unknown kind")
     name, shape = _one_text(fields, NAME), tuple(map(signed, dims_of(tensor)))
     kinds = [value for field in fields if field.number == DATA_TYPE for value in integers(field)]
     if not name or name in shapes or len(kinds) != 1 or kinds[0] not in ITEM_BYTES or min(shape, default=0) < 0:

@@ -115,7 +115,7 @@ def check_signature(
         raise BundleError(f"{file}: outputs found {outputs}, expected {{{output!r}: {shape}}}; {EXPORT_HINT}")
     kinds = {value.type for value in (*session.get_inputs(), *session.get_outputs())}
     if kinds != {"tensor(float)"}:
-        raise BundleError(f"{file}: types found {sorted(kinds)}, expected tensor(float) alone; {EXPORT_HINT}")
+        raise BundleError(f"{file}: types found {sorted(kinds)}, expected tensor(float) only; {EXPORT_HINT}")
 
 
 def first_line(error: BaseException) -> str:

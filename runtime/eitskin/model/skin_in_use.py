@@ -57,7 +57,7 @@ def check_touches(bundle: Bundle, skin: Skin) -> None:
     """
     if skin.touch_kind != "lower" or knows(bundle.touch_kind, "lower"):
         return
-    expected = f"lower, as [touches] of skin {skin.name} says"
+    expected = f"lower, from [touches] of skin {skin.name}"
     hint = "take a bundle that knows them, or make one: eitskin build SKIN.toml --out FILE.eitskin"
     raise MismatchError(f"{bundle.path}: touches", found=bundle.touch_kind, expected=expected, hint=hint)
 
@@ -82,8 +82,8 @@ def knowing(touches: TouchKind, bundle: Bundle | str | Path | None = None) -> Bu
     make = "make one: eitskin build SKIN.toml --out FILE.eitskin"
     if bundle is None:
         raise BundleError(
-            f"no shipped bundle knows touches that {touches} conductance: {own} is not there; name one with --bundle, "
-            f"or {make}"
+            f"no shipped bundle detects touches that {touches} conductance ({own} is missing): name one with "
+            f"--bundle, or {make}"
         )
     hint = f"name another, or {make}"
     raise MismatchError(f"{found.path}: touches", found=found.touch_kind, expected=touches, hint=hint)

@@ -195,7 +195,7 @@ def prediction_against(
     against = predicted_flat
     if against is None:
         if reference is None:
-            raise BadReference("a prediction needs predicted_flat, or a captured reference to hold it against")
+            raise BadReference("a prediction needs predicted_flat, or a captured reference to compare with")
         against = reference.flat().voltages_V
     ratio = log_ratio(predicted, against)
     if reference is not None and (predicted_flat is None or not fills):
@@ -385,7 +385,7 @@ class Pipeline:
             sequence: Its number, unwrapped.
 
         Raises:
-            ProtocolError: It is no FRAME.
+            ProtocolError: It is not a FRAME.
         """
         if not self.intake.load(payload):
             return False

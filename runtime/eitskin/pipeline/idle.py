@@ -50,7 +50,9 @@ class IdleGate:
 
     def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]] | None, hello: Hello) -> None:
         if arrays is None or f"{PREFIX}drives" not in arrays:
-            raise BundleError("this bundle has no idle gate; make it again with 'eitskin export', or leave idling out")
+            raise BundleError(
+                "this bundle has no idle gate; make it again with 'eitskin export', or do without --idle-after"
+            )
         self.drives = int(np.asarray(arrays[f"{PREFIX}drives"]).reshape(-1)[0])
         """16 bits, bit k for drive k."""
         if hello.rows != N_ROWS or hello.idle_drives != self.drives:
@@ -58,7 +60,7 @@ class IdleGate:
             raise HandshakeError(
                 f"the bundle's idle gate needs scans of the drives {drives_to_list(self.drives)}; configuration "
                 f"{hello.configuration_name} has {found or 'no idle mode'}; flash one with these [idle] drives with "
-                "'eitskin flash', or leave idling out"
+                "'eitskin flash', or do without --idle-after"
             )
         self.rows = table_rows(False, self.drives)
         """Of the 104."""

@@ -151,7 +151,7 @@ class Intake:
         """Decode a frame without judging or counting it, and return whether all drives were scanned.
 
         Raises:
-            ProtocolError: It is no FRAME.
+            ProtocolError: It is not a FRAME.
         """
         self._view.load(payload)
         return self._view.drives == ALL_DRIVES

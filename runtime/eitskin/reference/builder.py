@@ -37,7 +37,7 @@ class ReferenceBuilder:
 
     def __init__(self, frames: int, skin: Skin = PAPER, scan: ReferenceScan | None = None) -> None:
         if frames < 2:
-            raise ValueError(f"a reference of {frames} frames has no spread; expected at least 2")
+            raise ValueError(f"a reference of {frames} frames has no spread; expected at least 2 frames")
         self.frames, self._skin, self._scan = frames, skin, scan
         self.taken = 0
         self._mean = np.zeros(N_ROWS)
@@ -77,8 +77,9 @@ class ReferenceBuilder:
         self._unfit += 1
         if self._unfit >= max(self.frames, MOST_UNFIT):
             raise BadReference(
-                f"{self._unfit} frames were not fit for the reference, the last one since {why}: look at the front "
-                "end, its supply and its wires, and at the current and the gain of the configuration ('eitskin flash')"
+                f"{self._unfit} frames could not be used for the reference, the last one because {why}: check the "
+                "front end, its supply and its wires, and the current and the gain of the configuration ('eitskin "
+                "flash')"
             )
 
     def finish(self, hello: Hello, checks: ReferenceChecks | None = None, *, force: bool = False) -> Reference:

@@ -154,7 +154,7 @@ class Reference:
             )
         if self.configuration_digest != hello.configuration_digest:
             raise MismatchError(
-                "reference: configuration_digest",
+                "reference: the device's configuration",
                 found=f"{self.configuration_digest:08x} ({self.configuration_name})",
                 expected=f"{hello.configuration_digest:08x} ({hello.configuration_name})",
                 hint=hint,
@@ -227,7 +227,7 @@ def parsed(raw: bytes, where: str, hint: str, skin: Skin | None = None) -> Refer
     except FileError as error:
         raise BadReference(f"reference {where} is damaged: it {error}; {hint}") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise BadReference(f"{where} is no reference; {hint}")
+        raise BadReference(f"{where} is not a reference; {hint}")
     version = SCANNED_VERSION if "scan" in content else VERSION
     for name, expected in (("version", version), ("protocol_id", PROTOCOL_ID)):
         if content.get(name) != expected:

@@ -117,7 +117,7 @@ def stuck(
                 logs = np.abs(counts, dtype=np.float64)
                 apart = depart @ np.log(logs, out=logs)
                 if float(np.abs(apart, out=apart) @ weights) < MIN_MEAN_DISTANCE:
-                    return f"the rows of all {what} are alike"
+                    return f"the rows of all {what} are identical"
     return ""
 
 
@@ -210,8 +210,8 @@ class RepeatedFrames:
         # With noise of many counts not even rows that are the same by symmetry have the same mean
         if found := stuck(mean_V / step_V, symmetric=1 if allowed == 1 else SYMMETRIC):
             raise BadReference(
-                f"the reference is of no sheet: {found}; the front end's converter or multiplexer is stuck: power the "
-                "device off and on, look at its supply and its wires"
+                f"the reference does not come from a sheet: {found}; the front end's converter or multiplexer is "
+                "stuck: power the device off and on, check its supply and its wires"
             )
         if self.unlike == 1:
             return (

@@ -43,7 +43,7 @@ def read_reference(where: Path, form: str, largest: int) -> bytes:
     except OSError as error:
         raise BadReference(f"reference {where} cannot be read: {error.strerror or error}; {OTHER_FILE_HINT}") from error
     if raw.lstrip()[:1] != b"{" or form.encode() not in raw:  # a recording holds one too, among other things
-        raise BadReference(f"{where} is no reference; {OTHER_FILE_HINT}")
+        raise BadReference(f"{where} is not a reference; {OTHER_FILE_HINT}")
     return raw
 
 
@@ -55,13 +55,11 @@ def _denied(where: Path) -> str:
         if found.st_uid != os.geteuid():
             owner = _user(found.st_uid)
             return (
-                f"it is of the user {owner} and not of {me}, who runs this; run this as {owner}, or capture it as "
+                f"it belongs to the user {owner}, not to {me}; run this as {owner}, or capture it as "
                 f"{me} into a file of its own, or give it away: sudo chown {me} {where}"
             )
-        return (
-            f"its mode is {found.st_mode & 0o777:04o}, which lets not even its owner, {me}, read it: chmod 600 {where}"
-        )
-    return f"its folder lets {me} not in; put it where {me} may read it"
+        return f"its mode {found.st_mode & 0o777:04o} does not let even its owner, {me}, read it: chmod 600 {where}"
+    return f"{me} may not enter its folder; put it where {me} may read it"
 
 
 def _user(number: int) -> str:

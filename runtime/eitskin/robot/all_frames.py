@@ -87,7 +87,7 @@ class RobotSubscription:
             if value is not None and not value > 0:
                 raise ValueError(f"{name} is {value}, expected more than 0")
         if isinstance(keys, Mapping) and (strange := sorted(set(keys) - set(self.skins))):
-            raise RobotError(f"keys are for {', '.join(strange)}, expected names of {', '.join(self.skins)}")
+            raise RobotError(f"found keys for {', '.join(strange)}, expected only for {', '.join(self.skins)}")
         self._first_s = FIRST_S if timeout_s is None else timeout_s
         self._timeout_s = math.inf if timeout_s is None else timeout_s
         self._max_age_s = max_age_s

@@ -210,11 +210,14 @@ def _skin(table: Fields, folder: Path, beside: Path) -> SkinSettings:
     )
     table.close()
     if reference is not None and found.reference_frames is not None:
-        raise ValueError(f"skin {name} has a reference, so reference_frames does nothing: leave one of them out")
+        raise ValueError(
+            f"skin {name} has reference and reference_frames, expected one of them: a stored reference captures no "
+            "frames"
+        )
     if found.restart != "never" and reference is None:
         raise ValueError(
-            f"skin {name} restart is {found.restart!r} without a reference: who starts again by itself cannot know "
-            "that the sheet is flat and untouched; capture one with 'eitskin reference', and name it"
+            f"skin {name} restart is {found.restart!r} without a reference: a restart cannot know that the sheet lies "
+            "flat and untouched; capture one with 'eitskin reference' and name it"
         )
     return found
 
@@ -255,7 +258,7 @@ def _verify(table: Fields) -> Verify:
     )
     table.close()
     if found.mode == "off" and found != Verify():
-        raise ValueError(f'{table.where} has mode off and more; expected mode = "idle" or "always" with it')
+        raise ValueError(f'{table.where} has mode off with other keys; expected mode = "idle" or "always"')
     return found
 
 
@@ -274,11 +277,13 @@ def _endpoint(table: Fields, key: str, default: Path, *, keys: bool) -> str:
     endpoint = table.text(key, None) or f"ipc://{default}"
     try:
         if needs_keys(endpoint) and not keys:
-            raise ValueError(f"{table.where} {key} is {endpoint}, which others may reach: it needs curve_keys")
+            raise ValueError(
+                f"{table.where} {key} is {endpoint}, which other machines or users can reach: add curve_keys"
+            )
     except EndpointError as error:
         raise ValueError(f"{table.where} {key}: {error}") from error
     if endpoint.endswith(":*"):
-        raise ValueError(f"{table.where} {key} is {quoted(endpoint)}, expected a port that subscribers can know")
+        raise ValueError(f"{table.where} {key} is {quoted(endpoint)}, expected a fixed port number")
     return endpoint
 
 
@@ -292,8 +297,10 @@ def _check_distinct(skins: tuple[SkinSettings, ...]) -> None:
         )  # fmt: skip
         for key in own:
             if key in seen:
-                raise ValueError(f"skins {seen[key]} and {one.name} have one {key[0]}, {key[1]}; expected one each")
+                raise ValueError(f"skins {seen[key]} and {one.name} share the {key[0]} {key[1]}; expected one each")
             seen[key] = one.name
     usb = [one for one in skins if one.port.startswith(USB)]
     if len(usb) > 1 and (anyone := next((one.name for one in usb if one.port == USB), None)):
-        raise ValueError(f"skin {anyone} port is {USB!r}, which takes any; expected usb:SERIAL beside other USB skins")
+        raise ValueError(
+            f"skin {anyone} port is {USB!r}, which takes any USB skin; expected usb:SERIAL, as there are several"
+        )

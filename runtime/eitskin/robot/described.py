@@ -83,15 +83,14 @@ def read_states(folder: Path) -> tuple[ProcessState, ...]:
         found = read_json(path, MAX_FILE_BYTES)
     except FileNotFoundError:
         raise RobotError(
-            f"no {path}: nobody runs skins there; start them with 'eitskin run --config robot.toml', or name the "
-            "robot.toml"
+            f"no {path}: no skins run there; start them with 'eitskin run --config robot.toml', or name the robot.toml"
         ) from None
     except (OSError, ValueError) as error:
         raise RobotError(f"{path} cannot be read: {error}") from error
     try:
         return _states(found)
     except (KeyError, TypeError, ValueError, EndpointError) as error:
-        raise RobotError(f"{path} is not what this version writes ({error}); use the runtime's release") from error
+        raise RobotError(f"{path} does not have this release's format ({error}): use the runtime's release") from error
 
 
 def _states(found: object) -> tuple[ProcessState, ...]:

@@ -60,7 +60,7 @@ class Pose:
         if np.abs(moved).max() > FARTHEST_MM:
             raise ValueError(f"translation_mm is up to {np.abs(moved).max():g}, expected mm of at most {FARTHEST_MM:g}")
         if rotation is not None and quaternion_wxyz is not None:
-            raise ValueError("rotation and quaternion are both given, expected one of them")
+            raise ValueError("found both rotation and quaternion, expected one of them")
         turned = np.eye(3)
         if quaternion_wxyz is not None:
             turned = _of_quaternion(_numbers(quaternion_wxyz, (4,), "quaternion"))
@@ -151,7 +151,7 @@ def _numbers(values: object, shape: tuple[int, ...], name: str) -> Array:
 def _of_quaternion(values: Array) -> Array:
     length = float(np.sqrt(values @ values))
     if abs(length - 1.0) > ROTATION_TOLERANCE:
-        raise ValueError(f"quaternion has the length {length:.4g}, expected 1: it is no rotation")
+        raise ValueError(f"quaternion has the length {length:.4g}, expected 1: it is not a rotation")
     w, x, y, z = (values / length).tolist()
     return np.array(
         [
@@ -165,12 +165,12 @@ def _of_quaternion(values: Array) -> Array:
 def _nearest(matrix: Array) -> Array:
     """Return the rotation nearest to a matrix that nearly is one."""
     if np.abs(matrix).max() > 1.0 + ROTATION_TOLERANCE:
-        raise ValueError(f"rotation has an entry of {np.abs(matrix).max():g}, expected -1 to 1: it is no rotation")
+        raise ValueError(f"rotation has an entry of {np.abs(matrix).max():g}, expected -1 to 1: it is not a rotation")
     off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
     if off > ROTATION_TOLERANCE:
         raise ValueError(
             f"rotation times its transpose is off the unit matrix by {off:.3g}, expected at most "
-            f"{ROTATION_TOLERANCE:g}: it is no rotation"
+            f"{ROTATION_TOLERANCE:g}: it is not a rotation"
         )
     if np.linalg.det(matrix) < 0.0:
         raise ValueError("rotation has the determinant -1, expected +1: it is a mirror, and no rotation")

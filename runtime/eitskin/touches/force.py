@@ -34,11 +34,13 @@ class ForceTable:
             raise CalibrationError(f"{source}: found {len(self.rows)} loads, expected at least 2")
         for number, row in enumerate(self.rows, 1):
             if not all(map(math.isfinite, row)) or row[2] < 0.0:
-                raise CalibrationError(f"{source}: load {number} is {row}, expected finite ones and no error below 0")
+                raise CalibrationError(
+                    f"{source}: load {number} is {row}, expected finite numbers, and an error of at least 0"
+                )
         for number, (before, after) in enumerate(zip(self.rows, self.rows[1:], strict=False), 2):
             if not after[0] > before[0]:
                 raise CalibrationError(
-                    f"{source}: load {number} has strength {after[0]:g} behind {before[0]:g}; expected rising ones"
+                    f"{source}: load {number} has strength {after[0]:g} after {before[0]:g}, expected rising numbers"
                 )
 
     @classmethod
@@ -56,7 +58,7 @@ class ForceTable:
             try:
                 lines = [[cell.strip() for cell in line] for line in csv.reader(file) if line]
             except (csv.Error, UnicodeDecodeError) as error:
-                raise CalibrationError(f"{path} is no CSV file: {error}") from error
+                raise CalibrationError(f"{path} is not a CSV file: {error}") from error
         found = lines[0] if lines else []
         if tuple(found) != COLUMNS:
             raise CalibrationError(f"{path}: found columns {', '.join(found) or 'none'}, expected {', '.join(COLUMNS)}")

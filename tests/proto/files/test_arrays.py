@@ -77,7 +77,7 @@ def test_arrays_are_read_within_one_bound_together(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     np.savez_compressed(path, a=np.zeros(1000), b=np.zeros(1000))
     assert set(read_npz(path, 20_000)) == {"a", "b"}
-    with pytest.raises(FileError, match="claims 8128 bytes"):
+    with pytest.raises(FileError, match="has 8128 bytes by its header"):
         read_npz(path, 10_000)
 
 

@@ -70,7 +70,7 @@ def test_the_digest_stands_for_all_but_the_name():
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"outline": Outline("disc", (100.0, 90.0))}, "a disc's two sizes are alike"),
+        ({"outline": Outline("disc", (100.0, 90.0))}, "expected twice the same number, the disc's diameter"),
         ({"electrodes": Ring(size_mm=Quantity(32.0))}, r"\[electrodes\] 0 and 1 overlap by 0.75 mm"),
         ({"electrodes": Ring(arc_length_mm=Quantity((43.75, 12.5, *PAPER.arc_length_mm[2:])))}, "counter-clockwise"),
         ({"outline": Outline(size_mm=(100.0, 100.0))}, r"arc_length_mm\[15\] is 481.25, expected below 400"),

@@ -37,7 +37,7 @@ def test_the_paper_s_file_states_what_is_meant_without_one():
         (HEAD + "[outline]\nsize_mm = [1000.0, 100.0]\n", r"size_mm\[0\] is 1000.0, expected a number from 50 to 400"),
         (HEAD + '[touches]\nkind = "lowering"\n', "kind is 'lowering', expected one of lower, raise, both"),
         (HEAD + "[touches]\nhigher = false\n", "neither lower nor higher"),
-        (HEAD + "[touches]\nsize_mm = [20.0, 5.0]\n", "from 20 to 5; the first is the smaller one"),
+        (HEAD + "[touches]\nsize_mm = [20.0, 5.0]\n", "from 20 to 5, expected the smaller number first"),
         (HEAD + 'name = "a\\u001b[2J"\n', "expected a text of at most 60 printable characters"),
         ("format = ", "not a TOML file"),
     ],

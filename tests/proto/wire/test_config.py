@@ -104,7 +104,7 @@ def test_what_the_electronics_cannot_do_is_refused_with_what_they_can(change, te
         ({"drives": 0xC000}, "have no row in the table of 104"),
         ({"rate_mHz": 0}, "rate_mHz is 0"),
         ({"averages": 0}, "averages is 0, expected 1 to 65535"),
-        ({"idle_drives": 0}, "needs drives and a rate, or neither"),
+        ({"idle_drives": 0}, "needs both drives and a rate, or neither"),
         ({"idle_drives": 0x8000}, "idle drives 0x8000 have no row"),
     ],
 )
@@ -172,7 +172,7 @@ TOML = config_toml.to_toml(PAPER)
         ("rate_Hz = 200.0", "rate_Hz = -1.0", r"\[scan\] rate_Hz is -1.0, expected"),
         ("sample_bits = 24", "sample_bits = 12", "sample_bits is 12, expected 16, 24 or 32"),
         ("[0, 1, 2, 3]", "[0, 4, 16]", "drive 16 does not exist"),
-        ("[0, 1, 2, 3]", "[0, 4, 4]", "drive 4 stands twice"),
+        ("[0, 1, 2, 3]", "[0, 4, 4]", "drive 4 is in the list twice"),
         ("[0, 1, 2, 3]", "[0, 4.5]", r"drives\[1\] is 4.5, expected a whole number"),
         ("[scan]", "[sweep]", "unknown key 'sweep' in the file; known are .*scan, idle"),
         ("[drive]", "[drive", "not a TOML file"),

@@ -100,7 +100,7 @@ def test_a_frame_of_any_other_length_is_refused(frame, data):
 def test_what_a_header_claims_must_fit_together():
     payload = bytearray(Frame(0, 0, np.zeros(104, dtype=np.int32), sample_bytes=2).pack())
     for at, value, text in [(2, 1, "samples of 1 bytes"), (2, 3, "expected 345"), (3, 103, "has 103 rows"),
-                            (1, 1, "104 rows, but its drives 0xffff have 208"), (0, 0x81, "is no FRAME")]:  # fmt: skip
+                            (1, 1, "104 rows, but its drives 0xffff have 208"), (0, 0x81, "not a FRAME")]:  # fmt: skip
         wrong = payload.copy()
         wrong[at] = value
         with pytest.raises(ProtocolError, match=text):

@@ -74,7 +74,7 @@ def test_silence_is_named(hasty):
 
 
 def test_a_device_that_talks_nonsense_is_told_from_a_silent_one(hasty):
-    with pytest.raises(HandshakeError, match=r"sends \d+ bytes that are no packets.*baud"):
+    with pytest.raises(HandshakeError, match=r"sends \d+ bytes that do not belong.*baud"):
         Device(Line(lambda _: [b"T: 23.5 C\r\n" * 3, b"\0more\0"]))
 
 
@@ -129,7 +129,7 @@ class Changing(Line):
         ({"volts_per_count": 2e-9}, "volts_per_count is now 2e-09, expected 1e-09.*eitskin reference"),
         ({"rate_mHz": 0}, r"HELLO\.rate_mHz: found 0, expected 100 to 100000000"),
         ({"rate_mHz": 99}, r"0\.1 to 100000 frames/s"),
-        ({"rows": 208}, r"HELLO\.rows: found 208, but its flags say 104"),
+        ({"rows": 208}, r"HELLO\.rows: found 208, but its flags mean 104"),
         ({"sample_bytes": 3}, "sample_bytes is now 3, expected 4"),
         ({"serial_number": "OTHER"}, "is now OTHER, expected TEST-1"),
         ({"configuration_digest": 1}, "configuration is now paper/00000001"),

@@ -26,7 +26,7 @@ def test_bytes_pass_until_the_plug_is_pulled_and_after_it_is_back(pty):
             assert line.read(60.0) == b"before"
             pty.unplug()
             threading.Timer(0.1, pty.plug).start()
-            with pytest.raises(PortReturned, match="vanished and is back: shake hands anew"):
+            with pytest.raises(PortReturned, match="vanished and is back: repeat the handshake"):
                 line.read(60.0)
             assert line.returns == cycle
             line.write(b"after")

@@ -65,7 +65,7 @@ def test_a_port_that_is_open_elsewhere_is_busy_until_it_is_closed(line):
 def test_a_file_that_is_no_port_is_refused(tmp_path):
     path = tmp_path / "file"
     path.write_bytes(b"")
-    with pytest.raises(TransportError, match="no serial port"):
+    with pytest.raises(TransportError, match="cannot be opened as a serial port"):
         SerialPort(str(path))
     with pytest.raises(TransportError):
         SerialPort(str(tmp_path))

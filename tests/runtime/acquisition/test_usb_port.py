@@ -118,7 +118,7 @@ def test_a_device_is_found_by_its_serial_number_and_only_if_it_is_unambiguous():
     port.close()
     port.close()
     assert backend.claimed == set()
-    with pytest.raises(PortMissing, match="2 USB devices could be meant: name one of usb:SKIN-1, usb:SKIN-2"):
+    with pytest.raises(PortMissing, match="2 USB devices match: name one of usb:SKIN-1, usb:SKIN-2"):
         UsbPort("usb:", backend)
     with pytest.raises(PortMissing, match="no USB device 1209:0001 with serial number SKIN-3"):
         UsbPort("usb:SKIN-3", backend)

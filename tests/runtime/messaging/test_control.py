@@ -78,7 +78,7 @@ def test_tcp_control_needs_keys_even_on_loopback(recorder, tmp_path):
         assert request(server.endpoint, "status", keys=trusted) == {"frames": 5}
         with pytest.raises(ControlError, match="no answer"):
             request(server.endpoint, "stop", keys=stranger, timeout_s=0.3)
-        with pytest.raises(EndpointError, match="needs CURVE keys, on this machine too: give --server-key"):
+        with pytest.raises(EndpointError, match="needs CURVE keys, even on this machine: give --server-key"):
             request(server.endpoint, "stop")
         assert not recorder.stopped
     finally:

@@ -43,7 +43,7 @@ def test_a_message_without_a_delimiter_is_answered_and_costs_nobody_an_answer(se
         assert raw(msgpack.packb({"command": "status"})) == {"ok": True, "frames": 5}
         envelope, found = answer(rude)
         assert envelope == [b""]
-        assert "without an empty one before the map" in found["error"]
+        assert "has no empty part before the map" in found["error"]
     rude.send_multipart([b""])
     assert answer(rude)[1]["error"] == "a message of 0 parts; expected one"
 
@@ -67,7 +67,7 @@ def test_everything_else_is_answered_while_a_reference_is_captured(recorder, raw
     assert slow.begun.wait(60)
     assert raw(msgpack.packb({"command": "status"})) == {"ok": True, "frames": 5}
     second = raw(msgpack.packb({"command": "reference", "frames": 9}))
-    assert second == {"ok": False, "error": "a reference is being captured already; ask again once it is done"}
+    assert second == {"ok": False, "error": "a reference is already being captured; ask again when it is done"}
     assert not asking.poll(0)
     assert raw(msgpack.packb({"command": "stop"}))["ok"] is True
     assert answer(asking)[1] == {"ok": True, "frames": 9, "weak_rows": []}
@@ -89,13 +89,13 @@ def test_stop_ends_a_reference_that_is_being_captured_at_once(virtual_skin, runn
         end = time.perf_counter() + 60
         while runtime.skin.loop._recapture is None and time.perf_counter() < end:
             request(control, "status")
-        with pytest.raises(ControlError, match="is being captured already"):
+        with pytest.raises(ControlError, match="is already being captured"):
             request(control, "reference", frames=20)
         with pytest.raises(eitskin.BadReference, match="of 10000 frames of another reference are in"):
             runtime.skin.recapture(20)
         request(control, "stop")
         asking.join(60)
-        assert answers == ["stopped while the reference was captured; the old one stays"]
+        assert answers == ["stopped while capturing the reference; the old one stays"]
         runtime.thread.join(60)
         assert runtime.error is None
         with pytest.raises(eitskin.BadReference, match="stopped while"):

@@ -58,7 +58,7 @@ def test_shipped_bundles_are_found_by_labels_and_touches():
 
 def test_a_named_bundle_that_would_miss_the_skin_s_presses_is_refused(shipped, tmp_path):
     shipped("press.eitskin", "lower")
-    with pytest.raises(MismatchError, match=r"free\.eitskin: touches: found raise, expected lower, as .* hydrogel"):
+    with pytest.raises(MismatchError, match=r"free\.eitskin: touches: found raise, expected lower, from .* hydrogel"):
         bundle_and_skin(tmp_path / "free.eitskin", named("hydrogel"))
     free = load_bundle(tmp_path / "free.eitskin")
     assert bundle_and_skin(free, named("hydrogel"))[0] is free, "as --touches raise chose it"

@@ -49,7 +49,7 @@ def test_dead_rows_and_a_few_that_are_cut_off_are_no_lie(counts):
 def test_a_multiplexer_that_is_stuck_shows_although_there_is_noise(counts, column):
     rng = np.random.default_rng(1)
     read = np.geomspace(4e6, 1e4, 16)[TABLE[:, column]] * (1 + 3e-3 * rng.standard_normal(104))
-    assert "are alike" in stuck(np.rint(read), counts)
+    assert "are identical" in stuck(np.rint(read), counts)
 
 
 def test_how_often_a_frame_may_repeat_follows_from_the_noise():
@@ -63,7 +63,7 @@ def test_a_reference_of_frames_that_are_all_the_same_is_refused_unless_forced(fr
     with pytest.raises(BadReference, match=r"all 50 frames of the reference are the same bit by bit.*--force"):
         captured(frames[:1].repeat(50, axis=0), hello)
     found = captured(frames[:1].repeat(50, axis=0), hello, force=True)
-    assert any("cannot be told" in line for line in found.report())
+    assert any("all its frames are identical" in line for line in found.report())
     assert not any("cannot be told" in line for line in captured(frames, hello).report())
 
 
@@ -76,7 +76,7 @@ def test_a_front_end_that_hangs_now_and_then_has_no_reference(frames, hello):
 @pytest.mark.parametrize("force", [False, True])
 def test_a_reference_of_rows_that_are_alike_is_refused_even_if_forced(hello, force):
     rng = np.random.default_rng(0)
-    with pytest.raises(BadReference, match=r"of no sheet: 104 of 104 rows share counts.*stuck"):
+    with pytest.raises(BadReference, match=r"does not come from a sheet: 104 of 104 rows share counts.*stuck"):
         captured(np.full((50, 104), FULL_SCALE) - rng.integers(0, 50, (50, 1)), hello, force=force)
 
 
@@ -84,5 +84,5 @@ def test_frames_that_are_not_fit_end_a_capture_with_what_was_wrong():
     builder = ReferenceBuilder(10)
     for _ in range(MOST_UNFIT - 1):
         builder.leave_out("rows are cut off")
-    with pytest.raises(BadReference, match=r"200 frames were not fit.*since rows are cut off"):
+    with pytest.raises(BadReference, match=r"200 frames could not be used.*because rows are cut off"):
         builder.leave_out("rows are cut off")

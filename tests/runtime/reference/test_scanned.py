@@ -48,7 +48,7 @@ def test_the_model_s_ratio_makes_a_flat_reference(flat_V, bent, scan, hello):
     assert np.allclose(found.flat().voltages_V, flat_V, rtol=2e-3)  # noise of 20 frames
     assert np.allclose(found.flat().spread_V / found.flat().voltages_V, found.spread_V / found.voltages_V, rtol=1e-12)
     assert found.flat().weak.tolist() == found.weak.tolist()
-    assert any("scanned when it was taken" in line for line in found.report())
+    assert any("scanned when it was captured" in line for line in found.report())
 
 
 def test_a_bent_sheet_is_refused_but_not_where_it_was_scanned(flat_V, hello):

@@ -80,15 +80,15 @@ def test_skins_are_listed_by_name_endpoint_and_pose(robot, tmp_path):
     [
         ("", r"lacks skins, expected a list of 1 to 64 tables \[\[skins\]\]"),
         ("skins = []", "expected a list of 1 to 64 tables"),
-        (skin() + skin("right"), "skins left and right have one port, /dev/ttyACM0"),
-        (skin() + skin("left", "/dev/b"), "skins left and left have one name, left"),
+        (skin() + skin("right"), "skins left and right share the port /dev/ttyACM0"),
+        (skin() + skin("left", "/dev/b"), "skins left and left share the name left"),
         (
             skin(more='publish = "ipc:///x"') + skin("b", "/dev/b", 'control = "ipc:///x"'),
-            "left and b have one endpoint",
+            "left and b share the endpoint",
         ),
-        (skin(more='publish = "ipc:///x"\ncontrol = "ipc:///x"'), "have one endpoint, ipc:///x"),
+        (skin(more='publish = "ipc:///x"\ncontrol = "ipc:///x"'), "share the endpoint ipc:///x"),
         (skin(more='[skins.verify]\nmode = "often"'), "expected one of off, idle, always"),
-        (skin(more="[skins.verify]\nnice = 3"), "has mode off and more"),
+        (skin(more="[skins.verify]\nnice = 3"), "has mode off with other keys"),
         (skin(port="usb:") + skin("b", "usb:7"), "skin left port is 'usb:', which takes any"),
         (skin(name="a/b"), "expected letters, digits"),
         (skin(name="frames"), "none of frames, control, robot"),
@@ -97,18 +97,21 @@ def test_skins_are_listed_by_name_endpoint_and_pose(robot, tmp_path):
         ('[[skins]]\nname = "x"\nprot = "y"', r"skin x lacks port, .*; is it meant by 'prot'\?"),
         (skin(more="bundel = 3"), "unknown key 'bundel' in skin left; did you mean 'bundle'"),
         (skin(more="pose.rotation = [[1,0,0],[0,1,0],[0,0,-1]]"), "skin left pose rotation .* it is a mirror"),
-        (skin(more="pose.rotation = [[1,0,0],[0,1,0],[0,1,1]]"), "skin left pose rotation .* no rotation"),
+        (skin(more="pose.rotation = [[1,0,0],[0,1,0],[0,1,1]]"), "skin left pose rotation .* not a rotation"),
         (skin(more="pose.quaternion_wxyz = [1,0,0,0]\npose.quaternion_xyzw = [0,0,0,1]"), "expected one of them"),
         (skin(more="restart = 'always'"), "restart is 'always' without a reference"),
-        (skin(more="reference = 'r'\nreference_frames = 5"), "has a reference, so reference_frames does nothing"),
+        (
+            skin(more="reference = 'r'\nreference_frames = 5"),
+            "has reference and reference_frames, expected one of them",
+        ),
         (skin(more="restart = 'sometimes'"), "expected one of never, on-failure, always"),
         (skin(more="budget_ms = -1"), "skin left budget_ms is -1, expected a number above 0"),
         (
             skin(more="exclude_electrodes = [16]"),
             r"electrodes\[0\] is 16, expected a whole number from 0 to 15",
         ),
-        (skin(more='publish = "tcp://127.0.0.1:5555"'), "which others may reach: it needs curve_keys"),
-        (skin(more='publish = "tcp://127.0.0.1:*"\ncurve_keys = "keys"'), "expected a port that subscribers can know"),
+        (skin(more='publish = "tcp://127.0.0.1:5555"'), "which other machines or users can reach: add curve_keys"),
+        (skin(more='publish = "tcp://127.0.0.1:*"\ncurve_keys = "keys"'), "expected a fixed port number"),
         (skin(more='publish = "left"'), "skin left publish: endpoint 'left': expected ipc:"),
         (skin(more=f'publish = "ipc:///{"x" * 100}"'), "more than 100 bytes"),
         ("".join(skin(f"s{k}", f"/dev/{k}") for k in range(65)), "skins is a list of 65, expected a list of 1 to 64"),
@@ -133,7 +136,7 @@ def test_a_file_of_another_kind_or_version_is_refused(robot, head):
 def test_one_port_by_two_paths_is_found(robot, tmp_path):
     (tmp_path / "tty").touch()
     (tmp_path / "by-id").symlink_to(tmp_path / "tty")
-    with pytest.raises(RobotError, match="one port"):
+    with pytest.raises(RobotError, match="share the port"):
         robot(skin("a", f"{tmp_path}/tty") + skin("b", f"{tmp_path}/by-id"))
 
 

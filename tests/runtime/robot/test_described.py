@@ -32,7 +32,7 @@ def test_the_default_folder_is_that_of_the_runtime(tmp_path, monkeypatch):
 
 
 def test_a_folder_where_nobody_runs_skins_is_said(tmp_path):
-    with pytest.raises(RobotError, match="nobody runs skins there; start them with 'eitskin run --config"):
+    with pytest.raises(RobotError, match="no skins run there; start them with 'eitskin run --config"):
         robot_skins(tmp_path)
 
 
@@ -51,6 +51,6 @@ def test_a_file_that_is_not_ours_is_refused_in_a_line(tmp_path, change):
     found = json.loads((tmp_path / FILE).read_text())
     change(found)
     (tmp_path / FILE).write_text(json.dumps(found))
-    with pytest.raises(RobotError, match="is not what this version writes") as raised:
+    with pytest.raises(RobotError, match="does not have this release's format") as raised:
         read_states(tmp_path)
     assert "\n" not in str(raised.value)

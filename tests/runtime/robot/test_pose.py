@@ -65,7 +65,7 @@ def test_a_touch_is_moved_and_all_else_of_it_stays():
         ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "determinant -1, expected \\+1: it is a mirror"),
         ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0.1, 1]]}, "off the unit matrix by 0.1"),
         ({"rotation": [[2, 0, 0], [0, 2, 0], [0, 0, 2]]}, "an entry of 2, expected -1 to 1"),
-        ({"rotation": [[0, 0, 0], [0, 0, 0], [0, 0, 0]]}, "no rotation"),
+        ({"rotation": [[0, 0, 0], [0, 0, 0], [0, 0, 0]]}, "not a rotation"),
         ({"rotation": [[1, 0], [0, 1]]}, "expected 3 x 3 finite numbers, found 2 x 2"),
         ({"rotation": [[1, 0, 0], [0, 1], [0, 0, 1]]}, "found something else"),
         ({"quaternion_wxyz": [1, 1, 0, 0]}, "the length 1.414, expected 1"),
@@ -90,5 +90,5 @@ def test_rotations_that_are_a_little_too_far_off_are_refused_and_nearer_ones_are
         if fits:
             Pose.of(rotation=skewed)
         else:
-            with pytest.raises(ValueError, match="no rotation"):
+            with pytest.raises(ValueError, match="not a rotation"):
                 Pose.of(rotation=skewed)

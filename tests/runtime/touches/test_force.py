@@ -33,7 +33,7 @@ def test_it_says_nothing_of_what_was_not_measured(table, strength):
         ("", "found columns none"),
         (GOOD + "40,x,1\n", "line 5 is 40,x,1, expected three numbers"),
         (GOOD + "40,1\n", "line 5 is 40,1, expected three numbers"),
-        (GOOD + "30,4,1\n", "load 4 has strength 30 behind 30; expected rising"),
+        (GOOD + "30,4,1\n", "load 4 has strength 30 after 30, expected rising"),
         (GOOD + "50,4,-1\n", "load 4 is"),
         (GOOD + "50,inf,1\n", "load 4 is"),
         ("strength,newtons,newtons_error\n1,2,3\n", "found 1 loads, expected at least 2"),

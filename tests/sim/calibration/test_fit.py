@@ -131,6 +131,8 @@ def test_a_sheet_that_cannot_be_ends_the_search_in_one_line_with_its_rows():
             return super().linearised(z)
 
     jacobian, _, read = drawn(6)
-    with pytest.raises(UnsettledError, match=r"it ends at a sheet that cannot be \(electrode 4 .*corner\)") as caught:
+    with pytest.raises(
+        UnsettledError, match=r"the search ends at an impossible sheet \(electrode 4 .*corner\)"
+    ) as caught:
         fit(Edge(jacobian, read))
     assert caught.value.residuals.shape == read.shape

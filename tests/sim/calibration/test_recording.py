@@ -51,7 +51,7 @@ def test_the_scan_of_the_reference_is_taken_with_it(tmp_path):
         ({"reference_V": np.where(np.arange(104) == 5, 0.0, 1.0)}, r"row 5 is 0 V: is its electrode connected"),
         (
             {"reference_cloud_mm": 1e-3 * flat_cloud()},
-            "reference_cloud_mm: the cloud's sheet is .* in mm; without it the sheet lay flat",
+            "reference_cloud_mm: the cloud's sheet is .* in mm; leave it out if the sheet lay flat",
         ),
         ({"reference_frames": np.array(0)}, "reference_frames is 0, expected one whole number from 1 on"),
     ],
@@ -82,7 +82,7 @@ def test_a_digest_alone_must_be_of_a_description_that_is_known_to_be_of_this_she
     for digest, skin in ((PAPER.digest, PAPER), (PAPER.digest, named("lab")), (foreign, twin), (twin.digest, twin)):
         load_recording(written(tmp_path, skin_digest=np.array(digest)), skin)
     expected = (
-        rf"skin_digest: found {foreign}, expected {PAPER.digest} \(paper\); without grid_id .*; store that too, or"
+        rf"skin_digest: found {foreign}, expected {PAPER.digest} \(paper\); without grid_id .*; store grid_id too, or"
     )
     with pytest.raises(MismatchError, match=expected):
         load_recording(written(tmp_path, skin_digest=np.array(foreign)), PAPER)

@@ -145,7 +145,7 @@ def test_electrodes_and_gain_of_a_sheet_that_never_lay_flat_are_within_their_err
         assert twin.grid_id == PAPER.grid_id
         errors[rows] = np.mean(gain["standard_errors"])
     assert errors[N_FULL_ROWS] < 0.5 * errors[N_ROWS], "reciprocity tells the front end whatever the scan leaves open"
-    with pytest.raises(CalibrationError, match=r"rows that are off by so many times their noise: drive \d+ measure"):
+    with pytest.raises(CalibrationError, match=r"rows with their error in units of noise: drive \d+ measure"):
         calibrate(STATED, Recording(full, FRAMES))  # as if it had lain flat
 
 
@@ -153,5 +153,5 @@ def test_electrodes_and_gain_of_a_sheet_that_never_lay_flat_are_within_their_err
 def test_the_scan_of_another_bend_is_refused_with_rows():
     skin = Skin(6)
     other = measured_cloud(Bend(angle_deg=20.0, stretch_along=0.95, stretch_across=1.08)).astype(np.float64)
-    with pytest.raises(CalibrationError, match=r"rows that are off by so many times their noise: drive \d+ measure"):
+    with pytest.raises(CalibrationError, match=r"rows with their error in units of noise: drive \d+ measure"):
         calibrate(STATED, Recording(skin.read(), FRAMES, cloud_mm=other))

@@ -139,7 +139,9 @@ def test_a_press_that_contradicts_the_others_is_named(recorded):
 def test_presses_that_change_nothing_are_refused_instead_of_making_touches_that_nobody_feels(recorded):
     rng = np.random.default_rng(11)
     faint = tuple(press(rng, xy, contrast=0.995) for xy in PLACES[:2])
-    with pytest.raises(CalibrationError, match=r"presses change no more than noise and a drift of 1% do: .*press_V"):
+    with pytest.raises(
+        CalibrationError, match=r"presses change the voltages no more than noise and a drift of 1%: .*press_V"
+    ):
         calibrate(STATED, replace(recorded, bents=(), presses=faint), 50.0)
 
 

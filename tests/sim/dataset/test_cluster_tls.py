@@ -197,6 +197,6 @@ def test_certificates_that_nothing_would_use_are_bad_usage(tmp_path: Path, capsy
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     found = Certificates(ca=tmp_path / "ca.pem")
     assert cli.main(words(tmp_path / "d", "tcp://127.0.0.1:9", found)) == 2
-    assert "--tls-ca given for tcp://127.0.0.1:9, which uses no certificates" in capsys.readouterr().err
+    assert "--tls-ca: expected --scheduler tls://HOST:PORT, found tcp://127.0.0.1:9" in capsys.readouterr().err
     assert cli.main(["dataset", "--set", "paper", "--out", str(tmp_path / "d"), "--tls-ca", "x"]) == 2
-    assert "--tls-ca given without --scheduler" in capsys.readouterr().err
+    assert "--tls-ca need --scheduler" in capsys.readouterr().err

@@ -88,7 +88,7 @@ def test_voltages_are_the_generators_over_a_finer_untouched_sheet(data: DataSet)
 def test_an_interrupted_run_goes_on_and_ends_the_same(folder: Path, copy: Path) -> None:
     (copy / "index.json").unlink()
     (copy / "deformation-0001.npz").unlink()
-    with pytest.raises(ProtocolError, match=r"no finished data set: index\.json is missing"):
+    with pytest.raises(ProtocolError, match=r"not a finished data set: index\.json is missing"):
         load(copy)
     done: list[int] = []
     generate(PLAN, copy, workers=1, progress=lambda now, total: done.append(now))
@@ -108,7 +108,7 @@ def test_a_folder_with_something_else_in_it_is_left_alone(copy: Path, tmp_path: 
     strange = tmp_path / "letters"
     strange.mkdir()
     (strange / "dear.txt").write_text("x")
-    with pytest.raises(DataSetError, match="not empty and holds no data set"):
+    with pytest.raises(DataSetError, match="not empty and is not a data set"):
         generate(PLAN, strange)
     assert [path.name for path in strange.iterdir()] == ["dear.txt"]
 

@@ -123,7 +123,7 @@ def test_one_deformation_alone_is_the_same_to_the_last_bit(written: tuple[Path, 
 def test_what_cannot_be_meant_is_refused() -> None:
     with pytest.raises(ValueError, match="devices 'odd' are unknown; expected one of ideal, random"):
         make_plan("free", devices="odd")
-    with pytest.raises(ValueError, match="devices: found 'random', expected 'ideal': the paper's set is as"):
+    with pytest.raises(ValueError, match="devices: found 'random', expected 'ideal': the paper's set follows"):
         make_plan("paper", devices="random")
     with pytest.raises(ValueError, match=r"\[outline\] kind is 'disc', expected 'rectangle'"):
         make_plan("free", skin=replace(PAPER, outline=Outline("disc", (170.0, 170.0))))

@@ -93,7 +93,7 @@ def test_sizes_that_cannot_be_are_refused_with_their_bounds() -> None:
         make_plan("free", near=1.2)
     with pytest.raises(ValueError, match="shown at a deformation: found 10, expected none for the paper's set: each"):
         make_plan("paper", per_deformation=10)
-    with pytest.raises(ValueError, match="deformations kept apart: found 1, expected none: the paper's set trains on"):
+    with pytest.raises(ValueError, match="held-out deformations: found 1, expected none: the paper's set trains on"):
         make_plan("paper", kept=1)
     with pytest.raises(ValueError, match="only the free set"):
         make_plan("units", near=0.5)

@@ -33,7 +33,7 @@ def test_a_kind_of_touches_is_part_of_the_plan(name: str) -> None:
 
 
 def test_what_no_set_has_is_refused() -> None:
-    with pytest.raises(ValueError, match="touches: found 'press', expected 'hard': the paper's set is as"):
+    with pytest.raises(ValueError, match="touches: found 'press', expected 'hard': the paper's set follows"):
         make_plan("paper", touches="press")
     with pytest.raises(
         ValueError, match="touches 'soft' are unknown; expected one of hard, firm, press, raise, both, skin"

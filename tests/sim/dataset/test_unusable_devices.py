@@ -23,15 +23,15 @@ CORNERS = Quantity((2.1, *PAPER.arc_length_mm[1:8].tolist(), 252.1, *PAPER.arc_l
     [
         (
             replace(LAB, front_end=Instrument(gain=Quantity(5.0))),
-            r"none read every .* off in \[front_end\] smaller",
+            r"none read every .* uncertainties in \[front_end\] smaller",
         ),
         (
             replace(LAB, layer=Layer(thickness_mm=Quantity(20.0, "log_normal", 1.2), width_scale=Quantity(3.0))),
-            r"a random sheet reads .* times the nominal .* off in \[layer\], \[electrodes\]",
+            r"a random sheet reads .* times the nominal .* uncertainties in \[layer\], \[electrodes\]",
         ),
         (
             replace(LAB, electrodes=replace(LAB.electrodes, arc_length_mm=CORNERS)),
-            r"a random device of it cannot be \(.*\); make what is off in \[layer\], \[electrodes\]",
+            r"a random device of it is impossible \(.*\); make the uncertainties in \[layer\], \[electrodes\]",
         ),
     ],
 )

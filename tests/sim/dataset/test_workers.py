@@ -35,5 +35,5 @@ class _Fatal:
 
 
 def test_a_worker_that_is_ended_from_outside_is_told_of_in_one_line() -> None:
-    with pytest.raises(SkinError, match=r"a process that made data was ended from outside.*the same command goes on"):
+    with pytest.raises(SkinError, match=r"a worker process was killed.*the same command resumes"):
         list(generate._in_processes([{"deformations": [0], "fatal": _Fatal()}], 1))

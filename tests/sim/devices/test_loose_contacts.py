@@ -98,7 +98,7 @@ def test_a_contact_covers_its_length_wherever_it_lies_and_a_corner_is_one_piece(
 def test_two_electrodes_in_one_corner_are_refused() -> None:
     arc = np.concatenate([[2.0], NOMINAL.arc_length_mm[1:15], [498.0]])  # they meet in the corner (0, 0)
     close = replace(PAPER, electrodes=Ring(contact="edge", arc_length_mm=Quantity(tuple(arc.tolist()))))
-    with pytest.raises(ValueError, match="two electrodes meet one element; expected electrodes further apart"):
+    with pytest.raises(ValueError, match="two electrodes meet one element; expected them further apart"):
         shared_mesh(skin=close)
 
 

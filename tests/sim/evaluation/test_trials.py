@@ -72,7 +72,7 @@ SMALL = Skin(
 
 
 def test_a_sheet_has_no_room_for_any_number_of_touches():
-    with pytest.raises(ValueError, match=r"12 touches .* have no room on a sheet of 50 x 50 mm; ask for fewer"):
+    with pytest.raises(ValueError, match=r"12 touches .* do not fit on a sheet of 50 x 50 mm; ask for fewer"):
         trials.random((12, 12), 1, 1, "A", "area", SMALL)
     with pytest.raises(ValueError, match=r"11 to 12 touches on 10 units; ask for at most 10"):
         trials.random((11, 12), 1, 1, "A", "units", SMALL)

@@ -35,7 +35,7 @@ COVERED = [{"disc_mm": [75, 50, 10], "contrast": 20}, {"rect_mm": [60, 30, 90, 7
         ({"sheet": {"size_mm": [75, 50]}}, "area", "sheet is 75 x 50 mm; expected 150 x 100 mm, each within a tenth"),
         ({"sheet": {"size_mm": [150, 90 - 1e-3]}}, "units", "give the skin of this sheet with --skin FILE"),
         ({"touches": [{"disc_mm": [75, 50, 3]}]}, "units", "no unit is touched: its touches cover none by half"),
-        ({"touches": COVERED}, "area", "nothing is touched: holes take its touches out"),
+        ({"touches": COVERED}, "area", "nothing is touched: holes remove its touches"),
     ],
 )
 def test_a_truth_that_would_be_empty_is_refused(scene: dict[str, Any], truth: str, says: str) -> None:

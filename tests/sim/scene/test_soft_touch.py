@@ -168,7 +168,7 @@ def test_a_hole_in_a_touch_is_one_and_says_nothing_of_its_kind() -> None:
     ],
 )
 def test_a_hole_in_nothing_is_refused_with_what_one_is(touches: list[dict[str, Any]]) -> None:
-    with pytest.raises(SceneError, match=r"its contrast is 1; .* or be a hole: both sharp, over a touch that stands"):
+    with pytest.raises(SceneError, match=r"its contrast is 1; .* or be a hole: both sharp, over an earlier touch"):
         parse_scene({"touches": touches})
 
 

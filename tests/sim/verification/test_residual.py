@@ -74,5 +74,5 @@ def test_p_is_the_tail_of_chi_squared(value: float, degrees: int) -> None:
 
 
 def test_more_parameters_than_rows_have_no_p() -> None:
-    with pytest.raises(ValueError, match="more is fitted than there are rows"):
+    with pytest.raises(ValueError, match="the fit has more parameters than rows"):
         p_value(1.0, 0)

@@ -76,7 +76,7 @@ def test_a_sheet_of_another_map_is_refused_before_its_data_is_made(monkeypatch):
 
 
 def test_a_bundle_that_does_not_say_how_it_was_trained_is_refused():
-    with pytest.raises(ValueError, match="does not say how it was trained"):
+    with pytest.raises(ValueError, match="does not record how it was trained"):
         adaptation.adapted(Path("old.eitskin"), TWIN, {"labels": "area"}, "raise", Adaptation())
 
 
@@ -121,7 +121,7 @@ def test_presses_and_a_skin_of_a_kind_that_the_bundle_does_not_know_are_refused_
         assert main(words) == 1
         return capsys.readouterr().err
 
-    assert "touches: found raise, expected lower, as [touches] of skin forearm says" in said("free", "lowering.toml")
+    assert "touches: found raise, expected lower, from [touches] of skin forearm" in said("free", "lowering.toml")
     expected = "p.npz: press 0 at (30, 30) mm: touches: found lower, expected raise, as bundle free knows"
     assert expected in said("free", "both.toml")
     assert not (tmp_path / "f.eitskin.build").exists()

@@ -19,7 +19,7 @@ def test_another_recipe_skin_or_time_is_refused(tmp_path):
     for asked in (SMALLER, other_skin):
         with pytest.raises(OtherBuildError, match=rf"another recipe or skin: found .*, expected tiny {asked.digest}"):
             begun(tmp_path / "b", asked, None)
-    with pytest.raises(OtherBuildError, match=r"begun with --hours None, now 3.0 are asked for; .*--work"):
+    with pytest.raises(OtherBuildError, match=r"begun with --hours None, not 3.0; .*--work"):
         begun(tmp_path / "b", TINY, 3.0)
 
 
@@ -27,7 +27,7 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path):
     (tmp_path / "b").mkdir()
     assert begun(tmp_path / "b", TINY, None) is None
     (tmp_path / "b" / "letters.txt").write_text("dear")
-    with pytest.raises(OtherBuildError, match="holds no half-made bundle; name another with --work"):
+    with pytest.raises(OtherBuildError, match="is not the folder of a build; name another with --work"):
         begun(tmp_path / "b", TINY, None)
     for text in ("{", "[]", "{}"):
         (tmp_path / "b" / "build.json").write_text(text)
@@ -41,6 +41,6 @@ def test_two_builds_in_one_folder_are_one_too_many(tmp_path, capsys):
     with held(work, "another process makes a bundle there", "wait"):
         assert main(["build", "tiny", "--out", str(tmp_path / "b.eitskin")]) == 1
     said = capsys.readouterr().err
-    assert f"{work} is in use: another process makes a bundle there" in said
+    assert f"{work} is in use: another process is building a bundle there" in said
     assert said.count("\n") == 1
     assert not list(work.iterdir())

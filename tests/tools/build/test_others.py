@@ -38,8 +38,8 @@ def test_the_shipped_recipes_name_recipes_of_their_own_skin_and_touches():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (with_other("small", "other.toml"), "'other.toml', which has small itself"),
-        (with_other("gentle", "other.toml"), "'other.toml', which has gentle itself"),
+        (with_other("small", "other.toml"), "'other.toml', which has small too"),
+        (with_other("gentle", "other.toml"), "'other.toml', which has gentle too"),
         (TINY.replace("hydrogel", "lab"), "'other.toml': skin found"),
         (TINY.replace('"tiny"\n\n', '"units"\n\n').replace('set = "free"', 'set = "units"'), "labels found units"),
         (None, "no file 'other.toml'"),

@@ -95,7 +95,7 @@ def test_a_skin_s_file_is_built_as_it_is_touched(tmp_path):
         ("epochs = 2", "epochs = 2\nnoise = 'N2'", r"noise in \[\[training\]\] 1 is 'N2', expected 'skin' or none"),
         ("epochs = 2", "epochs = 0", r"\[\[training\]\] 1 epochs is 0, expected a whole number from 1 to"),
         ("seed = 4", 'data = ["soft"]', "names data 'soft', known are presses"),
-        ("seed = 4", "[[training]]\nepochs = 1\nstart_from = 'free'", "only the first stage may"),
+        ("seed = 4", "[[training]]\nepochs = 1\nstart_from = 'free'", "expected it in the first stage only"),
         (
             "seed = 4",
             "network = 'free'",
@@ -115,7 +115,7 @@ def test_whatever_is_wrong_with_a_recipe_is_named(old, new, said):
         parsed(TINY.replace(old, new))
 
 
-@pytest.mark.parametrize(("text", "found"), [("", "there is no format"), ("format = 'x'", "format is 'x'")])
+@pytest.mark.parametrize(("text", "found"), [("", "it has no format"), ("format = 'x'", "format is 'x'")])
 def test_a_file_that_is_neither_skin_nor_recipe_is_told_of_both(tmp_path, text, found):
     (tmp_path / "f.toml").write_text(text)
     with pytest.raises(ValueError, match=f"{found}, expected 'eitskin-skin', .*, or 'eitskin-recipe', a "):
@@ -128,7 +128,7 @@ def test_what_would_fail_hours_later_is_refused_at_once(tmp_path, capsys):
     for old, new, said in (
         ('touches = "press"', 'touches = "soft"', "[data.presses] touches 'soft' are unknown"),
         ("epochs = 2", "epochs = 2\nstart_from = 'gone.eitskin'", "gone.eitskin"),
-        ("kept = 2", "kept = 0", "the gate has 0 deformations kept apart to choose and measure it"),
+        ("kept = 2", "kept = 0", "the gate has 0 held-out deformations to choose and measure it"),
         ("[[training]]", AGAIN + "[[training]]", "[data.again] and [data.presses] are the same; give one"),
         ("[[training]]", AGAIN + 'skin = "lab"\n[[training]]', "learns from skins hydrogel and lab, in [data.again]"),
         ('"hydrogel"', '"odd.toml"', "a map of 20 x 44 pixels cannot be sharpened"),

@@ -80,8 +80,8 @@ def test_shipped_files_are_found_by_name_and_listed_where_another_was_meant(kind
     [
         (FileNotFoundError(errno.ENOENT, "no", "x.json"), "no file 'x.json' in"),
         (FileNotFoundError(errno.ENOENT, "no", "/none/x.json"), "no folder '/none' for '/none/x.json'"),
-        (PermissionError(errno.EACCES, "no", "/etc/passwd"), "file of this user: 'ls -ld /etc/passwd' says whose"),
-        (PermissionError(errno.EACCES, "no", "/proc/none/x"), "a folder of this user: 'ls -ld /proc' says whose"),
+        (PermissionError(errno.EACCES, "no", "/etc/passwd"), "file of this user: 'ls -ld /etc/passwd' shows its owner"),
+        (PermissionError(errno.EACCES, "no", "/proc/none/x"), "a folder of this user: 'ls -ld /proc' shows its owner"),
         (IsADirectoryError(errno.EISDIR, "no", "x"), "'x' is a folder; expected a file"),
         (NotADirectoryError(errno.ENOTDIR, "no", "x/y"), "found a file where a folder was expected"),
         (FileExistsError(errno.EEXIST, "no", "x"), "'x' exists already"),
@@ -97,7 +97,7 @@ def test_an_error_of_the_system_becomes_a_line_that_names_the_file(error, expect
 def test_a_folder_that_takes_no_files_is_said_before_the_work(name, capsys, monkeypatch):
     words = [word.replace(ABSENT, "/proc") for word in TAKING_A_FILE[name]]
     monkeypatch.setattr("os.access", lambda path, _: str(path) != "/proc")  # root may write nearly everywhere
-    assert "cannot be written: its folder takes no files of this user; name one in" in said(capsys, words)
+    assert "cannot be written: this user may not write to its folder" in said(capsys, words)
 
 
 WRITING = {

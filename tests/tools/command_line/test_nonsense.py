@@ -8,21 +8,21 @@ from eitskin_tools.command_line.parser import did_you_mean
 SAID = """
 virtual-skin --snr-db nan | --snr-db is nan, expected 0 to 200
 virtual-skin --seed -1 | --seed is -1, expected 0 to 1000000000
-virtual-skin --scene sample --touches lower | a scene says how its own touches
+virtual-skin --scene sample --touches lower | --touches does nothing with --scene
 virtual-skin --rate=0 | --rate
 virtual-skin --fault=nonsense | nonsense
 virtual-skin --seconds=-1 | --seconds
 demo --seconds=0 | --seconds
 demo --rate=-5 | --rate
 demo --noise=N9 | --noise
-run --port /dev/null --reference flat.json --force-reference | --force-reference is of a reference that
-run | expected --port PORT for one skin, or --config
-run --port /dev/x --config r.toml | one of the two
-run --config r.toml --solver vd2t | --solver is of one skin, and --config of all; state it in r.toml
-run --port /dev/x --check | --check goes with --config
+run --port /dev/null --reference flat.json --force-reference | --force-reference is for capturing a reference
+run | expected either --port PORT for one skin, or --config
+run --port /dev/x --config r.toml | expected either --port PORT
+run --config r.toml --solver vd2t | --solver is for one skin; with --config, write it into r.toml
+run --port /dev/x --check | --check needs --config
 run --port /dev/x --verify often | --verify is 'often', expected one of off, idle, always
 run --port /dev/x --verify always --verify-budget-ms 0 | --verify-budget-ms is 0, expected more than 0 and at
-run --port /dev/x --verify-budget-ms 5 | --verify-budget-ms goes with --verify idle or --verify always
+run --port /dev/x --verify-budget-ms 5 | --verify-budget-ms needs --verify idle or --verify always
 run --port /dev/x --verify always --verify-nice 20 | --verify-nice is 20, expected 0 to 19
 run --port /dev/x --verify always --verify-affinity 4000 | --verify-affinity: CPU [4000]: expected some of
 view a.mcap --endpoint ipc:///f | leave --endpoint out
@@ -32,11 +32,11 @@ view --config robot.toml --endpoint ipc:///f | leave --endpoint out
 view --port 99999 | --port is 99999
 view --recordings /nowhere | --recordings is /nowhere
 status --timeout-s 0 | --timeout-s is 0
-subscribe --verified --touches | --verified takes no frames
-subscribe --verified --max-age-ms 5 | --verified takes no frames
+subscribe --verified --touches | --verified receives no frames
+subscribe --verified --max-age-ms 5 | --verified receives no frames
 doctor --recorded f.npy | --recorded needs --electrodes or --drift
 doctor --bundle free | --bundle needs --electrodes or --drift
-status --server-key x | belong together
+status --server-key x | need each other
 flash show fast --port x | flash show takes no FILE
 flash write fast | flash write needs --port
 service --program eitskin | --program is 'eitskin'
@@ -44,7 +44,7 @@ service --print eitskin | no file 'eitskin'
 adapt r --out o --seed 99999999999999 | --seed is 99999999999999, expected 0 to 1000000000
 adapt-skin press --skin lab --out o.eitskin --seed 99999999999999 | --seed is 99999999999999, expected 0 to 1000000000
 adapt-skin press --skin lab --out o.eitskin --epochs 0 | --epochs is 0, expected at least 1
-calibrate r.npz --out s.toml --bends 0 | --bends only work with --guided
+calibrate r.npz --out s.toml --bends 0 | leave out --bends, or record with --guided
 calibrate r.npz --out s.toml --snr-db 3 | --snr-db is 3, expected 10 to 120
 calibrate r.npz --out s.toml --guided | --guided needs --port
 calibrate r.npz --out s.toml --guided --port /dev/none --stamp x | --stamp is 'x', expected a diameter
@@ -53,7 +53,6 @@ bech | eitskin: no command 'bech'; did you mean 'bench'?
 sim | eitskin: no command 'sim'; 'eitskin --help' lists them
 bench tradeof | eitskin bench: no benchmark 'tradeof'; did you mean 'tradeoff'?
 run --port p --slover x | eitskin run: no option '--slover'; did you mean '--solver'?
-demo --skin lab | eitskin demo: no option '--skin'; 'eitskin demo --help' lists them
 --versoin | eitskin: no option '--versoin'; did you mean '--version'?
 subscribe a b | eitskin subscribe: found 'b', expected nothing more
 flash wirte paper | did you mean 'write'?
@@ -62,7 +61,7 @@ evaluate --random 2-4 --solver tikhonv | did you mean 'tikhonov'?
 evaluate --random few | 2-4
 evaluate --single 10 --labels units | --labels
 evaluate --single 10 --shift-px 3 | from 0 to 1
-evaluate --phantoms paper_mm --seed 5 | --seed does nothing with --phantoms: leave it out; it belongs to --single
+evaluate --phantoms paper_mm --seed 5 | --seed does nothing with --phantoms: leave it out; it works with --single
 evaluate --untouched --each 4 | --each does nothing with --untouched
 evaluate --single 10 --solver sbl --prediction none | --prediction does nothing with --solver sbl
 evaluate --phantoms paper_mm --family B | --family does nothing with --phantoms

@@ -46,7 +46,7 @@ def test_what_is_read_is_not_written_over(command, how, tmp_path, monkeypatch, c
     place = max(index for index, word in enumerate(words) if word == MINE)
     words[place] = {"as it stands": MINE, "by another path": f"{tmp_path}/./{MINE}", "by a link": "link"}[how]
     assert cli.main(words) == 2
-    assert "is read too, and would be lost" in capsys.readouterr().err
+    assert "is also the input and would be overwritten" in capsys.readouterr().err
     assert Path(MINE).read_text() == "mine alone"
 
 
@@ -61,7 +61,7 @@ def test_what_is_read_is_not_written_over(command, how, tmp_path, monkeypatch, c
 def test_two_things_are_not_written_to_one_file(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(words) == 2
-    assert "name one file" in capsys.readouterr().err
+    assert "name the same file" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -23,7 +23,7 @@ def test_a_folder_with_other_things_is_exit_1_in_one_line(capsys, tmp_path):
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err.count("\n") == 1
-    assert "is not empty and holds no data set" in said.err
+    assert "is not empty and is not a data set" in said.err
 
 
 def test_too_many_touch_sets_is_exit_1_and_writes_nothing(capsys, tmp_path):

@@ -75,7 +75,7 @@ def near_a_corner(sd_mm):
         ("size_mm = [220.0, 90.0]", "size_mm = [2200.0, 90.0]", "[outline] size_mm[0] is 2200"),
         ("[map]", "[mapp]", "did you mean 'map'"),
         ("10.0, 48.75", "1.0, 48.75", "electrode 0 is a patch round a corner"),
-        ('kind = "rectangle"', 'kind = "disc"', "a disc's two sizes are alike"),
+        ('kind = "rectangle"', 'kind = "disc"', "expected twice the same number, the disc's diameter"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(capsys, tmp_path, old, new, said):

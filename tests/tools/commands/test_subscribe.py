@@ -62,4 +62,4 @@ def test_verified_touches_have_forces_and_nothing_is_said_twice(tmp_path, capsys
 @pytest.mark.parametrize("more", [[], ["--touches"]])
 def test_a_table_without_verified_touches_is_refused_with_what_to_do(more, capsys):
     assert cli.main(["subscribe", "--force-table", "force.csv", *more]) == 2
-    assert "--force-table goes with --verified: a map tells no strength" in capsys.readouterr().err
+    assert "--force-table needs --verified" in capsys.readouterr().err

@@ -42,7 +42,7 @@ def test_points_and_corner_in_metres_are_those_in_millimetres(tmp_path, capsys):
         found.append(load_surface(tmp_path / "cloud.npz").measured_mm)
     assert np.abs(found[1] - found[0]).max() < 1e-6
     assert cli.main(words) == 1
-    assert "save them in millimetres, or say --unit m where they are in metres" in capsys.readouterr().err
+    assert "save them in millimetres, or give --unit m if they are in metres" in capsys.readouterr().err
 
 
 def test_command_adds_the_prediction_that_it_is_asked_for(tmp_path, capsys):

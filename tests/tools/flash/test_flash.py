@@ -113,7 +113,7 @@ def test_show_says_what_becomes_of_either_slot(device, capsys):
     device.boot()
     assert states() == ("running, on trial", "confirmed: a rollback returns to it")
     device.boot()
-    assert states()[1] == "not confirmed: its trial was given up, or the next boot tries it"
+    assert states()[1] == "not confirmed: it failed its trial, or the next boot tries it"
 
 
 def test_a_dry_run_changes_nothing_with_or_without_a_device(device, capsys):

@@ -95,7 +95,7 @@ def test_the_reference_cannot_be_skipped_and_a_strange_word_is_answered():
     sheet = Sheet([("Lay the sheet", "s"), ("Lay the sheet", "what"), SCAN])
     assert "reference_V" in guided(sheet)
     assert any("cannot be skipped" in one for one in sheet.told)
-    assert any("'what' is no answer here: s skip, b back, q quit" in one for one in sheet.told)
+    assert any("'what' is not an answer here: s skip, b back, q quit" in one for one in sheet.told)
 
 
 def test_quitting_or_a_silent_skin_ends_it_in_one_line():

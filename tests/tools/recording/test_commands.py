@@ -149,5 +149,5 @@ def test_where_nobody_publishes_the_recorder_says_so_in_a_line(tmp_path: Path) -
     )  # fmt: skip
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1, done.stderr
-    assert "nobody within 0.5 s: nobody listens there" in done.stderr
+    assert "nobody within 0.5 s: no runtime listens there" in done.stderr
     assert not (tmp_path / "a.mcap").exists()

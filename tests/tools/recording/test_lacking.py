@@ -100,7 +100,7 @@ def test_each_command_reads_it(
         assert len(arrays["voltages_V"]) == 150
     assert cli.main(["doctor", "--electrodes", "--recorded", str(lacking), "--json"]) == 0
     assert cli.main(["doctor", "--drift", "--recorded", str(lacking), "--json"]) in (0, 1)
-    assert "lacks its reference" not in capsys.readouterr().err
+    assert "has no reference" not in capsys.readouterr().err
     film = Film(lacking, TINY)
     assert film.part(0)
 
@@ -108,5 +108,5 @@ def test_each_command_reads_it(
 def test_where_no_frame_of_a_part_is_known_replay_says_so(lacking: Path, first_frames: int) -> None:
     script = Script(lacking)
     last = list(script.steps())[first_frames - 1]
-    with pytest.raises(RecordingError, match="does not say what the frames of this part met"):
+    with pytest.raises(RecordingError, match="lacks the state of the runtime for this part"):
         Player(script, ReplayOptions(to_s=1e-9 * (last.log_ns - script.first_ns)), bundle=TINY)

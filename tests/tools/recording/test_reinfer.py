@@ -53,7 +53,7 @@ def test_why_a_map_cannot_be_told_is_said_by_its_cause(file: Path) -> None:
     assert found["unknown_why"] == {"no_conditions": 2, "frame_missing": 3}
     assert found["unknown"] == 5
     said = unknown_clause(found)
-    assert said.startswith("; 5 cannot be told: 2 came before the file says")
+    assert said.startswith("; 5 cannot be told: 2 came before the file has")
     assert unknown_clause(Equality().fields()) == ""
 
 

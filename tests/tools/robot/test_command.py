@@ -71,7 +71,7 @@ def test_a_folder_that_cannot_be_made_or_is_open_to_others_is_refused(robot, cap
     (tmp_path / "sockets").unlink()
     (tmp_path / "sockets").mkdir()
     (tmp_path / "sockets").chmod(0o777)
-    assert "is not this user's alone" in refused(capsys, "run", "--config", path)[1]
+    assert "can be written by other users" in refused(capsys, "run", "--config", path)[1]
 
 
 def test_a_look_says_what_would_run_and_opens_nothing(robot, capsys, tmp_path):

@@ -172,7 +172,7 @@ def test_one_that_keeps_dying_is_given_up_and_it_is_said(streaming):
             found = first(verdicts, lambda one: one.state == "failed")
             again = first(verdicts, lambda one: one.sequence > found.sequence)
         assert "died as it was told" in found.why
-        assert "3 times in a row, so it is given up" in found.why
+        assert "3 times in a row, so it is not restarted" in found.why
         assert (again.state, again.why) == (found.state, found.why)
         assert stream.process.pid == 0
 

@@ -55,7 +55,7 @@ def test_too_few_presses_and_rows_that_turned_are_refused() -> None:
         presses.check(recorded(PLACES[:3], PLACES[:3]))
     turned = REFERENCE.copy()
     turned[7] *= -1.0
-    with pytest.raises(SkinError, match="turned its sign"):
+    with pytest.raises(SkinError, match="changed its sign"):
         presses.check(recorded(reference=turned))
 
 

@@ -121,7 +121,7 @@ def _probe(name: str, body: str, bundle: Path | None, repeats: int, bytecode: st
             [sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment
         )
         if done.returncode:
-            raise SkinError((done.stderr.strip().splitlines() or ["it said nothing"])[-1])
+            raise SkinError((done.stderr.strip().splitlines() or ["it printed nothing"])[-1])
         found.append(json.loads(done.stdout))
     found = found[1:]  # the first one made the bytecode and filled the page cache
     times = sorted(item["load_ms"] for item in found)

@@ -51,7 +51,7 @@ def adapted(
     """
     network = facts.get("recipe", {}).get("name")
     if not isinstance(network, str):
-        raise ValueError(f"{bundle} does not say how it was trained; build one anew with 'eitskin build'")
+        raise ValueError(f"{bundle} does not record how it was trained; build one with 'eitskin build'")
     touches = {"raise": "hard", "lower": "press", "both": "both"}[touch_kind]
     if own is not None and skin.touch_kind == touch_kind and _others(skin.touches, own.touches):
         touches = SKIN

@@ -43,22 +43,20 @@ def begun(folder: Path, recipe: BuildRecipe, hours: float | None) -> dict[str, A
     path = folder / "build.json"
     if not path.exists():
         if folder.exists() and (not folder.is_dir() or not is_empty(folder)):
-            raise OtherBuildError(f"{folder} is there and holds no half-made bundle; name another with --work")
+            raise OtherBuildError(f"{folder} exists and is not the folder of a build; name another with --work")
         return None
     found = stored(path)
     if found is None or "recipe" not in found:
         raise OtherBuildError(f"{path} is damaged; remove {folder}, or name another with --work")
-    hint = f"give what it was begun with, name another folder with --work, or remove {folder}"
+    hint = f"use the same options, name another folder with --work, or remove {folder}"
     if found.get("asked") != recipe.digest:
         name = found["recipe"].get("name") if isinstance(found["recipe"], dict) else None
         raise OtherBuildError(
-            f"{folder} holds a half-made bundle of another recipe or skin: found {stated(name)} "
+            f"{folder} is the folder of a build of another recipe or skin: found {stated(name)} "
             f"{stated(found.get('asked'))}, expected {recipe.name} {recipe.digest}; {hint}"
         )
     if found.get("hours") != hours:
-        raise OtherBuildError(
-            f"{folder} was begun with --hours {stated(found.get('hours'))}, now {hours} are asked for; {hint}"
-        )
+        raise OtherBuildError(f"{folder} was begun with --hours {stated(found.get('hours'))}, not {hours}; {hint}")
     return found
 
 

@@ -186,7 +186,7 @@ class BuildRecipe:
         own = self.beside / recipe
         found = load(str(own) if own.is_file() else recipe)
         if more := [one for one in EXTRA_NETWORKS if getattr(found, one)]:
-            raise ValueError(f"{name} is {quoted(recipe)}, which has {more[0]} itself; expected one without")
+            raise ValueError(f"{name} is {quoted(recipe)}, which has {more[0]} too; expected a recipe without it")
         for what, one, other in (
             ("skin", found.skin.digest, self.skin.digest),
             ("labels", network_named(found.network).labels, network_named(self.network).labels),
@@ -212,7 +212,7 @@ def load(name: str) -> BuildRecipe:
             return parse(content, path.parent)
         if content.get("format") == SKIN_FORMAT:
             return usual(options.read_skin(str(path)))
-        found = f"format is {quoted(content['format'])}" if "format" in content else "there is no format"
+        found = f"format is {quoted(content['format'])}" if "format" in content else "it has no format"
         raise ValueError(f"{found}, expected {SKIN_FORMAT!r}, a skin's description, or {FORMAT!r}, a bundle's recipe")
     except ValueError as error:
         text = str(error)
@@ -248,7 +248,7 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
     lesson = head.table(MISSING, f"[{MISSING}]")
     head.close()
     if not len(sets):
-        raise ValueError("there is no data set: expected tables such as [data.touches]")
+        raise ValueError("found no data set, expected tables such as [data.touches]")
     if bad := [name for name in sets if not name.replace("-", "").replace("_", "").isalnum()]:
         raise ValueError(f"a data set is called {quoted(bad[0])}, expected letters, digits, - and _")
     data = {name: _record(Data, sets.table(name, f"[data.{name}]")) for name in sets}
@@ -266,7 +266,10 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
                 f"{network.name}, in a stage before the last"
             )
         if number > 1 and stage.start_from is not None:
-            raise ValueError(f"[[training]] {number} has start_from; only the first stage may, the next go on from it")
+            raise ValueError(
+                f"[[training]] {number} has start_from, expected it in the first stage only: later stages continue "
+                "from it"
+            )
     for name, one in data.items():
         if (one.set == "free") != (network.labels == "area"):
             kind = "free" if network.labels == "area" else "units"

@@ -420,6 +420,6 @@ def _check_gate(recipe: BuildRecipe) -> None:
     apart = sum(len(plan.bends) - plan.splits.count("train") for plan in plans)
     if recipe.gate.untouched == 0 and apart < 2:
         raise ValueError(
-            f"the gate has {apart} deformations kept apart to choose and measure it, expected at least 2; give more "
-            "kept in [data], or untouched in [gate]"
+            f"the gate has {apart} held-out deformations to choose and measure it, expected at least 2: raise kept in "
+            "[data], or untouched in [gate]"
         )

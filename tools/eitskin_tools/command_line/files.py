@@ -122,7 +122,7 @@ def parent(path: str | Path) -> Path:
     if not found.parent.is_dir():
         raise MissingFileError(f"{_missing(found)}; make it with 'mkdir -p {found.parent}', or name another file")
     if not os.access(found.parent, os.W_OK | os.X_OK):
-        raise FileError(f"{path} cannot be written: its folder takes no files of this user; name one in another")
+        raise FileError(f"{path} cannot be written: this user may not write to its folder; name a file in another one")
     return found
 
 
@@ -197,9 +197,9 @@ def explain(error: OSError) -> str | None:
 
 def _forbidden(path: Path) -> str:
     if os.path.lexists(path):
-        return f"no permission for {str(path)!r}; expected a file of this user: 'ls -ld {path}' says whose it is"
+        return f"no permission for {str(path)!r}; expected a file of this user: 'ls -ld {path}' shows its owner"
     folder = next(one for one in path.absolute().parents if os.path.lexists(one))
-    return f"no permission for {str(path)!r}; expected a folder of this user: 'ls -ld {folder}' says whose it is"
+    return f"no permission for {str(path)!r}; expected a folder of this user: 'ls -ld {folder}' shows its owner"
 
 
 def _missing(path: Path) -> str:
@@ -232,11 +232,13 @@ def check_outputs(arguments: argparse.Namespace) -> None:
         target = Path(given[name])
         for other in written[:index]:
             if _same(target, Path(given[other])):
-                raise UsageError(f"{_option(name)} and {_option(other)} name one file, {target}; name two")
+                raise UsageError(f"{_option(name)} and {_option(other)} name the same file, {target}; name two files")
         left_out = (*written, *UPDATED_INPUTS.get(arguments.command, ()))
         for path in (path for other, value in given.items() if other not in left_out for path in _paths(value)):
             if path.is_file() and _same(target, path):
-                raise UsageError(f"{_option(name)} {target} is read too, and would be lost; name another file")
+                raise UsageError(
+                    f"{_option(name)} {target} is also the input and would be overwritten; name another file"
+                )
 
 
 def _paths(value: Any) -> Iterator[Path]:

@@ -163,7 +163,7 @@ def check_client_keys(arguments: argparse.Namespace) -> None:
         UsageError: One is missing.
     """
     if (arguments.server_key is None) != (arguments.client_key is None):
-        raise UsageError("--server-key and --client-key belong together")
+        raise UsageError("--server-key and --client-key need each other: give both")
 
 
 def client_keys(arguments: argparse.Namespace) -> "ClientKeys | None":
@@ -221,7 +221,7 @@ def settle(arguments: argparse.Namespace, way: str, options: Mapping[str, ModeOp
             setattr(arguments, name, option.elsewhere.get(way, option.usual))
         elif way not in option.ways:
             raise UsageError(
-                f"{flag(name)} does nothing with {flag(way)}: leave it out; it belongs to {_listed(option.ways)}"
+                f"{flag(name)} does nothing with {flag(way)}: leave it out; it works with {_listed(option.ways)}"
             )
 
 

@@ -51,7 +51,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print one line and exit with status 2."""
-        more = f"; '{self.prog} --help' says what it takes" if "arguments are required" in message else ""
+        more = f"; '{self.prog} --help' shows its options" if "arguments are required" in message else ""
         self.exit(2, f"{self.prog}: {plain(message)}{more}\n")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
@@ -63,7 +63,7 @@ class Parser(argparse.ArgumentParser):
 
     def _left_over(self, word: str) -> str:
         if not word.startswith("-"):
-            return f"found {word!r}, expected nothing more; '{self.prog} --help' says what it takes"
+            return f"found {word!r}, expected nothing more; '{self.prog} --help' shows its options"
         options = [option for action in self._actions for option in action.option_strings]
         name = word.partition("=")[0]
         return f"no option {name!r}{did_you_mean(name, options) or self._listed()}"

@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
         torch.set_num_threads(arguments.threads)
     source, out = Path(arguments.run_folder), files.folder(arguments.out)
     if (out / "best.pt").exists():
-        raise UsageError(f"{out} holds a run already; name another folder with --out, or remove it")
+        raise UsageError(f"{out} already holds a run; name another folder with --out, or remove it")
     found = trained(source)
     data = data_of(found, arguments.data)
     adapted = adapt.adapt(found.model, found.recipe, data, plan, seed=arguments.seed, tell=note)

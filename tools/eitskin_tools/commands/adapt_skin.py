@@ -77,7 +77,9 @@ def _recorded(name: str, twin: Any, bundle: Any) -> tuple[Any, str]:
     from eitskin_training.samples.presses import check, check_ways
 
     if bundle.labels != "area":
-        raise UsageError("--presses: a bundle of units cannot learn from presses, which have places anywhere")
+        raise UsageError(
+            "--presses: a bundle of units cannot learn from presses, because presses lie anywhere, not on units"
+        )
     path = files.find(name, files.CALIBRATION_RECORDING)
     recording = load_recording(path, twin)
     try:

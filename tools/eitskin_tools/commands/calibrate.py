@@ -46,8 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--full-scan",
         action="store_true",
         default=None,
-        help="flash the device to scan all 208 rows for the recording, and back after it: reciprocity then tells the "
-        "front end",
+        help="flash the device to scan all 208 rows for the recording, and back after it: reciprocity then separates "
+        "the front end from the sheet",
     )
     guided.add_argument(
         "--surface",
@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.guided:
         _record(arguments, skin)
     elif given := [flag(name) for name in GUIDED if getattr(arguments, name) is not None]:
-        raise UsageError(f"{', '.join(given)} only work with --guided")
+        raise UsageError(f"leave out {', '.join(given)}, or record with --guided")
     recording = load_recording(files.find(arguments.recording, files.CALIBRATION_RECORDING), skin)
 
     def tell(step: int, misfit: float) -> None:

@@ -61,8 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
             found["later_reference"] = count = int(table.later.sum())
             begin_s = (table.columns["wall_ns"][table.later][0] - script.first_ns) * 1e-9
             print(
-                f"eitskin convert: {script.path}: {count} frames, from {begin_s:.3f} s on, had a later reference than "
-                "reference_V; convert them apart, with --from and --to",
+                f"eitskin convert: {script.path}: {count} frames, from {begin_s:.3f} s on, used a later reference "
+                "than reference_V; convert them separately with --from and --to",
                 file=sys.stderr,
             )
     if arguments.json:

@@ -22,7 +22,7 @@ def run(arguments: argparse.Namespace) -> int:
         files.picture(arguments.plot)
     folders = [Path(name) for name in arguments.runs]
     if len({folder.resolve() for folder in folders}) < len(folders):
-        raise UsageError("a run is named twice")
+        raise UsageError("the same run is named twice")
     names = [folder.name for folder in folders]
     keys = names if len(set(names)) == len(names) else [str(folder) for folder in folders]
     histories = {key: curves.history_of(folder) for key, folder in zip(keys, folders, strict=True)}

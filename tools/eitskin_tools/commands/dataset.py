@@ -130,18 +130,18 @@ def _check_scheduler(scheduler: str | None, certificates: "Certificates") -> Non
     options = ", ".join(f"--tls-{name}" for name in certificates.given)
     if scheduler is None:
         if options:
-            raise UsageError(f"{options} given without --scheduler; expected --scheduler tls://HOST:PORT beside it")
+            raise UsageError(f"{options} need --scheduler tls://HOST:PORT")
         return
     try:
         check_address(scheduler)
     except ValueError as error:
         raise UsageError(str(error)) from error
     if options and not scheduler.startswith("tls://"):
-        raise UsageError(f"{options} given for {scheduler}, which uses no certificates; expected tls://HOST:PORT")
+        raise UsageError(f"{options}: expected --scheduler tls://HOST:PORT, found {scheduler}")
     if is_exposed(scheduler):
         print(
-            f"eitskin dataset: warning: {scheduler} is not encrypted and authenticates nobody; anyone who reaches "
-            "it, or sits on the way, can run code there and here: use tls:// with --tls-ca, --tls-cert and --tls-key",
+            f"eitskin dataset: warning: {scheduler} is not encrypted and authenticates nobody: anyone on the network "
+            "can run code there and here; use tls:// with --tls-ca, --tls-cert and --tls-key",
             file=sys.stderr,
             flush=True,
         )
@@ -151,6 +151,6 @@ def _text(report: dict[str, Any]) -> str:
     bends = report["deformations"]
     return (
         f"{report['out']}: {report['samples']} samples of {report['touch_sets']} touch sets at {bends['train']} "
-        f"deformations, {bends['kept']} + {bends['other']} kept apart; {report['bytes'] / 1e6:.1f} MB, "
+        f"deformations, {bends['kept']} + {bends['other']} held out; {report['bytes'] / 1e6:.1f} MB, "
         f"{report['seconds']:.1f} s, digest {report['digest']}"
     )

@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.action == "write" and arguments.dry_run and configuration is not None:
             configuration.check()
             return _print(arguments, {"action": "write", "dry_run": True, **_describe(configuration)})
-        raise UsageError(f"flash {arguments.action} needs --port; 'eitskin doctor' lists the ports there are")
+        raise UsageError(f"flash {arguments.action} needs --port; 'eitskin doctor' lists the ports")
 
     def opened() -> Transport:
         return open_line(arguments.port, arguments.baud)

@@ -250,9 +250,9 @@ def _serve(
 
 def _check(arguments: argparse.Namespace) -> None:
     if (arguments.port is None) == (arguments.config is None):
-        raise UsageError("expected --port PORT for one skin, or --config FILE.toml for several; one of the two")
+        raise UsageError("expected either --port PORT for one skin, or --config FILE.toml for several")
     if arguments.check and arguments.config is None:
-        raise UsageError("--check goes with --config: it looks at a robot.toml")
+        raise UsageError("--check needs --config: it checks a robot.toml")
     options.check_least(arguments, frames=1, reference_frames=2, baud=300)
     options.check_positive(arguments, "seconds", "reconnect", "idle_after", most=1e9)
     options.check_positive(arguments, "budget_ms", most=MOST_MS)
@@ -263,7 +263,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError(f"--affinity is {arguments.affinity!r}, expected CPU numbers such as 2 or 2,3")
     for name in ("reference_frames", "force_reference"):
         if arguments.reference is not None and getattr(arguments, name):
-            raise UsageError(f"{flag(name)} is of a reference that is captured now: leave it out, or --reference")
+            raise UsageError(f"{flag(name)} is for capturing a reference: leave out either it or --reference")
     verifier.check(arguments)
 
 

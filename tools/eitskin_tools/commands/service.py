@@ -151,7 +151,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise
         raise FileError(
             f"no permission for {error.filename}: only root may --install; run 'sudo {_this_program()} service "
-            f"--install --user {arguments.user}', or look at the files with --out DIR"
+            f"--install --user {arguments.user}', or write the files elsewhere with --out DIR"
         ) from error
     if arguments.json:
         print(json.dumps({"written": [str(path) for path in written], "user": arguments.user, "program": program}))

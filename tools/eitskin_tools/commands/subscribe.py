@@ -57,12 +57,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Print what comes (or, with ``--json``, one object at the end) and return 0."""
     options.check_client_keys(arguments)
     if arguments.touches and (arguments.region is not None or arguments.skip_unchanged):
-        raise UsageError("--touches takes no maps: leave --region and --skip-unchanged out")
+        raise UsageError("--touches receives no maps: leave out --region and --skip-unchanged")
     maps_wanted = arguments.region is not None or arguments.skip_unchanged or arguments.max_age_ms is not None
     if arguments.verified and (arguments.touches or maps_wanted):
-        raise UsageError("--verified takes no frames: leave --touches, --region, --skip-unchanged, --max-age-ms out")
+        raise UsageError(
+            "--verified receives no frames: leave out --touches, --region, --skip-unchanged and --max-age-ms"
+        )
     if arguments.force_table is not None and not arguments.verified:
-        raise UsageError("--force-table goes with --verified: a map tells no strength, only physics does")
+        raise UsageError("--force-table needs --verified: only the verifier estimates a touch's strength")
     options.check_positive(arguments, "frames", "seconds", "timeout_s", "max_age_ms")
     from eitskin.messaging.regions import Region
     from eitskin.messaging.subscription import subscribe

@@ -122,7 +122,7 @@ def _sent(endpoint: str, path: str) -> int:
     try:
         return _send(endpoint, path)
     except (SkinError, ValueError) as error:
-        raise SkinError(f"{path} is written, but no runtime has it: {error}") from error
+        raise SkinError(f"{path} was written, but not sent: {error}") from error
 
 
 def _send(endpoint: str, path: str) -> int:

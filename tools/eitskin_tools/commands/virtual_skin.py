@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     options.check_positive(arguments, "seconds")
     if arguments.scene is not None and arguments.touches is not None:
         raise UsageError(
-            "--touches belongs to the script; a scene says how its own touches change conductance: leave it out"
+            "--touches does nothing with --scene, which sets how its touches change conductance: leave it out"
         )
     options.check_snr(arguments.snr_db)
     options.check_seed(arguments.seed)

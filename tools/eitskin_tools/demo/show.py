@@ -338,7 +338,7 @@ def skin_of(bundle: Path | None, touches: TouchKind = "raise") -> Skin:
 
     found = load_bundle(bundle, lazily=True)
     if not knows(found.touch_kind, touches):
-        hint = "show those that it knows: --touches"
+        hint = "choose the touches that it detects with --touches"
         raise MismatchError(f"{found.path}: touches", found=found.touch_kind, expected=touches, hint=hint)
     return (PAPER if found.skin.grid_id == PAPER.grid_id else found.skin).touched(touches)
 

@@ -154,7 +154,7 @@ def evaluate_devices(
         ValueError: The request needs the untouched voltages at every shape, or a row is of another sheet.
     """
     if request.reference == "post" or request.prediction == "true":
-        raise ValueError("--devices knows no untouched voltages of a bent device; leave --reference post and true out")
+        raise ValueError("--devices has no untouched voltages of a bent device: leave out --reference post and true")
     for name, mismatch in rows:
         try:
             if mismatch is not None:

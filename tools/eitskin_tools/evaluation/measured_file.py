@@ -173,7 +173,7 @@ def _clouds(arrays: Arrays, n: int, skin: Skin) -> tuple[Array, npt.NDArray[np.i
     if not given:
         return np.zeros((0, *skin.grid.cloud_shape)), np.full(n, -1)
     if len(given) == 1:
-        raise ValueError(f"has {given[0]} alone; expected cloud_mm and cloud_index, or neither of them")
+        raise ValueError(f"has only {given[0]}; expected both cloud_mm and cloud_index, or neither")
     clouds = numbers(arrays, "cloud_mm", (None, *skin.grid.cloud_shape))
     for number, cloud in enumerate(clouds):
         _check_cloud(cloud, f"cloud_mm[{number}]", skin)

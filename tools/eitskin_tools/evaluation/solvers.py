@@ -112,7 +112,7 @@ def named(
     if request.reference is not None and request.reference not in REFERENCES:
         raise ValueError(f"reference {request.reference!r} is unknown; expected one of {', '.join(REFERENCES)}")
     if request.at_rest and request.name != VERIFIED:
-        raise ValueError("--at-rest is for --solver verified; leave it out")
+        raise ValueError("--at-rest needs --solver verified")
     if request.name in SOLVERS:
         return Named(Run(SOLVERS[request.name], request.reference or "post"))
     if request.name == VERIFIED:

@@ -111,7 +111,7 @@ def table(found: dict[str, Any]) -> str:
         angles = found["angle_error_deg"]
         lines.append(
             f"{found['solver']}: {found['right']} of {found['objects']} objects in the right sector with the right "
-            f"sign, {found['ghosts']} besides"
+            f"sign, {found['ghosts']} more"
         )
         if angles:
             lines.append(f"angles off by {angles['median']:.1f} degrees median, {angles['worst']:.1f} at most")
@@ -126,9 +126,9 @@ def table(found: dict[str, Any]) -> str:
 def _what_common_changed(found: dict[str, Any]) -> str:
     out = sum(row["common"]["taken_out"] for row in found["frames"])
     if not out:
-        return f"a common factor was taken out of none of {len(found['frames'])} frames"
+        return f"a common factor was removed from none of {len(found['frames'])} frames"
     return (
-        f"a common factor was taken out of {out} of {len(found['frames'])} frames; left in, "
+        f"a common factor was removed from {out} of {len(found['frames'])} frames; left in, "
         f"{found['right_with_common']} of {found['objects']} are right"
     )
 
@@ -158,7 +158,7 @@ def _lines(row: dict[str, Any]) -> list[str]:
 def _common(common: dict[str, Any]) -> str:
     """What all rows changed by, and what became of it."""
     if common["sd_percent"] is None:
-        return "all rows: what they changed alike cannot be told from objects, left in"
+        return "all rows: their common change cannot be told from objects, so it stays"
     alike = f"all rows {common['percent']:+.1f} % +- {common['sd_percent']:.1f} %"
     if common["taken_out"]:
         changed = "the same objects found" if not common["changed"] else f"{common['changed']} found or lost by it"

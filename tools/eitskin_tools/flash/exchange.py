@@ -119,8 +119,8 @@ class Exchange:
         ):  # fmt: skip
             if found != expected:
                 raise ProtocolError(
-                    f"the device answered CONFIG_READ with {what} {found}, expected {expected}: its firmware does not "
-                    "keep to the protocol"
+                    f"the device answered CONFIG_READ with {what} {found}, expected {expected}: its firmware violates "
+                    "the protocol"
                 )
         return answer
 
@@ -143,8 +143,8 @@ class Exchange:
                     raise Refused(answer, name)
             return answer
         raise Silent(
-            f"{self.transport.name} did not answer {name} in {tried} attempts: is it an eitskin device, is its "
-            "power on, and does no other program use it?"
+            f"{self.transport.name} did not answer {name} in {tried} attempts: is it an eitskin device, is it "
+            "switched on, and does another program use it?"
         )
 
     def _answer(self, tag: int, deadline_s: float) -> messages.Message | None:

@@ -70,7 +70,7 @@ class Shown:
         if self.other.generation < self.active.generation:
             return "confirmed: a rollback returns to it"
         if self.hello.flags & HelloFlag.ROLLED_BACK:
-            return "not confirmed: its trial was given up, or the next boot tries it"
+            return "not confirmed: it failed its trial, or the next boot tries it"
         return "not confirmed: the next boot tries it"
 
 
@@ -103,7 +103,7 @@ def show(exchange: Exchange) -> Shown:
     if generation not in (hello.generation, 0) or active.digest != hello.configuration_digest:
         raise FlashError(
             f"the device runs generation {hello.generation}, digest {hello.configuration_digest:08x}, but CONFIG_READ "
-            f"gave generation {generation}, digest {active.digest:08x}: was it flashed meanwhile? Try again"
+            f"gave generation {generation}, digest {active.digest:08x}: was it flashed in the meantime? Try again"
         )
     other, other_generation = None, None
     try:
@@ -208,14 +208,14 @@ def write(
             piece = blob[at : at + messages.CHUNK_BYTES]
             written = exchange.command(messages.ConfigWrite, token=token, offset=at, data=piece).detail
             if written != at + len(piece):
-                raise FlashError(f"the device says that it has {written} bytes, expected {at + len(piece)}")
+                raise FlashError(f"the device reports {written} bytes, expected {at + len(piece)}")
         progress("verify", total - 5, total)
         found = exchange.command(messages.ConfigVerify, token=token).detail
         if found != configuration.digest:
             raise FlashError(f"the device found digest {found:08x}, expected {configuration.digest:08x}")
         _, read_back = read_stored(exchange, Slot.OTHER)
         if read_back != blob:
-            raise FlashError("what the device stored differs from what was sent")
+            raise FlashError("the device stored other bytes than were sent")
         progress("commit", total - 4, total)
         generation = exchange.command(messages.ConfigCommit, token=token, digest=configuration.digest).detail
     except (SkinError, KeyboardInterrupt) as error:
@@ -228,7 +228,9 @@ def write(
     try:
         restart(exchange, token)
     except SkinError as error:
-        raise FlashError(f"{error}; the next boot tries the new configuration, the one after it goes back") from error
+        raise FlashError(
+            f"{error}; the next boot tries the new configuration, the one after that rolls back"
+        ) from error
     _confirm(exchange, generation, configuration.digest, progress, total, reopen)
     return Stored(configuration, generation)
 
@@ -263,7 +265,7 @@ def _confirm(
     try:
         exchange.command(messages.ConfigConfirm, generation=generation, digest=digest)
     except SkinError as error:
-        raise FlashError(f"{error}; the device goes back to its old configuration by itself within 30 s") from error
+        raise FlashError(f"{error}; the device rolls back to its old configuration within 30 s") from error
     progress("done", total, total)
 
 
@@ -324,7 +326,7 @@ def rollback(exchange: Exchange, reopen: Callable[[], Transport] | None = None) 
         exchange.command(messages.ConfigRollback, token=token, generation=shown.hello.generation)
     except Refused as error:
         if error.ack.code == Code.NO_PREVIOUS:
-            raise FlashError("there is no earlier configuration to roll back to; the active one stays") from error
+            raise FlashError("found no earlier configuration to roll back to; the active one stays") from error
         raise
     restart(exchange, token)
     expected = shown.other.generation if shown.other else 0

@@ -160,7 +160,7 @@ class Child(ChildProcess):
 
     def last_words(self) -> str:
         """Return the last line of its standard error."""
-        return last_line(self.err.read_text(errors="replace")) or "it said nothing"
+        return last_line(self.err.read_text(errors="replace")) or "it printed nothing"
 
     def line(self, path: Path, start: str, timeout_s: float, others: Sequence["Child"] = ()) -> str:
         """Wait for a line of one of its outputs and return it.

@@ -27,4 +27,4 @@ def script_start(path: Path, timeout_s: float = 120.0) -> dict[str, Any]:
             if event["event"] == "start":
                 return event
         time.sleep(0.02)
-    raise TimeoutError(f"nobody started the virtual skin within {timeout_s:g} s")
+    raise TimeoutError(f"the virtual skin was not started within {timeout_s:g} s")

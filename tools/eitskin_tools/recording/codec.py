@@ -76,9 +76,9 @@ def unpack_json(data: bytes) -> dict[str, Any]:
     try:
         found = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise RecordingError(f"a message of the recording is no JSON: {error}") from error
+        raise RecordingError(f"a message of the recording is not JSON: {error}") from error
     if not isinstance(found, dict):
-        raise RecordingError("a message of the recording is no JSON object")
+        raise RecordingError("a message of the recording is not a JSON object")
     return found
 
 

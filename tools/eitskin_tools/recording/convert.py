@@ -130,7 +130,7 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
         for name, value in found.items():
             rows[name].append(value)
     if not volts:
-        raise RecordingError(f"{script.path} holds no whole frame in this part{script.ending}")
+        raise RecordingError(f"{script.path} has no complete frame in this part{script.ending}")
     columns = {name: np.array(rows[name], dtype=kind) for name, kind in COLUMNS.items()}
     clouds = [script.clouds[revision] for revision in revisions]
     return Table(
@@ -160,7 +160,7 @@ def measured_arrays(script: Script) -> tuple[dict[str, npt.NDArray[Any]], int]:
     if len(found.clouds_mm):
         fit &= found.columns["cloud_index"] >= 0  # of others it is not known how the sheet lay
     if not fit.any():
-        raise RecordingError(f"{script.path} holds no frame that was fit to publish{script.ending}")
+        raise RecordingError(f"{script.path} has no usable frame{script.ending}")
     arrays: dict[str, npt.NDArray[Any]] = {
         "voltages_V": found.voltages_V[fit],
         "reference_V": found.reference_V,
@@ -305,7 +305,7 @@ def write_rosbag(folder: Path, script: Script, from_s: float | None = None, to_s
     from rosbags.typesys import Stores, get_typestore
 
     if folder.exists():
-        raise RecordingError(f"{folder} exists already; name another folder, or remove it")
+        raise RecordingError(f"{folder} already exists: name another folder, or remove it")
     store = get_typestore(Stores.ROS2_JAZZY)
     messages = _Messages(store, script)
     begin_ns = script.first_ns + int((from_s or 0.0) * 1e9)

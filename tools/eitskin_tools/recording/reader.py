@@ -108,7 +108,7 @@ class Recording:
         if not self.head:
             raise RecordingError(
                 f"{path} holds no recording of a skin: expected a file made by 'eitskin record'"
-                + ("; this one ends before it says what it is" if self.cut else "; this is another program's MCAP file")
+                + ("; this one ends within its header" if self.cut else "; this is another program's MCAP file")
             )
         self._check_version()
 
@@ -172,7 +172,7 @@ class Recording:
         try:
             return int(self.head["wall_minus_host_ns"])
         except (KeyError, ValueError):
-            raise RecordingError(f"{self.path} does not say how its clocks compare; record anew") from None
+            raise RecordingError(f"{self.path} does not relate its clocks; record again") from None
 
     def entries(
         self, topics: Collection[str] | None = None, from_ns: int | None = None, to_ns: int | None = None
@@ -249,10 +249,10 @@ def check_magic(stream: BinaryIO, path: Path) -> None:
     """
     found = stream.read(len(MAGIC))
     if not found:
-        raise RecordingError(f"{path} is empty, expected a recording; whatever made it wrote nothing")
+        raise RecordingError(f"{path} is empty, expected a recording")
     if found != MAGIC[: len(found)]:
         raise RecordingError(
-            f"{path} is no MCAP file: it begins with {stated(found)}, expected a file made by 'eitskin record'"
+            f"{path} is not an MCAP file: it begins with {stated(found)}, expected a file made by 'eitskin record'"
         )
 
 

@@ -241,9 +241,7 @@ class Recorder:
             write(found)
             return
         if len(self._early) >= MAX_EARLY:
-            raise RecordingError(
-                "the runtime sends frames but does not say what skin they are of; update it to this release"
-            )
+            raise RecordingError("the runtime does not describe its skin; update it to this release")
         self._early.append((run, write, found))
 
     def _state(self, found: SkinState) -> None:

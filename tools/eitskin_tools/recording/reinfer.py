@@ -227,8 +227,8 @@ MAX_DIGESTS: Final = 256
 frames."""
 
 UNKNOWN_REASONS: Final = {
-    "no_conditions": "came before the file says what they were held against",
-    "frame_missing": "have a map of a frame that the file lacks, or says nothing of",
+    "no_conditions": "came before the file has their reference and cloud",
+    "frame_missing": "have the map of a frame that the file lacks or does not describe",
     "region": "differ in a last bit at most: an earlier release computed some rectangles of them alone",
 }
 """Reasons why equality with a published map is unknown, with their texts."""
@@ -686,7 +686,7 @@ def draw(path: Path, found: Reinferred, most: int) -> None:
     maps = _maps_of(found)
     touched = [index for index, values in enumerate(maps.maps) if values.any()]
     if not touched:
-        raise RecordingError("nothing was touched in this part of the recording: there is nothing to draw")
+        raise RecordingError("no frame in this part of the recording is touched: there is nothing to draw")
     parts = [part for part in np.array_split(touched, most) if len(part)]
     chosen = [max(part, key=lambda index: float(maps.maps[index].sum())) for part in parts]
     rows = [("maps", maps)] if found.others is None else [("recorded", found.others), ("computed now", maps)]
@@ -701,5 +701,5 @@ def draw(path: Path, found: Reinferred, most: int) -> None:
 
 def _maps_of(found: Reinferred) -> Maps:
     if found.maps is None or not found.maps.maps:
-        raise RecordingError("no map came out of this part of the recording")
+        raise RecordingError("this part of the recording has no map")
     return found.maps

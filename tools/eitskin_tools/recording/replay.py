@@ -389,7 +389,9 @@ def _first_known(script: Script, manner: ReplayOptions) -> tuple[Step, int]:
         if step.known:
             return step, before
     script.reference()  # says that there is none at all
-    raise RecordingError(f"{script.path} does not say what the frames of this part met; choose another by --from, --to")
+    raise RecordingError(
+        f"{script.path} lacks the state of the runtime for this part; choose another with --from and --to"
+    )
 
 
 def _idles(script: Script) -> bool:

@@ -84,7 +84,7 @@ class SeekableRecording:
         self._conditions = _ByRevision(CONDITIONS.topic, Conditions.of)
         first, last = self._end(1), self._end(-1)
         if first is None or last is None:
-            raise RecordingError(f"{path} holds no frame of the wire{self.ending}")
+            raise RecordingError(f"{path} holds no frame from the device{self.ending}")
         self.first_ns, self.last_ns = first, last
         """Wall clock of the first and the last frame."""
 
@@ -116,7 +116,7 @@ class SeekableRecording:
     @property
     def ending(self) -> str:
         """What is wrong with the file's end or middle, as a clause; "" if nothing is known to be."""
-        found = "; it was cut off, what is there ends before its time" if self.recording.cut else ""
+        found = "; it was cut off and ends early" if self.recording.cut else ""
         damaged = self.recording.damaged
         return found + (f"; {damaged} damaged chunks are left out" if damaged else "")
 
@@ -134,7 +134,7 @@ class SeekableRecording:
         for step in self.steps():
             if step.reference is not None:
                 return step.reference
-        raise RecordingError(f"{self.path} lacks its reference{self.ending}; record a runtime that has one")
+        raise RecordingError(f"{self.path} has no reference{self.ending}; record a runtime that has one")
 
     def steps(self, from_s: float | None = None, to_s: float | None = None) -> Iterator[Step]:
         """Yield the frames of the wire, and what changed before each.
@@ -345,7 +345,7 @@ def bundle_of(script: SeekableRecording, named: str | Path | None = None) -> Bun
         if path.exists() and (found := load_bundle(path, lazily=True)).id == wanted:
             return found
     raise RecordingError(
-        f"{script.path} was made with bundle {wanted[:16]}, none of the shipped ones; name it with --bundle FILE"
+        f"{script.path} was made with bundle {wanted[:16]}, which is not a shipped one; name it with --bundle FILE"
     )
 
 

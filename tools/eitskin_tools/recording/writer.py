@@ -94,7 +94,7 @@ class Sink:
         try:
             self._handle = self._with_room(lambda: os.open(self.path, CREATE_FLAGS, 0o666))
         except FileExistsError:
-            raise RecordingError(f"{self.path} exists already; name another file, or move it away") from None
+            raise RecordingError(f"{self.path} already exists: name another file, or move it away") from None
         _sync_folder(self.path.parent)
 
     def _with_room(self, write: Callable[[], int]) -> int:

@@ -175,7 +175,7 @@ class SkinProcess:
         if ending:
             self.why = ""
         else:
-            self.why = how_it_ended(self.status, self._said or "it said nothing") if failed else "ended by itself"
+            self.why = how_it_ended(self.status, self._said or "it printed nothing") if failed else "ended by itself"
         if self._ready_s is not None and now_s - self._ready_s >= self._child.backoff.settled_s:
             self._child.failures = 0
         wanted = self.settings.restart

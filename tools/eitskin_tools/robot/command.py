@@ -39,7 +39,7 @@ def run_all(arguments: argparse.Namespace, add_arguments: Callable[[Parser], Non
     for name, default in vars(parser.parse_args([])).items():
         if name not in CONFIG_OPTIONS and getattr(arguments, name) != default:
             raise UsageError(
-                f"--{name.replace('_', '-')} is of one skin, and --config of all; state it in {arguments.config}"
+                f"--{name.replace('_', '-')} is for one skin; with --config, write it into {arguments.config}"
             )
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from eitskin.robot.config import load_robot
@@ -162,9 +162,11 @@ def make_folders(robot: "Robot") -> None:
             folder.mkdir(mode=0o700, parents=folder == robot.folder, exist_ok=True)
         except OSError as error:
             raise RobotError(
-                f"folder {folder} cannot be made: {error.strerror}; state another with folder = ..., or make it for "
+                f"folder {folder} cannot be made: {error.strerror}; name another with folder = ..., or give it to "
                 "this user"
             ) from error
         found = folder.stat()
         if found.st_uid != os.getuid() or found.st_mode & 0o022:
-            raise RobotError(f"folder {folder} is not this user's alone to write; make it so, or state another")
+            raise RobotError(
+                f"folder {folder} can be written by other users; take that right away, or name another folder"
+            )

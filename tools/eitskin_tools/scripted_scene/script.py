@@ -167,7 +167,7 @@ def prepare(script: Script, until_s: float, *, workers: int | None = None, cache
         try:
             keyframes.save(name, found, folder)
         except OSError as error:
-            print(f"eitskin: keyframes were not kept for the next time: {error}", file=sys.stderr)
+            print(f"eitskin: keyframes could not be cached: {error}", file=sys.stderr)
     return found
 
 

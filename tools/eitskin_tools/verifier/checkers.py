@@ -15,7 +15,7 @@ from eitskin_tools.evaluation.verified.solver import MapVerifier, noise_shown
 from eitskin_tools.verifier.letters import Array, BaselineLetter, FrameLetter, Setup
 
 SCAN_MISMATCH: Final = (
-    "untouched, the sheet does not read as its cloud and reference say; send its cloud, or take a reference anew"
+    "the untouched sheet does not match its cloud and reference: send its cloud, or capture a new reference"
 )
 
 Three = tuple[float, float, float]

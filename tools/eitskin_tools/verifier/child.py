@@ -137,7 +137,7 @@ class VerifierProcess(PeriodicThread):
         self._close()
         pause_s, failures = self._child.next_pause_s(), self._child.failures
         if failures >= self._max_failures:
-            self.state, self.why = FAILED, f"the verifier {why}; {failures} times in a row, so it is given up"
+            self.state, self.why = FAILED, f"the verifier {why}; {failures} times in a row, so it is not restarted"
             return
         self._due_s = time.monotonic() + pause_s
         self.state, self.why = WAITING, f"the verifier {why}; it starts again in {pause_s:g} s"

@@ -46,7 +46,7 @@ MAX_DURATIONS: Final = 2000
 LATE_NS: Final = 1_000_000_000
 """A frame that takes so much more than its budget is reported as late."""
 
-LATE_REASON: Final = "what it computes takes longer than it may; if it hangs it is ended, and started anew"
+LATE_REASON: Final = "it computes for too long; if it hangs, it is killed and restarted"
 """Said meanwhile."""
 
 

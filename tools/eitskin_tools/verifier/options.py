@@ -58,7 +58,7 @@ def check(arguments: argparse.Namespace) -> None:
     given = [name for name in ("budget_ms", "nice", "affinity") if getattr(arguments, f"verify_{name}") is not None]
     if arguments.verify == "off":
         if given:
-            raise UsageError(f"--verify-{given[0].replace('_', '-')} goes with --verify idle or --verify always")
+            raise UsageError(f"--verify-{given[0].replace('_', '-')} needs --verify idle or --verify always")
         return
     budget_ms, nice = arguments.verify_budget_ms, arguments.verify_nice
     if budget_ms is not None and not 0 < budget_ms <= MOST_MS:

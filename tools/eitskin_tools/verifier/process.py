@@ -124,7 +124,7 @@ class Worker:
         verdict, touches, why = None, (), ""
         try:
             if self._checker is None or frame.setup != self._setup:
-                raise ValueError("its surface is no longer in use")
+                raise ValueError("the surface has changed since")
             with within(self._budget_s):
                 verdict, touches, why = self._checker.check(frame)
         except Exception as error:  # a frame that nothing can be said of must not end the verifying of others

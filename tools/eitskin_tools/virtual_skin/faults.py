@@ -75,7 +75,7 @@ def parse(text: str) -> Fault:
         start, every = float(match["start"] or 0.0), float(match["every"] or 0.0)
         amount = float(match["amount"]) if match["amount"] else AMOUNTS[match["kind"]]
     except ValueError as error:
-        raise ValueError(f"fault {text!r} has a number that is none") from error
+        raise ValueError(f"fault {text!r} has something else in place of a number") from error
     return Fault(match["kind"], start, every, amount)
 
 

@@ -35,7 +35,7 @@ FINAL_STEP_SD: Final = 0.02
 ROUGH_STEP_SD: Final = 0.3
 """A step that is shorter, in posterior standard deviations of a parameter, is the last one; or the last but exact."""
 
-REMEDY: Final = "look at the recording, and at the uncertainties that the skin states"
+REMEDY: Final = "look at the recording, and the uncertainties in the skin's file"
 
 MAX_DAMPING: Final = 1e6
 MISFIT_LEVEL: Final = 1e-4
@@ -194,7 +194,7 @@ def _descend(
         try:
             residuals, jacobian = model.linearised(z)
         except (ValueError, RuntimeError) as error:  # there is such a sheet, but none beside it
-            raise UnsettledError(f"it ends at a sheet that cannot be ({error})", residuals) from error
+            raise UnsettledError(f"the search ends at an impossible sheet ({error})", residuals) from error
         before, cost = cost, float(residuals @ residuals + z @ z)
         gains.append(abs(before - cost))
         if rough and step > UPHILL_STEPS and gains[-1] < MIN_GAIN + MIN_GAIN_SHARE * cost:

@@ -103,7 +103,7 @@ def _recording(arrays: Arrays, skin: Skin) -> Recording:
         try:
             cloud, _ = check_sheet(cloud, skin)
         except ValueError as error:
-            raise ValueError(f"reference_cloud_mm: {error}; without it the sheet lay flat") from error
+            raise ValueError(f"reference_cloud_mm: {error}; leave it out if the sheet lay flat") from error
     return Recording(reference, frames, _bents(arrays, skin), _presses(arrays, skin), cloud)
 
 
@@ -194,4 +194,4 @@ def _rows(volts: Array, name: str) -> Array:
 def _check_size(volts: Array, name: str) -> None:
     largest = float(np.abs(volts).max())
     if largest > MAX_V:
-        raise ValueError(f"{name} goes up to {largest:.3g} V, expected at most {MAX_V:g}: no front end gives that")
+        raise ValueError(f"{name} goes up to {largest:.3g} V, expected at most {MAX_V:g}: no front end reaches that")

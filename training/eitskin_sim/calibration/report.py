@@ -48,8 +48,9 @@ def calibrate(
     model = Model(skin, recording, snr_db)
     if len(model.parameters.groups) == 1 and not recording.presses:
         raise CalibrationError(
-            f"skin {skin.name} states everything exactly: there is nothing to calibrate; say in its file how sure you "
-            "are, as {value = .., normal = ..}, or name one that does, as --skin lab"
+            f"skin {skin.name} gives every value as exact, so there is nothing to calibrate: write uncertainties into "
+            f"its file, as {{value = .., normal = ..}}, or name another skin, such as --skin "
+            "lab"
         )
     found = _named_if_unsettled(lambda: fit(model, progress), row_names(model))
     check_rows(model, found, slice(None))
@@ -115,9 +116,7 @@ def _named_if_unsettled(work: Callable[[], Fit], names: list[str]) -> Fit:
         return work()
     except UnsettledError as error:
         worst = _worst(error.residuals, names)
-        raise CalibrationError(
-            f"{error.why}; rows that are off by so many times their noise: {worst}; {REMEDY}"
-        ) from error
+        raise CalibrationError(f"{error.why}; rows with their error in units of noise: {worst}; {REMEDY}") from error
 
 
 def check_moments(session: Session, found: Fit) -> None:
@@ -145,8 +144,8 @@ def check_moments(session: Session, found: Fit) -> None:
     several = len(session.flat.recording.presses) > 1 and name.startswith("press")
     what = "contradicts the others" if several else "does not fit the sheet"
     raise CalibrationError(
-        f"{name} {what}: misfit {misfit:.3g}, expected at most {limit:.3g}; rows that are off by so many times their "
-        f"noise: {_named(found, block)}; leave it out, or record it again"
+        f"{name} {what}: misfit {misfit:.3g}, expected at most {limit:.3g}; rows with their error in units of noise: "
+        f"{_named(found, block)}; leave it out, or record it again"
     )
 
 
@@ -167,14 +166,14 @@ def check_rows(model: Model, found: Fit, block: slice) -> None:
     scan = ""
     if model.unseen is not None:
         limit += (model.unseen.largest - 1.0) * N_ROWS / len(residuals)
-        scan = "at the reference's scan, "
+        scan = "the reference's scan, "
     if misfit <= limit:
         return
     named = _worst(found.far[block], row_names(model))
     raise CalibrationError(
-        f"the residual stays above noise: misfit {misfit:.3g}, expected at most {limit:.3g}; rows that are "
-        f"off by so many times their noise: {named}; look at these electrodes ('eitskin doctor --electrodes'), {scan}"
-        "at the noise ([front_end] snr_db, --snr-db), and at the uncertainties that the skin states"
+        f"the residual stays above noise: misfit {misfit:.3g}, expected at most {limit:.3g}; rows with their error in "
+        f"units of noise: {named}; check these electrodes ('eitskin doctor --electrodes'), {scan}at the noise "
+        "([front_end] snr_db, --snr-db), and the uncertainties in the skin's file"
     )
 
 

@@ -201,14 +201,14 @@ def check_felt(session: Session, z: Array) -> None:
     presses, skin = session.flat.recording.presses, session.flat.skin
     if session.changed() <= float(chi2.isf(MISFIT_LEVEL / len(presses), N_ROWS)) / N_ROWS:
         raise CalibrationError(
-            f"presses change no more than noise and a drift of {DRIFT:.0%} do: they do not show what a press is "
-            "like; press harder, or leave press_V, press_xy_mm and stamp_mm out"
+            f"presses change the voltages no more than noise and a drift of {DRIFT:.0%}: press harder, or leave out "
+            "press_V, press_xy_mm and stamp_mm"
         )
     if len(stamps.ways(skin.touches)) == 1 and (session.alike(z) < -MIN_SIGN_COSINE).all():
         found, stated = ("raise", "lower") if session.way < 0 else ("lower", "raise")
         raise CalibrationError(
             f"presses {found} conductance, and [touches] of skin {skin.name} says that touches {stated} it: correct "
-            "kind there"
+            "its kind"
         )
 
 

@@ -58,7 +58,9 @@ def check_address(scheduler: str) -> None:
     except ValueError:  # a port that is no number
         sound = False
     if not sound:
-        raise ValueError(f"--scheduler is {scheduler!r}; expected tls://HOST:PORT or tcp://HOST:PORT, PORT mostly 8786")
+        raise ValueError(
+            f"--scheduler is {scheduler!r}; expected tls://HOST:PORT or tcp://HOST:PORT, usually with port 8786"
+        )
 
 
 def is_exposed(scheduler: str) -> bool:

@@ -86,7 +86,8 @@ def referenced_device(job: dict[str, Any], nominal: Array) -> ReferencedDevice:
         before = sheet_differences(drawn.device, drawn.reference_bend)
     except ValueError as error:
         raise ValueError(
-            f"skin {skin.name}: a random device of it cannot be ({error}); make what is off in {SHEET} smaller"
+            f"skin {skin.name}: a random device of it is impossible ({error}); make the uncertainties in {SHEET} "
+            "smaller"
         ) from error
     for _ in range(ATTEMPTS):
         found = readings(drawn.device, before)
@@ -98,11 +99,11 @@ def referenced_device(job: dict[str, Any], nominal: Array) -> ReferencedDevice:
     if not _usable(perfect):
         raise ValueError(
             f"skin {skin.name}: a random sheet reads {perfect.min():.3g} to {perfect.max():.3g} times the nominal "
-            f"reference, expected every row within {least:g} and {most:g}; make what is off in {SHEET} smaller"
+            f"reference, expected every row within {least:g} and {most:g}; make the uncertainties in {SHEET} smaller"
         )
     raise ValueError(
         f"skin {skin.name}: in {ATTEMPTS} draws of its front end none read every row within {least:g} and "
-        f"{most:g} times the nominal reference; make what is off in [front_end] smaller"
+        f"{most:g} times the nominal reference; make the uncertainties in [front_end] smaller"
     )
 
 

@@ -98,11 +98,12 @@ def _claim(plan: Plan, out: Path) -> None:
             same = False
         if not same:
             raise DataSetError(
-                f"{out} holds another data set, or one of another version; give --out a new folder, or remove that one"
+                f"{out} holds another data set, or one of another version: name a new folder with --out, or remove "
+                "that one"
             )
         return
     if out.exists() and not is_empty(out):
-        raise DataSetError(f"{out} is not empty and holds no data set; give --out a new folder")
+        raise DataSetError(f"{out} is not empty and is not a data set: name a new folder with --out")
     out.mkdir(parents=True, exist_ok=True)
     write_bytes(path, content)
 
@@ -142,8 +143,8 @@ def processes(workers: int) -> Iterator[ProcessPoolExecutor]:
             yield pool
         except BrokenProcessPool as error:
             raise SkinError(
-                "a process that made data was ended from outside, mostly because memory is short; the same command "
-                "goes on where it was, and fewer --workers take less"
+                "a worker process was killed, usually because memory ran out; the same command resumes, with fewer "
+                "--workers it needs less"
             ) from error
         except BaseException:  # their unfinished work is not needed, and may last minutes
             for worker in set(multiprocessing.active_children()).difference(others):

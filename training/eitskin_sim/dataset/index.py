@@ -62,13 +62,15 @@ def read_index(folder: Path) -> dict[str, Any]:
     """
     path = folder / "index.json"
     if folder.is_dir() and not path.exists():
-        raise ProtocolError(f"{folder} holds no finished data set: index.json is missing; go on with 'eitskin dataset'")
+        raise ProtocolError(
+            f"{folder} is not a finished data set: index.json is missing; finish it with 'eitskin dataset'"
+        )
     try:
         index = read_json(path)
     except FileError as error:
         raise ProtocolError(f"{error}; {HINT}") from error
     if not isinstance(index, dict) or index.get("format") != FORMAT:
-        raise ProtocolError(f"{path} is no index of a data set; {HINT}")
+        raise ProtocolError(f"{path} is not the index of a data set; {HINT}")
     version = VERSION_OF_SOFT if is_soft(index) else VERSION
     try:
         skin = skin_of(index)

@@ -239,13 +239,13 @@ def _check_together(set_name: str, touch_sets: int | None, near: float | None, t
             "give the number shown at a deformation"
         )
     if set_name != "free" and near is not None:
-        raise ValueError(f"share of near touches: found {near:g}, expected none: only the free set draws touches so")
+        raise ValueError(f"share of near touches: found {near:g}, expected none: only the free set supports it")
     if set_name == "paper" and touches != "hard":
-        raise ValueError(f"touches: found {touches!r}, expected 'hard': the paper's set is as the paper says")
+        raise ValueError(f"touches: found {touches!r}, expected 'hard': the paper's set follows the paper")
     if devices not in DEVICE_KINDS:
         raise ValueError(f"devices {devices!r} are unknown; expected one of {', '.join(DEVICE_KINDS)}")
     if set_name == "paper" and devices != "ideal":
-        raise ValueError(f"devices: found {devices!r}, expected 'ideal': the paper's set is as the paper says")
+        raise ValueError(f"devices: found {devices!r}, expected 'ideal': the paper's set follows the paper")
 
 
 def _check_paper(set_name: str, per_deformation: int | None, kept: int | None) -> None:
@@ -258,7 +258,7 @@ def _check_paper(set_name: str, per_deformation: int | None, kept: int | None) -
             "shows all; give the touch sets in all"
         )
     if kept:
-        raise ValueError(f"deformations kept apart: found {kept}, expected none: the paper's set trains on all")
+        raise ValueError(f"held-out deformations: found {kept}, expected none: the paper's set trains on all")
 
 
 def _check(what: str, value: float, low: float, high: float) -> None:

@@ -90,8 +90,8 @@ def check_apart(contacts: Contacts) -> Contacts:
     """
     if len(np.unique(contacts.element)) < len(contacts.element):
         raise ValueError(
-            "two electrodes meet one element; expected electrodes further apart: smaller ones, or less that is off in "
-            "[electrodes]"
+            "two electrodes meet one element; expected them further apart: make the electrodes or their uncertainties "
+            "smaller"
         )
     return contacts
 

@@ -181,7 +181,7 @@ def random(
                 return tuple(Touch((shape,)) for shape in shapes)
         along, across = skin.grid.size_mm
         raise ValueError(
-            f"{wanted} touches of {SIZES_MM[0]:g} to {SIZES_MM[1]:g} mm, {APART_MM:g} mm apart, have no room on a "
+            f"{wanted} touches of {SIZES_MM[0]:g} to {SIZES_MM[1]:g} mm, {APART_MM:g} mm apart, do not fit on a "
             f"sheet of {along:g} x {across:g} mm; ask for fewer"
         )
 

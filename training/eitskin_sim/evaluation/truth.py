@@ -51,7 +51,7 @@ def check_truths(phantoms: Sequence[Phantom], skin: Skin = PAPER) -> None:
             raise SceneError(
                 f"{where}: no unit is touched: its touches cover none by half; touch 'units', or give the truth 'area'"
             )
-        raise SceneError(f"{where}: nothing is touched: holes take its touches out; leave them or the touches out")
+        raise SceneError(f"{where}: nothing is touched: holes remove its touches; leave out one of them")
 
 
 def _check_on_map(phantom: Phantom, skin: Skin, where: str) -> None:

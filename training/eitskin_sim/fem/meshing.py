@@ -119,7 +119,7 @@ def scene_mesh(scene: Scene) -> TensorMesh:
     if mesh.n_elements > MAX_ELEMENTS:
         raise SceneError(
             f"the scene needs a mesh of {mesh.n_elements} elements, expected at most {MAX_ELEMENTS}: raise "
-            f"element_size_mm (it is {scene.element_size_mm:g}), or leave touches out"
+            f"element_size_mm (it is {scene.element_size_mm:g}), or leave out touches"
         )
     return mesh
 

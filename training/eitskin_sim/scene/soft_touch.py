@@ -75,7 +75,7 @@ def check_touch(touch: Touch, sheet: Sheet, where: str, earlier: Sequence[Touch]
     if alike and not touch.dent_mm and not _takes_out(touch, sheet, earlier):
         raise SceneError(
             f"{where} changes nothing: its contrast is {factor:.6g}; it must be below or above 1 by at least "
-            f"{MIN_LOG_CONTRAST:g}, have a dent_mm, or be a hole: both sharp, over a touch that stands before it"
+            f"{MIN_LOG_CONTRAST:g}, have a dent_mm, or be a hole: both sharp, over an earlier touch"
         )
     if 0.0 < touch.border_mm < MIN_BORDER_MM:
         raise SceneError(

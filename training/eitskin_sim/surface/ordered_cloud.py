@@ -119,8 +119,8 @@ def organise(points_mm: npt.ArrayLike, corner_mm: npt.ArrayLike | None = None, g
         return _organise(points, corner_mm, grid)
     except (np.linalg.LinAlgError, QhullError) as error:
         raise PointCloudError(
-            f"the {len(points)} points lie on a line or crowd at a few places, so that they carry no surface: expected "
-            "points all over the sheet; measure it again"
+            f"the {len(points)} points lie on a line or crowd at a few places, so they show no surface: expected "
+            "points all over the sheet; scan it again"
         ) from error
 
 
@@ -207,7 +207,7 @@ def _check_points(points_mm: npt.ArrayLike, grid: Grid) -> Array:
     if spread.max() < 5.0 or spread.max() > 5000.0:
         raise PointCloudError(
             f"the points span {spread.max():.3g} mm; the sheet is {max(grid.size_mm):g} mm long: "
-            "save them in millimetres, or say --unit m where they are in metres"
+            "save them in millimetres, or give --unit m if they are in metres"
         )
     return points
 

@@ -93,5 +93,5 @@ def _ascii(body: memoryview, count: int, columns: list[int]) -> Array:
 
     found = table(rows())
     if len(found) < count:
-        raise ValueError(f"{count} points are announced, {len(found)} are there")
+        raise ValueError(f"{count} points are declared, found {len(found)}")
     return found

@@ -43,7 +43,7 @@ def read_ply(data: bytes) -> Array:
         return _ply_ascii(data[body:], elements)
     for name, count, properties in elements:
         if any(kind == "list" for _, kind in properties):
-            raise ValueError(f"element {quoted(name)} with a list stands before the vertices: save the vertices first")
+            raise ValueError(f"element {quoted(name)} with a list comes before the vertices: save the vertices first")
         layout = np.dtype([(label, order + PLY_TYPES[kind]) for label, kind in properties])
         if len(data) - body < count * layout.itemsize:
             raise ValueError(
@@ -94,7 +94,7 @@ def _ply_ascii(body: bytes, elements: list[_Element]) -> Array:
     columns = [[label for label, _ in properties].index(axis) for axis in "xyz"]
     lines = body.count(b"\n") + (not body.endswith(b"\n") and bool(body))
     if lines < skip + count:
-        raise ValueError(f"{quoted(count)} vertices are announced, {max(lines - skip, 0)} lines are there")
+        raise ValueError(f"{quoted(count)} vertices are declared, found {max(lines - skip, 0)} lines")
 
     def rows() -> Iterator[list[bytes]]:
         for line in islice(io.BytesIO(body), skip, skip + count):

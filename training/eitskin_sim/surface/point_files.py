@@ -44,7 +44,7 @@ def read_points(path: str | Path) -> Array:
     readers = {".ply": _read_ply, ".pcd": _read_pcd, ".xyz": _read_xyz, ".npy": _read_npy}
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise PointFileError(f"{path}: points come as a {SUFFIXES} file, found suffix {path.suffix!r}")
+        raise PointFileError(f"{path}: expected a {SUFFIXES} file, found suffix {path.suffix!r}")
     try:
         points = reader(path)
     except OSError as error:

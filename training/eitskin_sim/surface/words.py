@@ -31,7 +31,7 @@ def table(rows: Iterable[list[bytes]]) -> Array:
 def check_count(count: int) -> None:
     """Raise ValueError if there are more than ``MAX_POINTS``."""
     if count > MAX_POINTS:
-        raise ValueError(f"more than {MAX_POINTS} points; measure less densely: 7,000 do for a sheet")
+        raise ValueError(f"more than {MAX_POINTS} points; scan less densely: 7,000 are enough for a sheet")
 
 
 def _pieces(rows: Iterable[list[bytes]]) -> Iterator[list[list[bytes]]]:

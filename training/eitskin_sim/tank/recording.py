@@ -112,8 +112,8 @@ def _frame(path: str, name: str, array: npt.NDArray[Any]) -> TankFrame:
     water, objects = values[:, 0] + 1j * values[:, 1], values[:, 2] + 1j * values[:, 3]
     if not np.abs(water).max() > MIN_V:
         raise TankError(
-            f"{where}: water reads zeros, {np.abs(water).max():.3g} V at most, which nothing can be held against; "
-            "leave the frame out"
+            f"{where}: water reads zeros, {np.abs(water).max():.3g} V at most, so nothing can be compared with it; "
+            "leave out the frame"
         )
     named = [(int(number[:5]), material) for number, material in ELECTRODE_NAME.findall(name)]
     electrodes = [electrode for electrode, _ in named]

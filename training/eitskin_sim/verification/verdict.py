@@ -49,5 +49,5 @@ def p_value(chi_squared: float, degrees_of_freedom: int) -> float:
         ValueError: There are no degrees of freedom.
     """
     if degrees_of_freedom < 1:
-        raise ValueError(f"{degrees_of_freedom} degrees of freedom: more is fitted than there are rows")
+        raise ValueError(f"{degrees_of_freedom} degrees of freedom: the fit has more parameters than rows")
     return float(special.chdtrc(degrees_of_freedom, max(chi_squared, 0.0)))

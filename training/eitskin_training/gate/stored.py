@@ -100,7 +100,7 @@ def gate_of_run(
     try:
         _write(folder / NAME, found, expected)
     except (OSError, FileError) as error:
-        tell(f"gate: not kept for the next time, {error}")
+        tell(f"gate: could not be cached, {error}")
     return found
 
 

@@ -63,7 +63,7 @@ def check(recording: Recording) -> None:
     presses = recording.presses
     if len(presses) < MIN_PRESSES:
         raise SkinError(
-            f"{len(presses)} presses are recorded, expected at least {MIN_PRESSES}: every fourth is kept apart"
+            f"{len(presses)} presses are recorded, expected at least {MIN_PRESSES}: every fourth is held out"
         )
     places = np.array([one.xy_mm for one in presses])
     changes = directions(ratios(recording))
@@ -78,8 +78,8 @@ def check(recording: Recording) -> None:
             read = "unlike" if away <= MAX_DISTANCE_OF_SAME_PLACE else "the same"
             both = f"{press_name(recording, int(one))} and {press_name(recording, int(other))}"
             raise SkinError(
-                f"{both} contradict each other: they read {read} (cosine {cosine:.2f}); leave out the one that was "
-                "elsewhere"
+                f"{both} contradict each other: they read {read} (cosine {cosine:.2f}); leave out the one at the "
+                "wrong place"
             )
 
 
@@ -113,7 +113,9 @@ def write(folder: Path, recording: Recording, data: TrainingData) -> None:
         SkinError: The data set has no labels of touches anywhere.
     """
     if data.labels_kind != "area":
-        raise SkinError("recorded presses have places anywhere; a bundle of units cannot learn from them")
+        raise SkinError(
+            "a bundle of units cannot learn from recorded presses, because presses lie anywhere, not on units"
+        )
     count = len(recording.presses)
     learned = count - len(_kept(count))
     repeats = max(round(PRESS_SHARE / (1.0 - PRESS_SHARE) * len(data.train) / learned), 1)
@@ -193,7 +195,7 @@ def ratios(recording: Recording) -> Array:
     rows = reference[ROW_IN_FULL] if len(reference) == N_FULL_ROWS else reference
     found = np.array([one.voltages_V for one in recording.presses]) / rows
     if bad := [str(number) for number in np.flatnonzero((found <= 0.0).any(axis=1))]:
-        raise SkinError(f"press {', '.join(bad)}: a row has turned its sign since the reference; leave it out")
+        raise SkinError(f"press {', '.join(bad)}: a row has changed its sign since the reference; leave it out")
     return np.asarray(found)
 
 
@@ -241,13 +243,13 @@ def check_ways(recording: Recording, skin: Skin, known: TouchKind, who: str) -> 
         one, other = ("lowers", "raises") if fewer is lower else ("raises", "lowers")
         few, many = press_name(recording, fewer[0]), press_name(recording, more[0])
         raise SkinError(
-            f"{few} {one} conductance and {many} {other} it; leave out the one that is wrong, or say in the file "
-            f"of skin {skin.name} that touches do both: [touches] kind"
+            f"{few} {one} conductance and {many} {other} it; leave out the wrong one, or set kind = 'both' in "
+            f"[touches] of the file of skin {skin.name}"
         )
     knowing: list[tuple[TouchKind, str]] = [(known, f"as {who} knows")]
     if skin.touch_kind == "lower":
-        knowing.insert(0, ("lower", f"as [touches] of skin {skin.name} says"))
-    hint = "take a bundle and a skin that know such, or leave --presses out"
+        knowing.insert(0, ("lower", f"from [touches] of skin {skin.name}"))
+    hint = "use a bundle and a skin for such touches, or leave out --presses"
     ways_of: list[tuple[list[int], TouchKind]] = [(lower, "lower"), (higher, "raise")]
     for numbers, way in ways_of:
         for kind, source in knowing if numbers else ():

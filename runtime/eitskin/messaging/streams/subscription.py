@@ -63,7 +63,7 @@ class StreamSubscription(Subscriber[Item]):
     ) -> None:
         asked = {WIRE: wire, CLOUD: clouds, STATE: state, CONDITIONS: wire if conditions is None else conditions}
         if not any(asked.values()):
-            raise ValueError("no stream is asked for; expected at least one of wire, clouds, state, conditions")
+            raise ValueError("found no stream, expected at least one of wire, clouds, state, conditions")
         self.lost = dict.fromkeys(NAMES, 0)
         """Messages of each stream that did not come, because this side was too slow."""
         self._joiner = BodyJoiner()

@@ -79,8 +79,8 @@ class VerifiedSubscription(Subscriber[VerifiedFrame]):
 
     def _why(self, waited_s: float) -> str:
         if self._frames and not self.received:
-            return f"frames come, but nobody verifies them; {START}"
-        likely = "" if self.received else f"nobody verifies its frames ({START})"
+            return f"frames arrive, but no verifier runs; {START}"
+        likely = "" if self.received else f"no verifier runs ({START})"
         return self.silence(waited_s, "verdict", likely)
 
     def _item(self, message: bytes) -> VerifiedFrame | None:

@@ -34,7 +34,7 @@ def test_times_after_every_era_are_left_out(file, words, tmp_path, capsys, monke
     path = rewritten(file, lambda topic, data, ns: (data, (1 << 63) + ns if topic == WIRE.topic else ns))
     more = ["--bundle", str(TINY)] if words[0] == "reinfer" else []
     assert main([words[0], str(path), *words[1:], *more]) == 1
-    assert "holds no frame of the wire" in capsys.readouterr().err
+    assert "holds no frame from the device" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_a_reference_that_is_lacking_is_not_looked_for_in_every_second_of_a_thou
     path = rewritten(file, lambda _, data, ns: (data, (1 << 62) if ns == last else ns), attached=False)
     moments = SeekableRecording(path)
     assert moments.seconds > 1e9
-    with pytest.raises(RecordingError, match="lacks its reference"):
+    with pytest.raises(RecordingError, match="has no reference"):
         moments.reference()
 
 

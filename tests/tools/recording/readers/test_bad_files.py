@@ -83,12 +83,12 @@ FILES: dict[str, tuple[Make, str]] = {
     "pipe": (lambda path, _: os.mkfifo(path), "is a FIFO"),
     "device": (lambda path, _: path.symlink_to("/dev/zero"), "is a device"),
     "empty": (holding(b""), "is empty"),
-    "text": (holding(b"no recording"), "is no MCAP file"),
-    "cut in the head": (holding(b"\x89MCAP0\r\n"), "ends before it says what it is"),
-    "cut before the first frame": (cut_before_the_first_frame, "holds no frame of the wire; it was cut off"),
+    "text": (holding(b"no recording"), "is not an MCAP file"),
+    "cut in the head": (holding(b"\x89MCAP0\r\n"), "ends within its header"),
+    "cut before the first frame": (cut_before_the_first_frame, "holds no frame from the device; it was cut off"),
     "without a frame": (
         lambda path, items: void(recorded(path, [one for one in items if not isinstance(one, WireFrame)])),
-        "holds no frame of the wire",
+        "holds no frame from the device",
     ),
     "another program's": (of_another_program, "this is another program's MCAP file"),
     "newer": (newer, "version 2, this release reads up to 1"),
@@ -98,7 +98,7 @@ FILES: dict[str, tuple[Make, str]] = {
     ),
     "HELLO": (another_devices, "the device's HELLO cannot be read"),
     "without a reference": (
-        lambda path, items: void(recorded(path, changed(items, reference=None))), "lacks its reference"
+        lambda path, items: void(recorded(path, changed(items, reference=None))), "has no reference"
     ),
 }  # fmt: skip
 """How each file is made, and what is said of it."""
@@ -185,4 +185,4 @@ def test_a_file_that_was_cut_is_read_to_its_end_and_one_line_says_so(
     assert cli.main(["a.mcap" if word == "FILE" else word for word in READERS[reader]]) == 0
     out, err = capsys.readouterr()
     assert out
-    assert err == f"eitskin {READERS[reader][0]}: a.mcap; it was cut off, what is there ends before its time\n"
+    assert err == f"eitskin {READERS[reader][0]}: a.mcap; it was cut off and ends early\n"
