@@ -195,5 +195,5 @@ def test_command_warns_where_the_prediction_is_likely_worse_than_none(tmp_path, 
     output = capsys.readouterr()
     report = json.loads(output.out)
     assert (report["prediction_rms"] > DOUBTFUL_RMS) is doubtful
-    assert ("may be worse with it than without" in output.err) is doubtful
+    assert ("it may make maps worse" in output.err) is doubtful
     assert 0.02 < report["outline_sigma_mm"] < 0.5

@@ -41,6 +41,5 @@ def test_two_builds_in_one_folder_are_one_too_many(tmp_path, capsys):
     with held(work, "another process makes a bundle there", "wait"):
         assert main(["build", "tiny", "--out", str(tmp_path / "b.eitskin")]) == 1
     said = capsys.readouterr().err
-    assert f"{work} is in use: another process is building a bundle there" in said
-    assert said.count("\n") == 1
+    assert f"{work} is in use: another process is building a bundle there" in said.splitlines()[-1]
     assert not list(work.iterdir())

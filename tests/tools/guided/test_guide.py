@@ -102,7 +102,7 @@ def test_quitting_or_a_silent_skin_ends_it_in_one_line():
     with pytest.raises(GuideError, match="stopped on request; nothing was written"):
         guided(Sheet([("bend the sheet", "q")]))
     sheet = Sheet()
-    with pytest.raises(GuideError, match="no more frames come from the skin"):
+    with pytest.raises(GuideError, match="the skin sends no more frames"):
         Guide(PLAN, sheet.frames(50), sheet, lambda name: flat_cloud()).run()
 
 
