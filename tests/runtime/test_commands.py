@@ -85,7 +85,7 @@ def test_subscribe_prints_frames_and_one_object(virtual_skin, running, tmp_path)
         code, out, err = finished("subscribe", runtime.publisher.endpoint, "--frames", 20, "--mode", "all")
         assert code == 0, err
         assert len(out.splitlines()) == 20
-        assert "solver vd2t" in out
+        assert "  vd2t  " in out
         code, out, err = finished("subscribe", runtime.publisher.endpoint, "--frames", 20)
         assert code == 0, err
         assert 1 <= len(out.splitlines()) < 20  # one a second, and the last
