@@ -21,9 +21,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.errors import BundleError
 from eitskin.model.bundle import SKIN_FILE, load_bundle
-from eitskin_proto.errors import SkinError
 from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.writing import replacing
 from eitskin_proto.sensor.ids import PROTOCOL_ID
@@ -98,14 +96,11 @@ def read(path: Path) -> tuple[dict[str, bytes], dict[str, Any], Skin]:
     """Return the members of a bundle, its facts and its skin, as :func:`write` took them.
 
     Raises:
-        SkinError: A member is missing or is not the one that the manifest vouches for.
+        BundleError: A member is missing or is not the one that the manifest vouches for.
         OSError: The file cannot be read.
     """
-    try:
-        found = load_bundle(path, lazily=True)
-        files, facts = dict(found.files), {**found.manifest}
-    except BundleError as error:
-        raise SkinError(f"{path} is not a bundle ({error}); make one with 'eitskin export'") from error
+    found = load_bundle(path, lazily=True)
+    files, facts = dict(found.files), {**found.manifest}
     del facts["files"]
     for name in ("format", "version", "protocol_id", "grid_id", "skin_digest"):
         facts.pop(name, None)

@@ -9,7 +9,7 @@ from .markdown import ROOT, anchors, code_blocks, links, pages
 
 LONGEST = 120
 
-OTHERS = {".mcap", ".png", ".svg", ".npz", ".npy", ".ply", ".eitskin", ".py"}
+OTHERS = {".mcap", ".png", ".gif", ".svg", ".npz", ".npy", ".ply", ".eitskin", ".py"}
 """No text, or made by a program, or Python, which ruff holds to the same length."""
 
 LONGER = {

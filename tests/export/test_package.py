@@ -140,5 +140,5 @@ def test_a_changed_bundle_is_not_amended(exported: tuple[Path, dict[str, Any]], 
     with pytest.raises(SkinError):
         bundle.amend(broken, {})
     (tmp_path / "text.eitskin").write_text("no bundle")
-    with pytest.raises(SkinError, match="is no bundle"):
+    with pytest.raises(SkinError, match="is not an intact bundle"):
         bundle.read(tmp_path / "text.eitskin")

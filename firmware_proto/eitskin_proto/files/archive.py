@@ -72,7 +72,7 @@ def members(source: bytes | BinaryIO) -> dict[str, Member]:
     except BadArchiveError:
         raise
     except DAMAGE as error:
-        raise BadArchiveError(f" it is not a ZIP file, or its directory is damaged: {error}") from error
+        raise BadArchiveError(f"it is not a ZIP file, or its directory is damaged: {error}") from error
     return {entry.filename: Member(archive, entry) for entry in archive.infolist()}
 
 

@@ -140,15 +140,15 @@ def test_summary_takes_the_worst_deformation_and_the_root_of_the_mean_square(mon
 
 
 def test_intervals_count_deformations_rather_than_maps(monkeypatch):
-    drawn = trials.single(10.0, 8, 50)
+    drawn = trials.single(10.0, 8, 6)
     monkeypatch.setattr(harness, "voltages_of", lambda scene: np.ones(104))
     truths = [harness.truth_map(phantom) for phantom in drawn]
-    right_in_half = iter([truth if index // 50 % 2 else 0.0 * truth for index, truth in enumerate(truths)])
-    found = reports.summary(harness.evaluate(drawn, lambda _: next(right_in_half), noise="none"), 50)
+    right_in_half = iter([truth if index // 6 % 2 else 0.0 * truth for index, truth in enumerate(truths)])
+    found = reports.summary(harness.evaluate(drawn, lambda _: next(right_in_half), noise="none"), 6)
     low, high = found["interval_95"]["missed"]
     assert found["missed"] == 0.5
     # Eight deformations of missed or found touches: the mean's standard deviation is 0.5 / sqrt(8). Independent maps
-    # would give 0.5 / sqrt(400), an interval a seventh as long.
+    # would give 0.5 / sqrt(48), an interval less than half as long.
     assert high - low == pytest.approx(2 * 1.96 * 0.5 / np.sqrt(8), rel=0.25)
 
 

@@ -140,7 +140,7 @@ NAN = np.full((5, 104), np.nan)
         ({"reference_V": np.zeros(104)}, "zeros"),
         ({"reference_cloud_mm": np.zeros((3, 30, 45))}, "reference_cloud_mm"),
         ({"cloud_mm": np.ones((1, 3, 30, 45))}, "cloud_mm[0]"),
-        ({"cloud_mm": None}, "cloud_index alone"),
+        ({"cloud_mm": None}, "has only cloud_index"),
         ({"cloud_index": np.array([0, 0, -1, -1, 1])}, "cloud_index[4] is 1"),
         ({"truth": np.zeros((4, 30, 45))}, "(5, 30, 45)"),
         ({"truth": np.full((5, 30, 45), 1.5)}, "from 0 to 1"),

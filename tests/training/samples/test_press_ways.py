@@ -60,5 +60,5 @@ def test_presses_of_a_way_that_the_skin_or_the_bundle_does_not_know_are_refused(
     check_ways(lowering, PAPER, "lower", "bundle x")  # raising is also what a file has that says nothing
     with pytest.raises(MismatchError, match=r"press 0 .* found lower, expected raise, as bundle x knows"):
         check_ways(lowering, PAPER, "raise", "bundle x")
-    with pytest.raises(MismatchError, match=r"found raise, expected lower, as \[touches\] of skin ours says"):
+    with pytest.raises(MismatchError, match=r"found raise, expected lower, from \[touches\] of skin ours"):
         check_ways(raising, LOWERING, "both", "bundle x")
