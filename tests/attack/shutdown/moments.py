@@ -87,7 +87,8 @@ def _ended_once(life: str, number: int, draw: random.Random) -> tuple[float, str
 def _live(life: str, stack: ExitStack, skin: "subprocess.Popen[str]", keys: Path, said: list[str]) -> None:
     """Do what a life is about."""
     context: Any = zmq.Context()
-    stack.callback(context.destroy, 0)
+    context.linger = 0
+    stack.callback(context.term)
     match life:
         case "silent":  # after a second the device is greeted anew, in vain
             skin.send_signal(signal.SIGSTOP)
@@ -96,11 +97,11 @@ def _live(life: str, stack: ExitStack, skin: "subprocess.Popen[str]", keys: Path
             ended(skin)
         case "control":  # some requests wait, that for a reference first
             for command in [{"command": "reference", "frames": 10_000}, *[{"command": "status"}] * 2]:
-                socket = context.socket(zmq.REQ)
+                socket = stack.enter_context(context.socket(zmq.REQ))
                 socket.connect(said[said.index("ready") + 5])
                 socket.send(msgpack.packb(command))
         case "stream" | "curve" | "verify":
-            socket = context.socket(zmq.SUB)
+            socket = stack.enter_context(context.socket(zmq.SUB))
             if life == "curve":
                 load_client_keys(keys / "server.key", keys / "client.key_secret").apply(socket)
             socket.subscribe(b"")

@@ -65,4 +65,4 @@ def _told(endpoint: str) -> tuple[bool, str]:
         with eitskin.subscribe(endpoint, timeout_s=2.0) as frames:
             return False, f"frame {next(frames).number} came to who was too many"
     except eitskin.NoFrame as error:
-        return "as many subscribers as it may" in str(error), f"who is too many hears: {error}"
+        return "no room for another subscriber" in str(error), f"a subscriber too many is told: {error}"
