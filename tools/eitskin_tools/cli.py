@@ -84,7 +84,7 @@ COMMANDS: Final[dict[str, Command]] = {
     "adapt-skin": Command(
         SHEET, "train a bundle further on a calibrated sheet", "adapt-skin press --skin skin.toml --out mine.eitskin"
     ),
-    "evaluate": Command(SHEET, "measure how accurate a bundle or solver is", "evaluate --phantoms paper_mm"),
+    "evaluate": Command(SHEET, "measure how accurate a bundle or solver is", "evaluate --phantoms paper_units"),
     "simulate": Command(
         RESEARCH, "compute the voltages of a scene by the forward model", "simulate scene.json --out voltages.npz"
     ),

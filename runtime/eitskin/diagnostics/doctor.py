@@ -70,7 +70,7 @@ def _verdict(ports: list[dict[str, Any]], usb: list[dict[str, Any]]) -> str:
         return f"Not ready: no permission to open {plugged[0]['port'] or plugged[0]['node']}. The fix is below."
     built_in = next((str(one["port"]) for one in ports if one["state"] == "built-in UART"), None)
     wired = f" Is it wired to {built_in}? Then test it: eitskin doctor --port {built_in}" if built_in else ""
-    return f"No skin found. Plug it in, or start a virtual one: eitskin virtual-skin.{wired}"
+    return f"No skin found. Plug it in, or start a virtual one: eitskin virtual-skin (extra: sim).{wired}"
 
 
 def greet(port: str, baud: int = DEFAULT_BAUD) -> dict[str, Any]:

@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar=("X", "Y", "Z"),
         help="a point near the sheet's corner (0, 0), in the points' own frame; it decides between the four ways "
-        "in which a rectangle fits. Without it the scanner's frame decides: the way that needs the smallest turn",
+        "in which a rectangle fits. Without it the scanner's coordinates decide: the way that needs the smallest turn",
     )
     parser.add_argument(
         "--predict",
@@ -107,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"the runtime uses it as cloud {sent}")
     if result.corner != "given":
         print(
-            "the corner (0, 0) comes from the scanner's frame; if that is not the sheet's, give --corner X Y Z",
+            "the corner (0, 0) comes from the scanner's coordinates; if that is not the sheet's, give --corner X Y Z",
             file=sys.stderr,
         )
     return 0
