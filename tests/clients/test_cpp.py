@@ -72,7 +72,7 @@ def both(client, tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("stream")
     with (
-        runtime._virtual_skin(touches=[[0.5, 600, 0.3]], rate_hz=100.0) as port,
+        runtime._virtual_skin(touches=[[0.5, 600, 0.3]], touches_wait=True, rate_hz=100.0) as port,
         runtime._running(port, folder) as running,
     ):
         publish, control = f"ipc://{folder}/frames", f"ipc://{folder}/control"

@@ -30,6 +30,11 @@ def pytest_collection_modifyitems(items):
             item.add_marker("process")
 
 
+def begin_touches(port):
+    """Let the touches of a virtual skin with ``touches_wait`` begin."""
+    (Path(port).parent / "begin").touch()
+
+
 @contextmanager
 def _virtual_skin(**options):
     process = subprocess.Popen(
@@ -137,6 +142,7 @@ class Running:
 def _running(port, folder, **options):
     with Skin(port, **{"bundle": TINY, **options}) as skin:
         skin.capture_reference(10)
+        begin_touches(port)
         publisher = Publisher(f"ipc://{folder}/frames")
         control = ControlServer(f"ipc://{folder}/control", skin)
         runtime = Running(skin, publisher, control)

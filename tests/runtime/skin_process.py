@@ -2,7 +2,8 @@
 physics.
 
 Takes one JSON object as its argument, prints the port's path, serves until it is terminated. ``wire`` names a file that
-is made: of the last ``WIRE_FRAMES`` sequence numbers, when each frame was on the line.
+is made: of the last ``WIRE_FRAMES`` sequence numbers, when each frame was on the line. With ``touches_wait`` the clock of
+the touches starts when a file called ``begin`` appears in the port's folder, so that no touch gets into a reference.
 """
 
 import faulthandler
@@ -10,6 +11,7 @@ import json
 import select
 import signal
 import sys
+from pathlib import Path
 from time import perf_counter_ns
 
 import numpy as np
@@ -40,9 +42,17 @@ class MadeUp:
         self.base[dead_rows] = 0.0
         self.pattern = np.cos(np.arange(N_ROWS))
         self.rng = np.random.default_rng(7)
+        self.began_s, self.begin = 0.0, None
+
+    def wait_for(self, begin):
+        """Let no touch begin before a file is there."""
+        self.began_s, self.begin = None, begin
 
     def voltages(self, time_s):
-        amount = sum(amount for start, end, amount in self.touches if start <= time_s < end)
+        if self.began_s is None and self.begin.exists():
+            self.began_s = time_s
+        since_s = -1.0 if self.began_s is None else time_s - self.began_s
+        amount = sum(amount for start, end, amount in self.touches if start <= since_s < end)
         drifted = self.base * (1 + self.drift_per_s * time_s)
         return drifted * (1 + amount * self.pattern + self.noise * self.rng.standard_normal(N_ROWS))
 
@@ -83,6 +93,8 @@ def main(options):
     )
     server.MAX_DELAY_NS = 10 * 10**9  # on a busy machine a scan comes late rather than never: loss is what tests inject
     port = PatientPort()
+    if options.get("touches_wait"):
+        source.wait_for(Path(port.path).parent / "begin")
     device = VirtualDevice(source, configuration, perf_counter_ns(), identity)
     device.sequence = options.get("sequence", 0)
     wire = server.wire_times(options["wire"], WIRE_FRAMES) if "wire" in options else None

@@ -12,15 +12,17 @@ import eitskin
 from eitskin.reference.captured import load
 
 from .command_line import command, finished, wait_until_ready
+from .conftest import begin_touches
 
 pytestmark = pytest.mark.process
 
 
 def test_run_publishes_reports_what_it_got_and_ends_cleanly_when_told_to(virtual_skin, tiny_path, tmp_path, endpoints):
-    with virtual_skin(touches=[[0.6, 60, 0.3]]) as port:
+    with virtual_skin(touches=[[0.6, 60, 0.3]], touches_wait=True) as port:
         words = ["--bundle", tiny_path, "--reference-frames", 20, *endpoints, "--json"]
         process = command("run", "--port", port, *words)
         report = wait_until_ready(process)
+        begin_touches(port)
         for found in ("open, exclusive", "low-latency mode", "VIRTUAL-0001", "gate: false-alarm rate", "median spread"):
             assert found in report
         with eitskin.subscribe(f"ipc://{tmp_path}/frames", mode="all", timeout_s=60) as frames:
@@ -81,7 +83,7 @@ def test_what_run_says_is_json_where_it_is_asked_to_and_nearly_nothing_where_qui
 
 
 def test_subscribe_prints_frames_and_one_object(virtual_skin, running, tmp_path):
-    with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, running(port, tmp_path) as runtime:
+    with virtual_skin(touches=[[0.2, 60, 0.3]], touches_wait=True) as port, running(port, tmp_path) as runtime:
         code, out, err = finished("subscribe", runtime.publisher.endpoint, "--frames", 20, "--mode", "all")
         assert code == 0, err
         assert len(out.splitlines()) == 20

@@ -11,6 +11,8 @@ from eitskin.messaging.streams.measured import WireFrame
 from eitskin.messaging.streams.publisher import StreamPublisher
 from eitskin.skin import Skin
 
+from .conftest import begin_touches
+
 
 class Taker:
     """Takes what comes, and notes what the loop had done by then."""
@@ -28,8 +30,12 @@ class Taker:
 
 @pytest.fixture
 def streaming(virtual_skin, tiny_path):
-    with virtual_skin(touches=[[0.1, 60, 0.3]], rate_hz=100.0) as port, Skin(port, bundle=tiny_path) as skin:
+    with (
+        virtual_skin(touches=[[0.1, 60, 0.3]], touches_wait=True, rate_hz=100.0) as port,
+        Skin(port, bundle=tiny_path) as skin,
+    ):
         skin.capture_reference(5)
+        begin_touches(port)
         yield skin
 
 

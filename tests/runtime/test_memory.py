@@ -7,6 +7,8 @@ from itertools import pairwise
 import eitskin
 from eitskin.skin import Skin
 
+from .conftest import begin_touches
+
 
 class Taker:
     """Takes every message and keeps none."""
@@ -22,10 +24,11 @@ class Taker:
 
 def test_a_frame_leaves_nothing_behind(virtual_skin, tiny_path):
     with (
-        virtual_skin(touches=[[0.2, 60, 0.3]], rate_hz=200.0) as port,
+        virtual_skin(touches=[[0.2, 60, 0.3]], touches_wait=True, rate_hz=200.0) as port,
         Skin(port, bundle=tiny_path, skip_unchanged=True) as skin,
     ):
         skin.capture_reference(10)
+        begin_touches(port)
         sizes = [1 << 60] * 6  # the least of every hundred: what is in flight when the machine is busy comes on top
         tracemalloc.start(1)
         for number, _ in enumerate(skin.publish(Taker(short=True))):
@@ -40,8 +43,12 @@ def test_a_frame_leaves_nothing_behind(virtual_skin, tiny_path):
 
 def test_what_a_frame_takes_for_a_moment_is_small(virtual_skin, tiny_path):
     peaks = []
-    with virtual_skin(touches=[[0.2, 60, 0.3]], rate_hz=200.0) as port, Skin(port, bundle=tiny_path) as skin:
+    with (
+        virtual_skin(touches=[[0.2, 60, 0.3]], touches_wait=True, rate_hz=200.0) as port,
+        Skin(port, bundle=tiny_path) as skin,
+    ):
         skin.capture_reference(10)
+        begin_touches(port)
         tracemalloc.start(1)
         for _ in skin.publish(Taker(short=False)):
             if skin.statistics.frames > 100:
@@ -65,7 +72,10 @@ def asleep(skin, frames):
 
 
 def test_a_subscriber_that_sleeps_over_frames_sees_the_newest_frame_and_delays_nobody(virtual_skin, running, tmp_path):
-    with virtual_skin(touches=[[0.2, 60, 0.3]], rate_hz=100.0) as port, running(port, tmp_path) as runtime:
+    with (
+        virtual_skin(touches=[[0.2, 60, 0.3]], touches_wait=True, rate_hz=100.0) as port,
+        running(port, tmp_path) as runtime,
+    ):
         endpoint = runtime.publisher.endpoint
         behind = []
         for modest in (False, True):  # libzmq's way of keeping one message, and ours

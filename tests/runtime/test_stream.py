@@ -14,10 +14,13 @@ from eitskin.acquisition import device as devices
 from eitskin.errors import BadReference, PortLost
 from eitskin.skin import Skin
 
+from .conftest import begin_touches
+
 
 def opened(port, tiny_path, **options):
     skin = Skin(port, bundle=tiny_path, **options)
     skin.capture_reference(10)
+    begin_touches(port)
     return skin
 
 
@@ -157,7 +160,7 @@ def test_frames_without_a_reference_say_what_to_do(virtual_skin, tiny_path):
 def test_a_cloud_set_between_frames_shows_in_the_next_and_costs_the_others_nothing(virtual_skin, tiny_path):
     from eitskin_proto.skin.cloud import flat_cloud
 
-    with virtual_skin(touches=[[0.15, 9, 0.3]]) as port, opened(port, tiny_path) as skin:
+    with virtual_skin(touches=[[0.15, 9, 0.3]], touches_wait=True) as port, opened(port, tiny_path) as skin:
         frames = []
         cloud = flat_cloud()
         cloud[2] = 0.005 * (cloud[0] - 75) ** 2
@@ -182,7 +185,7 @@ def test_a_full_scan_of_208_rows_gives_the_same_maps(virtual_skin, tiny_path, tm
     assert "rows = 104" in text
     path = tmp_path / "full.toml"
     path.write_text(text.replace("rows = 104", "rows = 208"))
-    options = {"configuration": str(path), "rate_hz": 50.0, "touches": [[0.6, 9, 0.3]]}
+    options = {"configuration": str(path), "rate_hz": 50.0, "touches": [[0.6, 9, 0.3]], "touches_wait": True}
     with virtual_skin(**options) as port, opened(port, tiny_path) as skin:
         assert skin.device.hello.rows == 208
         frames = collect(skin, 1.0)

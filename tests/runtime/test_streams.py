@@ -124,7 +124,7 @@ def some(streams, condition):
 
 def test_every_published_map_is_made_again_bit_by_bit(virtual_skin, running, tiny_path, tiny, tmp_path):
     with (
-        virtual_skin(touches=[[0.5, 600, 0.3]], rate_hz=100.0, noise=3e-4) as port,
+        virtual_skin(touches=[[0.5, 600, 0.3]], touches_wait=True, rate_hz=100.0, noise=3e-4) as port,
         running(port, tmp_path, bundle=tiny_path) as runtime,
         eitskin.subscribe_streams(runtime.publisher.endpoint) as streams,
     ):
@@ -158,7 +158,7 @@ def test_drift_and_lost_electrodes_are_made_again_too(virtual_skin, running, tmp
     flat = bundle.consistency_arrays()["reference"]
     base = (1e-3 / np.abs(flat).max() * flat).tolist()
     with (
-        virtual_skin(touches=[[2.5, 600, 0.1]], drift_per_s=0.004, base=base) as port,
+        virtual_skin(touches=[[2.5, 600, 0.1]], touches_wait=True, drift_per_s=0.004, base=base) as port,
         running(port, tmp_path, bundle=bundle) as runtime,
         eitskin.subscribe_streams(runtime.publisher.endpoint) as streams,
     ):

@@ -9,6 +9,7 @@ import pytest
 import eitskin
 
 from .command_line import command, wait_until_ready
+from .conftest import begin_touches
 
 pytestmark = pytest.mark.process
 
@@ -26,10 +27,11 @@ def ticks(pid):
 
 
 def test_one_thread_computes_and_no_other_runs(virtual_skin, tiny_path, tmp_path, endpoints):
-    with virtual_skin(touches=[[0.15, 60, 0.3]], rate_hz=200.0) as port:
+    with virtual_skin(touches=[[0.15, 60, 0.3]], touches_wait=True, rate_hz=200.0) as port:
         words = ["--bundle", tiny_path, "--reference-frames", 10, *endpoints]
         process = command("run", "--port", port, *words)
         wait_until_ready(process)
+        begin_touches(port)
         with eitskin.subscribe(f"ipc://{tmp_path}/frames", timeout_s=60) as frames:
             before = after = ticks(process.pid)
             end = time.perf_counter() + 120

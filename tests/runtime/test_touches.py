@@ -9,11 +9,17 @@ from eitskin.errors import FrameError
 from eitskin.skin import Skin
 from eitskin_proto.skin.skin import PAPER
 
+from .conftest import begin_touches
+
 
 @pytest.fixture
 def streaming(virtual_skin, tiny_path):
-    with virtual_skin(touches=[[0.1, 60, 0.3]], rate_hz=100.0) as port, Skin(port, bundle=tiny_path) as skin:
+    with (
+        virtual_skin(touches=[[0.1, 60, 0.3]], touches_wait=True, rate_hz=100.0) as port,
+        Skin(port, bundle=tiny_path) as skin,
+    ):
         skin.capture_reference(5)
+        begin_touches(port)
         yield skin
 
 

@@ -86,7 +86,7 @@ def test_tcp_control_needs_keys_even_on_loopback(recorder, tmp_path):
 
 
 def test_a_running_runtime_takes_clouds_references_and_stop(virtual_skin, running, tmp_path):
-    with virtual_skin(touches=[[2.0, 60, 0.3]]) as port, running(port, tmp_path) as runtime:
+    with virtual_skin(touches=[[0.2, 60, 0.3]], touches_wait=True) as port, running(port, tmp_path) as runtime:
         control = runtime.control.endpoint
         with eitskin.subscribe(runtime.publisher.endpoint, mode="all", timeout_s=60) as frames:
             assert next(frames).cloud == 0

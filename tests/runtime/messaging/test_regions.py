@@ -27,7 +27,7 @@ def test_a_region_that_is_not_on_the_sheet_names_the_sheet(bounds):
 
 
 def test_a_subscriber_to_a_region_gets_whole_maps_and_slices_them(virtual_skin, running, tmp_path):
-    with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, running(port, tmp_path) as runtime:
+    with virtual_skin(touches=[[0.2, 60, 0.3]], touches_wait=True) as port, running(port, tmp_path) as runtime:
         endpoint = runtime.publisher.endpoint
         topics = b"eitskin/region/0/10/5/20", b"eitskin/unchanged", b"\xde"  # of an earlier release
         older = Subscriber(endpoint, topics, 1000, timeout_s=60, keys=None)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.runtime.conftest import begin_touches
 
 from eitskin.errors import BundleError, HandshakeError
 from eitskin.pipeline.idle import RETRY_NS, IdleGate
@@ -44,10 +45,11 @@ def watchful(tiny):
 
 def test_the_device_idles_while_untouched_and_wakes_at_a_touch(virtual_skin, watchful):
     with (
-        virtual_skin(touches=[[2.0, 3.0, 0.3]], rate_hz=100.0) as port,
+        virtual_skin(touches=[[2.0, 3.0, 0.3]], touches_wait=True, rate_hz=100.0) as port,
         Skin(port, bundle=watchful, idle_after_s=0.3) as skin,
     ):
         skin.capture_reference(10)
+        begin_touches(port)
         frames = []
         for frame in skin.frames(timeout_s=120.0):
             frames.append(frame)

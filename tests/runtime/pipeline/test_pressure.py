@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from tests.runtime.conftest import begin_touches
 
 from eitskin.errors import BudgetError
 from eitskin.pipeline.frame_pipeline import Pipeline
@@ -43,10 +44,11 @@ class Slow:
 
 def test_when_nothing_is_fast_enough_stale_frames_are_dropped_for_the_newest(virtual_skin, tiny_path):
     with (
-        virtual_skin(touches=[[0.15, 60, 0.3]], rate_hz=100.0) as port,
+        virtual_skin(touches=[[0.15, 60, 0.3]], touches_wait=True, rate_hz=100.0) as port,
         Skin(port, bundle=tiny_path, budget_ms=20.0) as skin,
     ):
         skin.capture_reference(5)
+        begin_touches(port)
         skin.pipeline.engines[:] = [Slow(engine, 0.06) for engine in skin.pipeline.engines]
         frames = []
         for frame in skin.frames(timeout_s=120.0):

@@ -146,7 +146,7 @@ def test_short_frames_are_sent_only_while_every_subscriber_agrees(tmp_path):
 
 
 def test_a_resting_touch_is_computed_once_and_published_short(virtual_skin, running, tmp_path):
-    options = {"touches": [[0.2, 60, 0.3]], "noise": 1e-3}
+    options = {"touches": [[0.2, 60, 0.3]], "touches_wait": True, "noise": 1e-3}
     with virtual_skin(**options) as port, running(port, tmp_path, skip_unchanged=True) as runtime:
         with eitskin.subscribe(runtime.publisher.endpoint, mode="all", skip_unchanged=True, timeout_s=60) as frames:
             taken = [frame for frame, _ in zip(frames, range(150), strict=False)]
