@@ -2,8 +2,8 @@
 physics.
 
 Takes one JSON object as its argument, prints the port's path, serves until it is terminated. ``wire`` names a file that
-is made: of the last ``WIRE_FRAMES`` sequence numbers, when each frame was on the line. With ``touches_wait`` the clock of
-the touches starts when a file called ``begin`` appears in the port's folder, so that no touch gets into a reference.
+is made: of the last ``WIRE_FRAMES`` sequence numbers, when each frame was on the line. With ``touches_wait`` the
+touches' clock starts when a file called ``begin`` appears in the port's folder, so that no touch gets into a reference.
 """
 
 import faulthandler
