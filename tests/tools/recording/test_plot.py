@@ -1,5 +1,6 @@
 """A picture of a recording: it shows what was published, also of a recording that has no maps."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,11 @@ def test_a_picture_is_written_and_its_content_said(file: Path, capsys: Capture) 
     said = f"150 frames in {seconds:.1f} s, {touched} of them with touches, at most {most} at once"
     assert capsys.readouterr().out == f"{file.with_suffix('.png')}: {said}\n"
     assert file.with_suffix(".png").read_bytes()[:4] == b"\x89PNG"
+    assert plot(file, "--json") == 0
+    picture = str(file.with_suffix(".png"))
+    assert json.loads(capsys.readouterr().out) == {
+        "out": picture, "frames": 150, "touched": touched, "most_touches": most
+    }  # fmt: skip
 
 
 def test_touches_areas_and_drift_are_those_of_the_published_frames(file: Path, items: list[Any]) -> None:

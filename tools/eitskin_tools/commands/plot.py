@@ -1,6 +1,7 @@
 """``eitskin plot``: a picture of a recording."""
 
 import argparse
+import json
 import os
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_bundle(parser, "that computes the maps (default: the one that was running)")
     add_span(parser)
     parser.add_argument("--quiet", action="store_true", help="show no progress")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -45,5 +47,6 @@ def run(arguments: argparse.Namespace) -> int:
         f"most {max(course.touches)} at once"
     )
     draw(arguments.out, course, f"{arguments.file.name}: {said}", bundle.skin.outline.size_mm)
-    print(f"{arguments.out}: {said}")
+    found = {"frames": len(course.times_s), "touched": touched, "most_touches": max(course.touches)}
+    print(json.dumps({"out": str(arguments.out), **found}) if arguments.json else f"{arguments.out}: {said}")
     return 0
