@@ -8,7 +8,6 @@ import numpy.typing as npt
 from eitskin.model.bundle import Bundle
 from eitskin.model.geometry import Geometry
 from eitskin.touches.surface import Surface
-from eitskin_proto.sensor.table import N_ROWS
 
 
 class Engine(Protocol):
@@ -16,7 +15,7 @@ class Engine(Protocol):
 
     @property
     def name(self) -> str:
-        """Its name in frames: ``vd2t``, ``vd2t-int8``, ``vd2t-small``, ``tikhonov``."""
+        """Its name in frames: ``vd2t``, ``vd2t-int8``, ``vd2t-small``, ``taught``, ``tikhonov``."""
 
     def infer(self) -> None:
         """Fill the map from dV, without making an array."""
@@ -27,20 +26,21 @@ class Buffers:
 
     Args:
         bundle: Gives the width of the bias and the size of the map.
-        change: (104,) memory for dV that is shared; None makes it.
+        change: (rows,) memory for dV that is shared; None makes it.
     """
 
     __slots__ = ("beside", "bias", "change", "geometry", "log_predicted", "map", "revision", "surface")
 
     def __init__(self, bundle: Bundle, change: npt.NDArray[np.float32] | None = None) -> None:
-        self.change = np.zeros((1, N_ROWS), dtype=np.float32) if change is None else change.reshape(1, N_ROWS)
-        """(1, 104) dV of the frame."""
+        rows = bundle.rows
+        self.change = np.zeros((1, rows), dtype=np.float32) if change is None else change.reshape(1, rows)
+        """(1, rows) dV of the frame."""
         self.bias = np.zeros((1, bundle.bias_width), dtype=np.float32)
         """(1, H)."""
         self.beside = {name: np.zeros((1, width), dtype=np.float32) for name, width in bundle.beside.items()}
         """(1, H) of each network beside the bundle's own."""
-        self.log_predicted = np.zeros((1, N_ROWS), dtype=np.float32)
-        """(1, 104)."""
+        self.log_predicted = np.zeros((1, rows), dtype=np.float32)
+        """(1, rows)."""
         self.map = np.zeros((1, bundle.skin.grid.n_pixels), dtype=np.float32)
         """(1, pixels) the result."""
         self.revision = 0

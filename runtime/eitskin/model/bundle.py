@@ -5,13 +5,17 @@
     NAME.eitskin (ZIP)
       manifest.json     format, version, ids, labels, touches, recipe, seeds, metrics, sha256 of every file
       skin.toml         which skin it is for (optional; without it, the paper's, whose sizes are below)
+      taught.npz        touches learned from presses (optional)
       geometry.onnx     cloud (1, 3, 30, 45) -> bias (1, H)                   runs when a cloud arrives
       head.onnx         dv (1, 104) [, log_predicted (1, 104)], bias (1, H) -> map (1, 1350)   runs a frame
       head_int8.onnx    the same, dynamic int8 (optional)
       small_*.onnx      both graphs of a smaller network, gentle_*.onnx of one for faint touches (optional)
-      tikhonov.npy      (1350, 104) the projection for the flat sheet
+      tikhonov.npy      (1350, 104) the projection for the flat sheet (optional without a network)
       gate.npz          the touch gate (optional)
       consistency.npz   statistics of healthy frames, to detect failing electrodes and drift (optional)
+
+A bundle has a network (manifest: ``head``), or a solver that needs none: ``tikhonov.npy`` or ``taught.npz``. Frames
+have 104 rows, or as many as a taught bundle's manifest says (``rows``).
 
 A bundle is data: nothing in it is executed or unpickled, sizes are bounded before anything is read. Its id is the
 SHA-256 of the manifest, which holds the SHA-256 of everything else. Files are read when they are asked for, and checked
@@ -40,6 +44,9 @@ from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.skin import Skin as SkinDescription
 from eitskin_proto.skin.touch_kind import TOUCH_KINDS, TouchKind, touch_kind_of
 
+TAUGHT_FILE: Final = "taught.npz"
+"""Touches learned from presses (:mod:`eitskin.model.taught`)."""
+
 SHIPPED: Final = {
     ("area", "raise"): "free",
     ("units", "raise"): "units",
@@ -51,8 +58,11 @@ SHIPPED: Final = {
 HOME: Final = Path(__file__).parents[1] / "bundles"
 """Where they lie."""
 
-REQUIRED: Final = ("geometry.onnx", "head.onnx", "tikhonov.npy")
-"""Files without which a bundle is no bundle."""
+NETWORK: Final = ("geometry.onnx", "head.onnx", "tikhonov.npy")
+"""Files that a bundle with a network has."""
+
+WITHOUT_NETWORK: Final = (TAUGHT_FILE, "tikhonov.npy")
+"""Files of which one without a network has at least one."""
 
 LARGEST_MANIFEST: Final = 1 << 20
 LARGEST_FILE: Final = 64 << 20
@@ -130,9 +140,19 @@ class Bundle:
         return touch_kind_of(self.manifest.get("touches", "raise"))
 
     @property
+    def rows(self) -> int:
+        """Rows of a frame: 104, or as many as it was taught with."""
+        return int(self.manifest.get("rows", N_ROWS))
+
+    @property
+    def has_network(self) -> bool:
+        """Whether there are graphs; else clouds only place touches in space."""
+        return self.manifest.get("head") is not None
+
+    @property
     def bias_width(self) -> int:
-        """H, the width of the first fusion layer."""
-        return int(self.manifest["head"]["bias"])
+        """H, the width of the first fusion layer; 0 without a network."""
+        return int(self.manifest["head"]["bias"]) if self.has_network else 0
 
     @property
     def beside(self) -> dict[str, int]:
@@ -144,7 +164,7 @@ class Bundle:
     @property
     def uses_prediction(self) -> bool:
         """Whether the head takes the predicted reference of the deformed sheet."""
-        return "log_predicted" in self.manifest["head"]["inputs"]
+        return self.has_network and "log_predicted" in self.manifest["head"]["inputs"]
 
     def tikhonov(self) -> npt.NDArray[np.float32]:
         """Return the (pixels, 104) projection.
@@ -156,7 +176,7 @@ class Bundle:
             matrix = parse_npy(self.files["tikhonov.npy"], "tikhonov.npy")
         except FileError as error:
             raise BundleError(f"{self.path}: {error}; {EXPORT_HINT}") from error
-        expected = self.skin.grid.n_pixels, N_ROWS
+        expected = self.skin.grid.n_pixels, self.rows
         if matrix.shape != expected or matrix.dtype.kind != "f":
             found = f"{matrix.shape} {matrix.dtype}"
             raise BundleError(f"tikhonov.npy: found {found}, expected {expected} float32; {EXPORT_HINT}")
@@ -167,6 +187,10 @@ class Bundle:
     def gate_arrays(self) -> dict[str, npt.NDArray[np.generic]] | None:
         """Return the touch gate's arrays, or None for a bundle without a gate."""
         return self._archive("gate.npz")
+
+    def taught_arrays(self) -> dict[str, npt.NDArray[np.generic]] | None:
+        """Return what was learned from presses, or None for a bundle that was not taught."""
+        return self._archive(TAUGHT_FILE)
 
     def consistency_arrays(self) -> dict[str, npt.NDArray[np.generic]] | None:
         """Return the arrays that describe healthy frames, or None for a bundle without them."""
@@ -223,7 +247,12 @@ def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bund
         sizes = {name: member.entry.file_size for name, member in archive.members.items()}
     manifest = manifest_of(raw, where, EXPORT_HINT)
     besides = [file for name in EXTRA_NETWORKS if manifest.get(name) is not None for file in graphs_of(name)]
-    required = (*REQUIRED, *besides)
+    alone = manifest.get("head") is None
+    required = besides if alone else (*NETWORK, *besides)
+    if alone and not any(name in manifest["files"] for name in WITHOUT_NETWORK):
+        raise BundleError(
+            f"{where} has no solver: expected a network, or {' or '.join(WITHOUT_NETWORK)}; {EXPORT_HINT}"
+        )
     missing = [name for name in (*required, *manifest["files"]) if name not in sizes or name not in manifest["files"]]
     if missing:
         raise BundleError(f"{where} lacks {', '.join(map(plain, dict.fromkeys(missing)))}; {EXPORT_HINT}")

@@ -31,6 +31,9 @@ HEADS: Final = {"vd2t": "head.onnx", "vd2t-int8": "head_int8.onnx", VD2T_SMALL: 
 QUANTISED: Final = "vd2t-int8"
 """The head that takes half the time."""
 
+FILES: Final = {"tikhonov": "tikhonov.npy"}
+"""Solvers without a network, and their files; from the most accurate to the fastest."""
+
 SMALLEST_MAP: Final = 1e-12
 """A projection below this is zero, not something to scale up."""
 
@@ -157,7 +160,7 @@ def solvers(bundle: Bundle) -> list[str]:
     heads = [name for name, file in HEADS.items() if file in bundle.files]
     if SMALL not in bundle.beside and VD2T_SMALL in heads:
         heads.remove(VD2T_SMALL)
-    return [*heads, "tikhonov"]
+    return [*heads, *(name for name, file in FILES.items() if file in bundle.files)]
 
 
 def default_solver(bundle: Bundle) -> str:

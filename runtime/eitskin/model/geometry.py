@@ -15,7 +15,6 @@ from eitskin.model.bundle import EXPORT_HINT, Bundle, graphs_of
 from eitskin.model.denormals import flushed
 from eitskin.model.session import check_signature, checked_graph, first_line, open_session
 from eitskin.touches.surface import Surface
-from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import network_input
 
 GEOMETRY_FILE: Final = "geometry.onnx"
@@ -43,11 +42,11 @@ class Geometry:
     """The head's inputs from a cloud; immutable, so that it may cross threads."""
 
     bias: npt.NDArray[np.float32]
-    """(1, H) the cloud's bias in the first fusion layer."""
+    """(1, H) the cloud's bias in the first fusion layer; empty without a network."""
     beside: Mapping[str, npt.NDArray[np.float32]]
     """(1, H) likewise of each network beside the bundle's own, by its name."""
     log_predicted: npt.NDArray[np.float32]
-    """(1, 104) log |V_pred| / |V0|; zeros without a prediction."""
+    """(1, rows) log |V_pred| / |V0|; zeros without a prediction."""
     revision: int
     """Counts clouds since the start; 0 is the flat sheet."""
     surface: Surface
@@ -57,7 +56,7 @@ class Geometry:
 
 
 class GeometryGraph:
-    """From clouds to geometries; not part of the frame loop.
+    """From clouds to geometries; not part of the frame loop. Without a network only the surface counts.
 
     Sessions are open until :meth:`close_sessions` and opened again by the next cloud: a skin that never gets one needs
     them once.
@@ -73,9 +72,9 @@ class GeometryGraph:
         self._bundle = bundle
         self._grid = bundle.skin.grid
         self._beside = {name: graphs_of(name)[0] for name in bundle.beside}
-        self._widths = {GEOMETRY_FILE: bundle.bias_width} | {
-            self._beside[name]: width for name, width in bundle.beside.items()
-        }
+        self._widths = {self._beside[name]: width for name, width in bundle.beside.items()}
+        if bundle.has_network:
+            self._widths = {GEOMETRY_FILE: bundle.bias_width} | self._widths
         self._sessions: dict[str, Any] = {}
         self._mended: dict[str, bytes] = {}
         """Checked graphs that are not as they lie in the bundle."""
@@ -116,11 +115,12 @@ class GeometryGraph:
         points = flushed(network_input(given, self._grid))[np.newaxis]
         biases = {file: self._bias(file, points, flat=cloud is None) for file in self._widths}
         beside = {name: biases[file] for name, file in self._beside.items()}
-        predicted = np.zeros((1, N_ROWS), dtype=np.float32)
+        predicted = np.zeros((1, self._bundle.rows), dtype=np.float32)
         if log_predicted is not None:
             predicted[0] = log_predicted
         surface = Surface(np.asarray(given), self._grid)
-        return Geometry(biases[GEOMETRY_FILE], beside, flushed(predicted), revision, surface)
+        own = biases.get(GEOMETRY_FILE, np.zeros((1, 0), dtype=np.float32))
+        return Geometry(own, beside, flushed(predicted), revision, surface)
 
     def _bias(self, file: str, points: npt.NDArray[np.float32], *, flat: bool) -> npt.NDArray[np.float32]:
         try:

@@ -7,6 +7,7 @@ from eitskin.errors import BundleError, MismatchError
 from eitskin_proto.fields import Fields
 from eitskin_proto.files.plain import quoted, stated
 from eitskin_proto.files.reading import FileError, parse_json
+from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.touch_kind import touch_kind_of
 
 FORMAT: Final = "eitskin-bundle"
@@ -15,7 +16,7 @@ VERSION: Final = 1
 LABELS: Final = ("area", "units")
 """The kinds of labels of a bundle's maps."""
 
-SOLVERS: Final = ("vd2t", "vd2t-int8", "vd2t-small", "tikhonov")
+SOLVERS: Final = ("vd2t", "vd2t-int8", "vd2t-small", "taught", "tikhonov")
 """Names of a bundle's solvers, from the most accurate to the fastest."""
 
 SMALL: Final = "small"
@@ -25,6 +26,9 @@ GENTLE: Final = "gentle"
 """Its name of one that draws touches which the bundle's own hardly shows (:mod:`eitskin.model.gentle`)."""
 
 MOST_FILES: Final = 32
+MOST_ROWS: Final = 1024
+"""Of a frame."""
+
 LARGEST_WIDTH: Final = 65536
 """Of a network's first layer."""
 
@@ -76,11 +80,14 @@ def _check_fields(manifest: dict[str, Any]) -> None:
     for name in ("gate", "metrics", "recipe", *EXTRA_NETWORKS):
         if fields.value(name, None) is not None:
             fields.table(name)
-    files, head = fields.table("files"), fields.table("head")
+    files = fields.table("files")
+    networks = [name for name in ("head", *EXTRA_NETWORKS) if fields.value(name, None) is not None]
+    fields.whole("rows", N_ROWS, low=1, high=MOST_ROWS)
     if not 0 < len(files) <= MOST_FILES:
         raise fields.wrong("files", f"1 to {MOST_FILES} files")
     for name in files:
         files.table(name).text("sha256")
-    head.entries("inputs")
-    for name in ("head", *(name for name in EXTRA_NETWORKS if fields.value(name, None) is not None)):
+    if networks:
+        fields.table("head").entries("inputs")
+    for name in networks:
         fields.table(name).whole("bias", low=1, high=LARGEST_WIDTH)

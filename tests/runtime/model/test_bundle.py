@@ -144,3 +144,33 @@ def test_a_manifest_of_other_types_is_refused_in_a_line(tmp_path, parts, manifes
     with pytest.raises(BundleError) as caught:
         load_bundle(path)
     assert str(caught.value).isprintable()
+
+
+def without_network(parts, manifest):
+    kept = ("tikhonov.npy", "gate.npz")
+    manifest = {key: value for key, value in manifest.items() if key != "head"}
+    manifest["files"] = {name: manifest["files"][name] for name in kept}
+    return {name: parts[name] for name in kept}, manifest
+
+
+def test_a_bundle_without_a_network_has_its_matrix_and_places_clouds(tmp_path, parts, manifest, tiny):
+    from eitskin.model.buffers import Buffers
+    from eitskin.model.engine import engines
+    from eitskin.model.geometry import GeometryGraph
+
+    bundle = load_bundle(write(tmp_path / "b.eitskin", *without_network(parts, manifest)))
+    found, expected = Buffers(bundle), Buffers(tiny)
+    found.use_geometry(GeometryGraph(bundle).geometry(None, None, 0))
+    found.change[:] = expected.change[:] = np.linspace(-0.1, 0.1, 104)
+    (only,) = engines(bundle, found)
+    only.infer()
+    engines(tiny, expected, best="tikhonov")[0].infer()
+    assert only.name == "tikhonov"
+    np.testing.assert_array_equal(found.map, expected.map)
+
+
+def test_a_bundle_without_any_solver_is_refused(tmp_path, parts, manifest):
+    files, manifest = without_network(parts, manifest)
+    manifest["files"].pop("tikhonov.npy")
+    with pytest.raises(BundleError, match="no solver: expected a network"):
+        load_bundle(write(tmp_path / "b.eitskin", files, manifest))

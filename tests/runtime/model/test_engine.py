@@ -92,7 +92,7 @@ def test_inference_and_the_gate_make_no_array(tiny, change):
 def test_a_graph_with_another_signature_is_refused(tiny):
     with pytest.raises(BundleError, match="inputs found"):
         HeadEngine(tiny, "geometry.onnx", "vd2t", Buffers(tiny))
-    wider = SimpleNamespace(bias_width=tiny.bias_width + 1, beside={}, skin=tiny.skin)
+    wider = SimpleNamespace(bias_width=tiny.bias_width + 1, beside={}, skin=tiny.skin, rows=tiny.rows)
     with pytest.raises(BundleError, match="inputs found"):
         HeadEngine(tiny, "head.onnx", "vd2t", Buffers(wider))
 
