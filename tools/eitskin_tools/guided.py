@@ -1,4 +1,4 @@
-"""Guides a person through the steps of a calibration recording, and returns its arrays.
+"""Guides a person through the steps of a recording: of a calibration, or of presses to learn from.
 
 A step ends by an event: frames that are at rest, away from the reference or back again, or a word that was typed.
 """
@@ -7,7 +7,7 @@ import os
 import select
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
@@ -39,9 +39,14 @@ MAX_ROW_NOISE: Final = 0.05
 
 
 class FrameWindow:
-    """The last frames of a skin."""
+    """The last frames of a skin.
 
-    def __init__(self) -> None:
+    Args:
+        min_change: Rms of a row's relative change below which nothing is taken for a press or a bend.
+    """
+
+    def __init__(self, min_change: float = MIN_CHANGE) -> None:
+        self._min_change = min_change
         self._frames: list[Array] = []
         self._reference: Array | None = None
         self._rows: npt.NDArray[np.bool_] = np.ones((), dtype=np.bool_)  # of any number
@@ -101,7 +106,7 @@ class FrameWindow:
         if self._reference is None or not self.full:
             return np.inf
         noise = step_noise(np.array(self._frames))[self._rows] / np.abs(self._reference[self._rows])
-        return max(MIN_CHANGE, MIN_CHANGE_SIGMAS * _rms(noise) / float(np.sqrt(len(self._frames))))
+        return max(self._min_change, MIN_CHANGE_SIGMAS * _rms(noise) / float(np.sqrt(len(self._frames))))
 
 
 def step_noise(frames: Array) -> Array:
@@ -126,7 +131,7 @@ MAX_RESIDUAL: Final = 0.25
 
 
 class GuideError(SkinError):
-    """A guided calibration ended early; the text says why."""
+    """A guided recording ended early; the text says why."""
 
 
 class Dialogue(Protocol):
@@ -178,7 +183,83 @@ class GuidedRecording:
 
 
 class Guide:
-    """A guided recording.
+    """Goes through steps with a person: forward, back, past one.
+
+    Args:
+        frames: (rows,) V each, for as long as the device streams.
+        talk: The person.
+    """
+
+    kept = "nothing was written"
+    """What became of the steps before, where it ends early."""
+
+    def __init__(self, frames: Iterator[Array], talk: Dialogue) -> None:
+        self._frames, self._talk = frames, talk
+        self._watch = FrameWindow()
+
+    def go_through(self, steps: Sequence[Callable[[], str | None]]) -> None:
+        """Take one step after another; each returns a word that was typed, or None once it is done.
+
+        Raises:
+            GuideError: The person gave up, or the frames ended.
+        """
+        at = 0
+        while at < len(steps):
+            word = steps[at]()
+            if word == QUIT:
+                raise GuideError(f"stopped on request; {self.kept}; the same command starts again")
+            at = max(at - 1, 0) if word == BACK else at + 1
+
+    def _steady_frames(self, count: int, holds: Callable[[], bool]) -> tuple[Array, str | None]:
+        """Return (count, rows) V of a sheet at rest for which something holds all the while; or a word."""
+        while True:
+            word = self._wait_until(lambda: self._watch.steady and holds())
+            if word:
+                return np.zeros((0, 0)), word
+            frames: list[Array] = []
+
+            def over(frames: list[Array] = frames) -> bool:
+                frames.append(self._watch.last)
+                return len(frames) == count or not (self._watch.steady and holds())
+
+            word = self._wait_until(over)
+            if word:
+                return np.zeros((0, 0)), word
+            if len(frames) == count and self._watch.steady and holds():
+                return np.array(frames), None
+            self._talk.show("it moved; hold it still")
+
+    def _wait_until(
+        self, reached: Callable[[], bool], typed: list[str] | None = None, *, new: bool = False
+    ) -> str | None:
+        """Take frames until something is reached, or a word was typed, which is returned.
+
+        Args:
+            reached: Asked after each frame.
+            typed: Takes a line that is no word, and ends the wait.
+            new: Look at frames from now on alone.
+        """
+        if new:
+            self._watch.clear()
+        for voltages in self._frames:
+            self._watch.add(voltages)
+            line = self._talk.answer()
+            word = (line or "").strip()
+            if word in (SKIP, BACK, QUIT):
+                self._watch.clear()
+                return word
+            if word and typed is not None:
+                typed.append(word)
+                return None
+            if word:
+                self._talk.say(f"{word!r} is not an answer here: {ANSWERS}")
+            if reached():
+                return None
+        raise GuideError(f"the skin sends no more frames; {self.kept}; check it with 'eitskin doctor'")
+
+
+class CalibrationGuide(Guide):
+    """A guided calibration.
 
     Args:
         plan: What is asked for.
@@ -188,8 +269,8 @@ class Guide:
     """
 
     def __init__(self, plan: Plan, frames: Iterator[Array], talk: Dialogue, load_scan: LoadScan) -> None:
-        self._plan, self._frames, self._talk, self._load_scan = plan, frames, talk, load_scan
-        self._watch = FrameWindow()
+        super().__init__(frames, talk)
+        self._plan, self._load_scan = plan, load_scan
         self._found = GuidedRecording()
 
     def run(self) -> dict[str, Any]:
@@ -198,19 +279,23 @@ class Guide:
         Raises:
             GuideError: The person gave up, or the frames ended.
         """
-        steps: list[Callable[[], str | None]] = [self._reference]
-        steps += [lambda k=k: self._bend(k) for k in range(self._plan.bends)]  # type: ignore[misc]
+        steps: list[Callable[[], str | None]] = [self._bend_or_press(k) for k in range(self._plan.bends)]
         if self._plan.stamp_mm:
-            steps += [lambda k=k: self._press(k) for k in range(len(self._plan.places_mm))]  # type: ignore[misc]
-        at = 0
-        while at < len(steps):
-            word = steps[at]()
-            if word == QUIT:
-                raise GuideError("stopped on request; nothing was written; the same command starts again")
-            if word == SKIP and at:
-                self._discard(at - 1)
-            at = max(at - 1, 0) if word == BACK else at + (1 if word != SKIP or at else 0)
+            steps += [self._bend_or_press(self._plan.bends + k) for k in range(len(self._plan.places_mm))]
+        self.go_through([self._reference, *steps])
         return self._arrays()
+
+    def _bend_or_press(self, number: int) -> Callable[[], str | None]:
+        """Return the step of a bend, or of a press, where presses are counted on from the bends."""
+
+        def step() -> str | None:
+            bends = self._plan.bends
+            word = self._bend(number) if number < bends else self._press(number - bends)
+            if word == SKIP:
+                self._discard(number)
+            return word
+
+        return step
 
     def _discard(self, number: int) -> None:
         """Forget what came of a step that was gone back to, of those after the reference."""
@@ -226,6 +311,7 @@ class Guide:
         frames, word = self._steady_frames(self._plan.reference_frames, lambda: True)
         if word == SKIP:
             self._talk.say("the reference cannot be skipped: everything is compared with it")
+            return self._reference()
         if word is None:
             self._found.reference = frames.mean(axis=0)
             noise = step_noise(frames)
@@ -281,53 +367,6 @@ class Guide:
         if word is None:
             self._found.presses[number] = frames.mean(axis=0)
         return word
-
-    def _steady_frames(self, count: int, holds: Callable[[], bool]) -> tuple[Array, str | None]:
-        """Return (count, rows) V of a sheet at rest for which something holds all the while; or a word."""
-        while True:
-            word = self._wait_until(lambda: self._watch.steady and holds())
-            if word:
-                return np.zeros((0, 0)), word
-            frames: list[Array] = []
-
-            def over(frames: list[Array] = frames) -> bool:
-                frames.append(self._watch.last)
-                return len(frames) == count or not (self._watch.steady and holds())
-
-            word = self._wait_until(over)
-            if word:
-                return np.zeros((0, 0)), word
-            if len(frames) == count and self._watch.steady and holds():
-                return np.array(frames), None
-            self._talk.show("it moved; hold it still")
-
-    def _wait_until(
-        self, reached: Callable[[], bool], typed: list[str] | None = None, *, new: bool = False
-    ) -> str | None:
-        """Take frames until something is reached, or a word was typed, which is returned.
-
-        Args:
-            reached: Asked after each frame.
-            typed: Takes a line that is no word, and ends the wait.
-            new: Look at frames from now on alone.
-        """
-        if new:
-            self._watch.clear()
-        for voltages in self._frames:
-            self._watch.add(voltages)
-            line = self._talk.answer()
-            word = (line or "").strip()
-            if word in (SKIP, BACK, QUIT):
-                self._watch.clear()
-                return word
-            if word and typed is not None:
-                typed.append(word)
-                return None
-            if word:
-                self._talk.say(f"{word!r} is not an answer here: {ANSWERS}")
-            if reached():
-                return None
-        raise GuideError("the skin sends no more frames; nothing was written; check it with 'eitskin doctor'")
 
     def _arrays(self) -> dict[str, Any]:
         found, plan = self._found, self._plan

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.cloud import flat_cloud
-from eitskin_tools.guided import WINDOW, FrameWindow, Guide, GuideError, Plan
+from eitskin_tools.guided import WINDOW, CalibrationGuide, FrameWindow, GuideError, Plan
 
 ROWS = np.arange(104)
 FLAT = np.where(ROWS % 3, -1.0, 1.0) * 1e-3 * 40.0 ** (-ROWS / 103.0)
@@ -62,7 +62,7 @@ SCAN = ("Name the scan", "bent.npz")
 
 
 def guided(sheet, plan=PLAN, load=lambda name: flat_cloud()):
-    return Guide(plan, sheet.frames(), sheet, load).run()
+    return CalibrationGuide(plan, sheet.frames(), sheet, load).run()
 
 
 def test_every_step_is_recorded_once_the_sheet_shows_it():
@@ -103,7 +103,7 @@ def test_quitting_or_a_silent_skin_ends_it_in_one_line():
         guided(Sheet([("bend the sheet", "q")]))
     sheet = Sheet()
     with pytest.raises(GuideError, match="the skin sends no more frames"):
-        Guide(PLAN, sheet.frames(50), sheet, lambda name: flat_cloud()).run()
+        CalibrationGuide(PLAN, sheet.frames(50), sheet, lambda name: flat_cloud()).run()
 
 
 def test_a_scan_that_cannot_be_read_is_asked_for_again():

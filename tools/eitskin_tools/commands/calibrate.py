@@ -131,7 +131,7 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
     from eitskin_proto.skin.cloud_file import load_surface
     from eitskin_sim.calibration.stamp import places
     from eitskin_tools.flash.full_scan import scanning_all_rows
-    from eitskin_tools.guided import Guide, Plan, Terminal, frames_of
+    from eitskin_tools.guided import CalibrationGuide, Plan, Terminal, frames_of
 
     for name, usual in GUIDED.items():
         if getattr(arguments, name) is None:
@@ -164,7 +164,9 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
             if device.hello.rows == N_ROWS:
                 talk.say(f"the device scans {N_ROWS} rows: --full-scan would find more about its front end")
             device.start()
-            guide = Guide(plan, frames_of(device), talk, lambda name: np.array(load_surface(name, skin).cloud_mm))
+            guide = CalibrationGuide(
+                plan, frames_of(device), talk, lambda name: np.array(load_surface(name, skin).cloud_mm)
+            )
             arrays = guide.run()
             device.stop()
         finally:

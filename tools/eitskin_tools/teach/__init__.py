@@ -1,0 +1,1 @@
+"""Touches learned from presses at known places."""
