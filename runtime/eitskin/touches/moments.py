@@ -10,7 +10,7 @@ subtracted.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -51,6 +51,8 @@ class Found:
     """Of the grid."""
     more: int
     """Touches that are not listed, since there are more than ``MOST_TOUCHES``; or 1, if the map is in shreds."""
+    doubts: list[tuple[float, float, float, float]] = field(default_factory=list)
+    """Of each touch its errors along x and y in mm, amplitude, log likelihood ratio; empty where they are unknown."""
 
     @property
     def count(self) -> int:

@@ -1,6 +1,6 @@
 """The touches of one frame after another, as bytes for a message; made only on request."""
 
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -18,17 +18,28 @@ Packed = tuple[bytes, bytes, int]
 """Touches, events, and how many touches are not listed."""
 
 
+class Finder(Protocol):
+    """Finds the touches of one map after another."""
+
+    nothing: Found
+    """No touches."""
+
+    def find(self, values: npt.NDArray[np.floating]) -> Found:
+        """Return the touches of a map."""
+
+
 class TouchWatch:
     """Finds and numbers the touches of one frame after another.
 
     Args:
         grid: Of the skin.
+        finder: Finds them; None finds pieces of the map.
     """
 
     __slots__ = ("_finder", "_found", "_map", "_rows", "_surface", "tracker")
 
-    def __init__(self, grid: Grid) -> None:
-        self._finder = TouchFinder(grid)
+    def __init__(self, grid: Grid, finder: Finder | None = None) -> None:
+        self._finder: Finder = TouchFinder(grid) if finder is None else finder
         self.tracker = Tracker(grid)
         self._found: Found = self._finder.nothing
         self._rows: list[bytes] = []
@@ -75,9 +86,10 @@ def _rows(found: Found, surface: Surface) -> list[bytes]:
         return []
     xs, ys = [row[0] for row in found.rows], [row[1] for row in found.rows]
     areas_mm2 = found.areas_mm2(surface.stretch)
+    doubts = found.doubts or [(UNKNOWN,) * 4] * len(found.rows)
     rows = [
-        (*row, UNKNOWN, UNKNOWN, *place, area_mm2)
-        for row, place, area_mm2 in zip(found.rows, surface.at(xs, ys), areas_mm2, strict=True)
+        (*row, UNKNOWN, UNKNOWN, *place, area_mm2, *doubt)
+        for row, place, area_mm2, doubt in zip(found.rows, surface.at(xs, ys), areas_mm2, doubts, strict=True)
     ]
     raw, width = np.array(rows, dtype="<f4").tobytes(), LAYOUT.size - HEAD.size
     return [raw[at : at + width] for at in range(0, len(raw), width)]

@@ -29,7 +29,7 @@ def turned(cloud):
 
 def touched(cloud, image):
     packed = TouchWatch(GRID).update(image.ravel(), 1, Surface(cloud, GRID), 0)
-    (touch,) = unpack_touches(packed[0], 76, *packed[1:]).touches
+    (touch,) = unpack_touches(packed[0], 92, *packed[1:]).touches
     return touch
 
 

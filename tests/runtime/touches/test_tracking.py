@@ -121,13 +121,21 @@ def test_noise_for_ever_gives_bounded_lists_and_no_number_twice(film):
         ((b"", 76, b"abc", 0), "touch_events: expected 12"),
         ((b"", 76, b"", -1), "touches_more: found -1"),
         ((None, 76, b"", 0), "touches: expected"),
-        ((LAYOUT.pack(7, 0, *[float("nan")] * 17), 76, b"", 0), "touch 7 has values that are not finite"),
+        ((LAYOUT.pack(7, 0, *[float("nan")] * 21), 92, b"", 0), "touch 7 has values that are not finite"),
         ((b"\0" * 76 * 60, 76, b"", 0), "at most 4096"),
     ],
 )
 def test_a_malformed_list_is_named(values, named):
     with pytest.raises(FrameError, match=named):
         unpack_touches(*values)
+
+
+def test_what_an_older_runtime_sent_has_no_errors():
+    packed = TouchWatch(GRID).update(square(50.0, 50.0).ravel(), 1, FLAT, 0)
+    (now,) = unpack_touches(packed[0], LAYOUT.size, *packed[1:]).touches
+    (older,) = unpack_touches(packed[0][:76], 76, *packed[1:]).touches
+    assert older == now
+    assert older.error_mm is older.amplitude is None
 
 
 def test_a_later_runtime_may_have_more_bytes_a_touch():
