@@ -41,8 +41,8 @@ from eitskin.reference.judged import ReferenceChecks, reference_checks
 from eitskin.reference.recapture import Recapture
 from eitskin.touches.watch import TouchWatch
 from eitskin_proto.wire.codes import EventCode, MessageType
-from eitskin_proto.wire.frames import FRAME_TYPE
 from eitskin_proto.wire.messages import Event
+from eitskin_proto.wire.volts import SCANS, is_signed
 
 GIVE_WAY_S: Final = 0.001
 """The least that ports wait, which count in milliseconds; several times what a subscriber takes to have its frame
@@ -254,7 +254,7 @@ class FrameSource:
                 held.extend(payloads)
                 while held:  # what is left when the caller stops asking comes again the next time
                     payload = held.popleft()
-                    if payload[0] != FRAME_TYPE:
+                    if payload[0] not in SCANS:
                         self._take_note(payload)
                     elif self._accept(payload, read_ns, first):
                         withheld = intake.withheld_total
@@ -327,7 +327,7 @@ class FrameSource:
                 break
         newest: list[bytes] = []
         for payload in payloads:
-            if payload[0] != FRAME_TYPE:
+            if payload[0] not in SCANS:
                 self._take_note(payload)
                 continue
             for stale in newest:
@@ -599,7 +599,11 @@ class FrameLoop:
         Args:
             found: The reference.
             fresh: It was taken of the sheet as it is now, not read from a file.
+
+        Raises:
+            MismatchError: It lacks rows that the bundle needs.
         """
+        found = found.in_table(self._pipeline.table, signed=is_signed(self._device.hello))
         self._pipeline.use_reference(found, fresh=fresh)
         self.reference = found
 
@@ -615,7 +619,7 @@ class FrameLoop:
             PortLost: The port vanished.
             ValueError: Fewer than 2 frames.
         """
-        builder, checks = ReferenceBuilder(frames, self._pipeline.skin), self._checks()
+        builder, checks = ReferenceBuilder(frames, self._pipeline.skin, table=self._pipeline.table), self._checks()
         asked_ns, first = time.perf_counter_ns(), True
         for _ in self._accepted(asked_ns + int(self._patience_s(frames) * 1e9)):
             # The newest frame that waited may be the first to be accepted; a reference is of the sheet as it is now.
@@ -645,7 +649,8 @@ class FrameLoop:
             BadReference: As in :meth:`capture`; or the loop was stopped, or another one is being captured. The old
                 reference stays.
         """
-        recapture = Recapture(ReferenceBuilder(frames, self._pipeline.skin), self._checks(), force=force)
+        builder = ReferenceBuilder(frames, self._pipeline.skin, table=self._pipeline.table)
+        recapture = Recapture(builder, self._checks(), force=force)
         with self._capturing:
             if self._recapture is not None:
                 raise self._recapture.under_way()

@@ -33,14 +33,18 @@ def wire_bytes(payload_bytes: int) -> int:
     return inside + max(1, -(-inside // 254)) + 1
 
 
-def encode(payload: bytes) -> bytes:
+def encode(payload: bytes, max_payload: int = MAX_PAYLOAD) -> bytes:
     """Return the packet of a payload, delimiter included.
 
+    Args:
+        payload: Type byte first.
+        max_payload: Bytes that the other side accepts.
+
     Raises:
-        ValueError: The payload is empty or longer than ``MAX_PAYLOAD``.
+        ValueError: The payload is empty or longer than ``max_payload``.
     """
-    if not 1 <= len(payload) <= MAX_PAYLOAD:
-        raise ValueError(f"a payload of {len(payload)} bytes cannot be sent; expected 1 to {MAX_PAYLOAD}")
+    if not 1 <= len(payload) <= max_payload:
+        raise ValueError(f"a payload of {len(payload)} bytes cannot be sent; expected 1 to {max_payload}")
     stuffed: bytes = cobs.encode(payload + crc32c(payload).to_bytes(CRC_BYTES, "little"))
     return stuffed + b"\0"
 

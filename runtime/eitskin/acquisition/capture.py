@@ -3,6 +3,8 @@
 import time
 from collections.abc import Iterator
 
+import numpy as np
+
 from eitskin.acquisition.device import Device
 from eitskin.acquisition.ports import open_line
 from eitskin.acquisition.serial_port import DEFAULT_BAUD
@@ -11,13 +13,14 @@ from eitskin.reference.builder import ReferenceBuilder
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference
 from eitskin.reference.front_end import stuck
 from eitskin.reference.judged import ReferenceChecks
-from eitskin.reference.normaliser import Normaliser
+from eitskin.reference.normaliser import normaliser_of, rows_of
 from eitskin.reference.scanned import ReferenceScan
 from eitskin_proto.errors import ProtocolError
+from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_proto.wire.codes import MessageType
 from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
+from eitskin_proto.wire.volts import SCANS, DriverHello, VoltsView, step_of, table_of_hello, view_of
 
 PATIENCE_S = 10.0
 """Beyond the time that the frames take by themselves."""
@@ -36,7 +39,7 @@ def capture(
     """Return the mean of the next frames of a skin, which must be untouched, and flat or as its scan shows.
 
     Args:
-        port: Serial port's path, or ``usb:SERIAL``.
+        port: Serial port's path, ``usb:SERIAL``, or ``NAME:REST`` of a driver.
         frames: Number of frames to average, at least 2.
         baud: Bits per second on a real UART.
         checks: Checks of the reference (:func:`eitskin.reference.judged.reference_checks`); None for no checks.
@@ -50,30 +53,34 @@ def capture(
         BadReference: The sheet was bent, touched or moving, or nothing is connected, or the frames did not come.
         ValueError: Fewer than 2 frames.
     """
-    builder = ReferenceBuilder(frames, skin, scan)
+    if frames < 2:
+        ReferenceBuilder(frames)  # raises, before a port is opened
     transport = open_line(port, baud)
     try:
         device = Device(transport, skin)
+        own = not isinstance(device.hello, DriverHello)
+        table = ADJACENT_104 if own else rows_of(device.hello) if scan is not None else table_of_hello(device.hello)
+        builder = ReferenceBuilder(frames, skin, scan, table)
         device.start()
         end_s = time.perf_counter() + PATIENCE_S + frames * 1000 / max(device.hello.rate_mHz, 1)
-        _collect(device, builder, end_s)
+        _collect(device, builder, table, end_s)
         device.stop()
         return builder.finish(device.hello, checks, force=force)
     finally:
         transport.close()
 
 
-def whole_frames(device: Device, end_s: float) -> Iterator[FrameView]:
+def whole_frames(device: Device, end_s: float) -> Iterator[FrameView | VoltsView]:
     """Yield whole scans of a device's present configuration as they come; the next one overwrites the view.
 
     Args:
         device: It streams.
         end_s: ``perf_counter`` at which to stop waiting.
     """
-    view = FrameView()
+    view = view_of(device.hello)
     while (left_s := end_s - time.perf_counter()) > 0:
         for payload in device.payloads(left_s):
-            if payload[0] != MessageType.FRAME:
+            if payload[0] not in SCANS:
                 continue
             try:
                 view.load(payload)
@@ -83,11 +90,13 @@ def whole_frames(device: Device, end_s: float) -> Iterator[FrameView]:
                 yield view
 
 
-def _collect(device: Device, builder: ReferenceBuilder, end_s: float) -> None:
-    normaliser = Normaliser(device.hello.volts_per_count)
+def _collect(device: Device, builder: ReferenceBuilder, table: RowTable, end_s: float) -> None:
+    normaliser, own_rows = normaliser_of(device.hello, table), table.id == ADJACENT_104.id
+    step = step_of(device.hello) / device.hello.volts_per_count
     for view in whole_frames(device, end_s):
         normaliser.load(view.counts)
-        if unfit := "rows are cut off" if view.saturation else stuck(normaliser.counts):
+        counts = normaliser.counts if step == 1.0 else np.rint(normaliser.counts / step)
+        if unfit := "rows are cut off" if view.saturation else stuck(counts, own_rows=own_rows):
             builder.leave_out(unfit)
         elif builder.add(normaliser.voltages()):
             return

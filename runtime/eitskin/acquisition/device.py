@@ -36,8 +36,9 @@ from eitskin.errors import NotReady, PortLost, PortReturned
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.wire import messages
 from eitskin_proto.wire.codes import Code, HelloFlag, MessageType, Mode
-from eitskin_proto.wire.framing import Deframer, encode
+from eitskin_proto.wire.framing import MAX_PAYLOAD, Deframer, encode
 from eitskin_proto.wire.messages import Ack, Hello, Time
+from eitskin_proto.wire.volts import unpack_hello
 
 WINDOW_US: Final = 1_000_000
 """One minimum is kept a second."""
@@ -210,7 +211,7 @@ class Device:
 
     def __init__(self, transport: Transport, skin: Skin | None = None) -> None:
         self.transport, self._skin = transport, skin
-        self.deframer = Deframer()
+        self.deframer = Deframer(getattr(transport, "largest_payload", MAX_PAYLOAD))
         self.read_ns = 0
         """``perf_counter_ns`` when the bytes behind the last ``payloads`` were in hand."""
         self.held: deque[bytes] = deque()
@@ -394,7 +395,7 @@ class Device:
                 f"{self.transport.name} did not answer within {HANDSHAKE_S:g} s: check the power and that this is the "
                 "skin; 'eitskin doctor' lists the ports"
             )
-        hello = Hello.unpack(payload)
+        hello = unpack_hello(payload)
         hello.check()
         if self._skin is not None:
             hello.check_skin(self._skin)

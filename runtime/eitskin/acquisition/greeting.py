@@ -12,6 +12,7 @@ from eitskin_proto.wire.frames import SAMPLE_BYTES, frame_bytes
 from eitskin_proto.wire.framing import wire_bytes
 from eitskin_proto.wire.messages import Hello
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
+from eitskin_proto.wire.volts import DriverHello
 
 VOLTS_PER_COUNT: Final = (1e-15, 1e3)
 """V, least and most; a value outside is not in volts."""
@@ -34,6 +35,9 @@ def check_usable(hello: Hello, line_bytes_per_s: int) -> None:
         HandshakeError: What was found, what was expected, and what to do.
     """
     hint = "flash another configuration with 'eitskin flash'"
+    _check_rate(hello, "correct its driver" if isinstance(hello, DriverHello) else hint)
+    if isinstance(hello, DriverHello):
+        return
     if hello.rows not in (N_ROWS, N_FULL_ROWS) or hello.drives != ALL_DRIVES:
         raise HandshakeError(
             f"configuration {hello.configuration_name} measures {hello.rows} rows of drives 0x{hello.drives:04x}, "
@@ -50,12 +54,6 @@ def check_usable(hello: Hello, line_bytes_per_s: int) -> None:
             f"HELLO.volts_per_count: found {hello.volts_per_count:g} V, expected more than 0, at least {low:g} and at "
             f"most {high:g} V; update the firmware"
         )
-    slow, fast = RATE_MHZ
-    if not slow <= hello.rate_mHz <= fast:
-        raise HandshakeError(
-            f"HELLO.rate_mHz: found {hello.rate_mHz}, expected {slow} to {fast} ({slow / 1000:g} to "
-            f"{fast // 1000} frames/s); {hint}"
-        )
     if hello.sample_bytes not in SAMPLE_BYTES:
         raise HandshakeError(f"HELLO.sample_bytes: found {hello.sample_bytes}, expected 2, 3 or 4; update the firmware")
     limits = [limit for limit in (line_bytes_per_s, hello.line_bytes_per_s) if limit > 0]
@@ -64,6 +62,15 @@ def check_usable(hello: Hello, line_bytes_per_s: int) -> None:
         raise HandshakeError(
             f"{hello.rate_mHz / 1000:g} frames/s of {packet} bytes do not fit a line of {min(limits)} bytes/s, which "
             f"carries {min(limits) // packet} frames/s: raise --baud, or {hint}"
+        )
+
+
+def _check_rate(hello: Hello, hint: str) -> None:
+    slow, fast = RATE_MHZ
+    if not slow <= hello.rate_mHz <= fast:
+        raise HandshakeError(
+            f"HELLO.rate_mHz: found {hello.rate_mHz}, expected {slow} to {fast} ({slow / 1000:g} to "
+            f"{fast // 1000} frames/s); {hint}"
         )
 
 

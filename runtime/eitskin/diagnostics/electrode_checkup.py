@@ -25,11 +25,13 @@ from eitskin.health.imputation import Array, Consistency
 from eitskin.health.reciprocity import LARGEST_RECORDED_GAP, electrode_gaps, row_gaps
 from eitskin.reference.captured import Reference
 from eitskin.reference.front_end import front_end_faults
-from eitskin.reference.normaliser import Normaliser
+from eitskin.reference.normaliser import normaliser_of
 from eitskin_proto.files.arrays import read_npy
 from eitskin_proto.files.reading import FileError
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.table import N_ELECTRODES, N_FULL_ROWS, N_ROWS
+from eitskin_proto.wire.frames import FrameView
+from eitskin_proto.wire.volts import step_of
 
 MODEL_SPREAD: Final = 0.02
 """Relative difference that a real sheet may have from the forward model in a row, when the model replaces a
@@ -86,12 +88,12 @@ def record(port: str, seconds: float, baud: int = DEFAULT_BAUD) -> Recording:
     try:
         device = Device(transport)
         device.start()
-        normaliser = Normaliser(device.hello.volts_per_count)
+        normaliser = normaliser_of(device.hello)
         volts, gaps = [], []
         for view in whole_frames(device, time.perf_counter() + seconds):
             normaliser.load(view.counts)
             volts.append(normaliser.voltages().copy())
-            if (gap := _gap(view.counts)) is not None:
+            if isinstance(view, FrameView) and (gap := _gap(view.counts)) is not None:
                 gaps.append(gap)
         device.stop()
     finally:
@@ -101,7 +103,7 @@ def record(port: str, seconds: float, baud: int = DEFAULT_BAUD) -> Recording:
             f"found {len(volts)} whole frames in {seconds:g} s, expected at least {WINDOW}: raise --seconds, or check "
             "the cable"
         )
-    return Recording(np.array(volts), np.median(gaps, axis=0) if gaps else None, device.hello.volts_per_count)
+    return Recording(np.array(volts), np.median(gaps, axis=0) if gaps else None, step_of(device.hello))
 
 
 def _gap(counts: npt.NDArray[np.int32]) -> Array | None:

@@ -39,6 +39,7 @@ from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.plain import plain, quoted, stated
 from eitskin_proto.files.reading import LARGEST_TOML, FileError, is_name, opened
 from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable, numbered, table_of
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.skin import Skin as SkinDescription
@@ -143,6 +144,20 @@ class Bundle:
     def rows(self) -> int:
         """Rows of a frame: 104, or as many as it was taught with."""
         return int(self.manifest.get("rows", N_ROWS))
+
+    @property
+    def table(self) -> RowTable:
+        """Rows of a frame; of a bundle that was taught with rows alone, their number."""
+        stated = self.manifest.get("table")
+        try:
+            found = table_of(stated) if stated is not None else ADJACENT_104 if self.has_network else None
+        except ValueError as error:
+            raise BundleError(f"{self.path}: {error}; {EXPORT_HINT}") from error
+        if found is None:
+            found = ADJACENT_104 if "tikhonov.npy" in self.files and self.rows == N_ROWS else numbered(self.rows)
+        if found.rows != self.rows:
+            raise BundleError(f"{self.path}: {found.name} has {found.rows} rows, expected {self.rows}; {EXPORT_HINT}")
+        return found
 
     @property
     def has_network(self) -> bool:

@@ -36,13 +36,14 @@ from eitskin.pipeline.map_source import MapSource
 from eitskin.pipeline.recorded import FrameDecisions
 from eitskin.reference.captured import Reference
 from eitskin.reference.front_end import patience, stuck
-from eitskin.reference.normaliser import Normaliser
+from eitskin.reference.normaliser import Normaliser, normaliser_of
 from eitskin.reference.predicted import log_ratio
 from eitskin.reference.row_noise import with_rounding
-from eitskin_proto.sensor.table import N_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL
+from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable
 from eitskin_proto.skin.skin import Skin as SkinDescription
 from eitskin_proto.wire.frames import full_scale
 from eitskin_proto.wire.messages import Hello
+from eitskin_proto.wire.volts import DriverHello, step_of
 
 AUDIT_FRAMES: Final = 50
 """One of this many untouched frames is inferred: four a second at 200 frames/s, for 2 % of an inference a frame."""
@@ -129,18 +130,25 @@ class GateAudit:
 
 
 class FrontEndWatch:
-    """Runs the gate on the current frame.
+    """Looks for faults of the front end in the current frame.
 
     Args:
-        sample_bytes: Of the device's samples.
+        hello: Of the device.
+        table: Rows in use.
         intake: Has the frame's counts, and gets the number of repetitions that chance allows.
         idle_gate: Has the rows of a scan of a few drives.
     """
 
-    __slots__ = ("_idle_gate", "_intake", "_limit", "_reference")
+    __slots__ = ("_idle_gate", "_intake", "_limit", "_own_rows", "_reference", "_step")
 
-    def __init__(self, sample_bytes: int, intake: Intake, idle_gate: IdleGate | None) -> None:
-        self._limit = full_scale(sample_bytes)
+    def __init__(self, hello: Hello, table: RowTable, intake: Intake, idle_gate: IdleGate | None) -> None:
+        self._step: float | None = None
+        """Volts of the converter's step, where a count is a volt."""
+        if isinstance(hello, DriverHello):
+            self._step, self._limit = hello.step_V, hello.full_scale_V / hello.step_V
+        else:
+            self._limit = full_scale(hello.sample_bytes)
+        self._own_rows = table.id == ADJACENT_104.id
         self._intake, self._idle_gate = intake, idle_gate
         self._reference: npt.NDArray[np.float64] | None = None
 
@@ -163,12 +171,12 @@ class FrontEndWatch:
         Args:
             normaliser: Has the frame.
         """
-        cut_off = self._intake.saturation
-        if cut_off and len(self._intake.counts) != N_ROWS:
-            bits = np.array([cut_off >> row & 1 for row in range(len(self._intake.counts))], dtype=bool)
-            both = bits[ROW_IN_FULL] | bits[RECIPROCAL_IN_FULL]
-            cut_off = int.from_bytes(np.packbits(both, bitorder="little").tobytes(), "little")
-        return stuck(normaliser.counts, self._reference, cut_off, self._limit)
+        cut_off, counts = self._intake.saturation, normaliser.counts
+        if cut_off:
+            cut_off = normaliser.cut_off(cut_off, len(self._intake.counts))
+        if self._step is not None:
+            counts = np.rint(counts / self._step)
+        return stuck(counts, self._reference, cut_off, self._limit, own_rows=self._own_rows)
 
     def check_idle(self) -> str:
         """Return the same of a frame of a few drives."""
@@ -296,14 +304,19 @@ class Pipeline:
         self.record = FrameRecord(memoryview(self.buffers.map[0]).cast("B"))
         """The frame in hand; the next one overwrites it."""
         self.intake = Intake(hello, self.record, None if idle_gate is None else idle_gate.drives)
-        self.front_end = FrontEndWatch(hello.sample_bytes, self.intake, idle_gate)
+        self.table = bundle.table
+        """Rows of its frames."""
+        self.front_end = FrontEndWatch(hello, self.table, self.intake, idle_gate)
         self.counter, self.clock = self.intake.counter, self.intake.clock
-        self.normaliser = Normaliser(hello.volts_per_count)
+        self.normaliser = normaliser_of(hello, self.table)
+        self.step_V = step_of(hello)
+        """Of the device's converter."""
         self.maps = MapSource(
             bundle, self.buffers, self.record, budget_ns, solver=solver, skip_unchanged=skip_unchanged
         )
         self.budget = self.maps.budget
         self.bundle = bundle
+        self._is_wire = not isinstance(hello, DriverHello)
         self._next_geometry: Geometry | None = None
 
     @property
@@ -316,10 +329,14 @@ class Pipeline:
         self.intake.greet(hello)
         self._reset_gates()
         self.normaliser.use_scale(hello.volts_per_count)
+        self.step_V = step_of(hello)
 
     def use_reference(self, reference: Reference, *, fresh: bool = False) -> None:
-        """Normalise against a reference, or the flat one that its scan makes of it; a fresh one is of the sheet now."""
-        step_V, flat = self.normaliser.volts_per_count, reference.flat()
+        """Normalise against a reference, or the flat one that its scan makes of it; a fresh one is of the sheet now.
+
+        Its rows are those in use (:meth:`eitskin.reference.captured.Reference.in_table`).
+        """
+        step_V, flat = self.step_V, reference.flat()
         self.normaliser.use_reference(flat.voltages_V, flat.weak)
         self._reset_gates()
         self.front_end.use_reference(reference, step_V)
@@ -361,7 +378,7 @@ class Pipeline:
         """Decode a frame and return whether it may go on; the first half of a frame's way.
 
         Args:
-            payload: Of a FRAME message.
+            payload: Of a FRAME, or VOLTS of a driver.
             read_ns: When its last byte was in hand.
         """
         intake, record = self.intake, self.record
@@ -381,11 +398,11 @@ class Pipeline:
         """Take a frame that was accepted when it was measured, and return whether it is a whole scan.
 
         Args:
-            payload: Of a FRAME message.
+            payload: Of a FRAME, or VOLTS of a driver.
             sequence: Its number, unwrapped.
 
         Raises:
-            ProtocolError: It is not a FRAME.
+            ProtocolError: It is not a scan of this device.
         """
         if not self.intake.load(payload):
             return False
@@ -496,7 +513,8 @@ class Pipeline:
     def keep_for_health(self) -> None:
         """Keep the data of the frame just published, for judging electrodes and drift."""
         health, record = self.health, self.record
-        if health is not None and not record.idle and health.put_aside(self.intake.counts, touched=record.touched):
+        counts = self.intake.counts if self._is_wire else None
+        if health is not None and not record.idle and health.put_aside(counts, touched=record.touched):
             self.check_health()
 
     def check_health(self) -> None:

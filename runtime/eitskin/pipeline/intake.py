@@ -18,9 +18,8 @@ The next frame that is published says so in its events: ``withheld:implausible``
 """
 
 from collections import deque
-from typing import Final
+from typing import Any, Final
 
-import numpy as np
 import numpy.typing as npt
 
 from eitskin.acquisition.device import DeviceClock
@@ -28,9 +27,10 @@ from eitskin.frame_record import READ, FrameRecord
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.sensor.table import N_FULL_ROWS
 from eitskin_proto.wire.codes import FrameFlag
-from eitskin_proto.wire.frames import HEADER_BYTES, FrameView, Step, StreamCounter
+from eitskin_proto.wire.frames import Step, StreamCounter
 from eitskin_proto.wire.messages import Hello
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
+from eitskin_proto.wire.volts import DriverHello, samples_at, view_of
 
 REASONS: Final = ("malformed", "duplicate", "configuration", "partial", "implausible", "no_signal", "stuck",
                   "frozen", "stale")  # fmt: skip
@@ -42,8 +42,8 @@ WITHHELD: Final = {reason: f"withheld:{reason}" for reason in REASONS}
 REPEAT_FRAMES: Final = 8
 """Frames that a frame may repeat: a front end that hangs may have several buffers."""
 
-_FIRST_ROWS: Final = HEADER_BYTES + 12
-"""Samples that are compared first: those of the strongest rows."""
+_FIRST_BYTES: Final = 12
+"""Of the samples, which are compared first: those of the strongest rows."""
 
 _FULL: Final = int(FrameFlag.FULL)
 
@@ -58,15 +58,34 @@ class Intake:
     """
 
     __slots__ = (
-        "_full", "_idle_drives", "_payloads", "_recent", "_record", "_repeated", "_since", "_view", "_width", "clock",
-        "counter", "generation", "generation_differs", "heard_ns", "last_reason", "most_repeats", "withheld",
+        "_full",
+        "_idle_drives",
+        "_payloads",
+        "_recent",
+        "_record",
+        "_repeated",
+        "_samples",
+        "_samples_end",
+        "_since",
+        "_view",
+        "_width",
+        "clock",
+        "counter",
+        "generation",
+        "generation_differs",
+        "heard_ns",
+        "last_reason",
+        "most_repeats",
+        "withheld",
         "withheld_total",
     )  # fmt: skip
 
     def __init__(self, hello: Hello, record: FrameRecord, idle_drives: int | None) -> None:
         self._record = record
         self._idle_drives = idle_drives
-        self._view = FrameView()
+        self._view = view_of(hello)
+        self._samples = samples_at(hello)
+        self._samples_end = self._samples + _FIRST_BYTES
         self.counter = StreamCounter()
         self.clock = DeviceClock()
         self._recent: deque[bytes] = deque(maxlen=REPEAT_FRAMES)
@@ -78,7 +97,10 @@ class Intake:
         """When the last frame of this device's configuration was read, fit or not."""
         self.last_reason = ""
         """Why a frame was withheld last."""
-        self._width, self._full = hello.sample_bytes, _FULL if hello.rows == N_FULL_ROWS else 0
+        self._width, self._full = (
+            hello.sample_bytes,
+            0 if isinstance(hello, DriverHello) or hello.rows != N_FULL_ROWS else _FULL,
+        )
         self.generation = hello.generation
         """Of the configuration that frames must carry."""
         self.generation_differs = False
@@ -90,8 +112,8 @@ class Intake:
         """Events of earlier frames for the next published one."""
 
     @property
-    def counts(self) -> npt.NDArray[np.int32]:
-        """Of the frame accepted last."""
+    def counts(self) -> npt.NDArray[Any]:
+        """Of the frame accepted last; of a driver's, volts."""
         return self._view.counts
 
     @property
@@ -108,7 +130,7 @@ class Intake:
         """Decode a frame and return whether it may go on.
 
         Args:
-            payload: Of a FRAME message.
+            payload: Of a FRAME, or VOLTS of a driver.
             read_ns: When its last byte was in hand.
         """
         view, record = self._view, self._record
@@ -128,7 +150,7 @@ class Intake:
         if idle and view.drives != self._idle_drives:
             return self.withhold("partial")
         self.heard_ns = read_ns
-        first = payload[HEADER_BYTES:_FIRST_ROWS]
+        first = payload[self._samples : self._samples_end]
         if first in self._recent and self._repeats(payload):
             self._repeated += 1
             most = self.most_repeats[idle]
@@ -151,7 +173,7 @@ class Intake:
         """Decode a frame without judging or counting it, and return whether all drives were scanned.
 
         Raises:
-            ProtocolError: It is not a FRAME.
+            ProtocolError: It is not a scan of this device.
         """
         self._view.load(payload)
         return self._view.drives == ALL_DRIVES
@@ -168,7 +190,8 @@ class Intake:
 
     def _repeats(self, payload: bytes) -> bool:
         """Return whether all samples of a frame are those of one that is remembered."""
-        return any(payload[HEADER_BYTES:] == before[HEADER_BYTES:] for before in self._payloads)
+        at = self._samples
+        return any(payload[at:] == before[at:] for before in self._payloads)
 
     def discard(self, payload: bytes) -> None:
         """Take note of a frame that is left out because a newer one waits; it is not counted as lost."""

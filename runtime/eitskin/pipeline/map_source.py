@@ -66,7 +66,7 @@ class MapSource:
         """(pixels,) the map computed last."""
         self.engines: list[Engine] = engines(bundle, buffers, best=solver, alone=budget_ns is None)
         self._named = {engine.name: engine for engine in self.engines}
-        self.stillness = Stillness() if skip_unchanged else None
+        self.stillness = Stillness(len(self._change)) if skip_unchanged else None
         """Judges whether two frames differ only by noise; None if no map is kept."""
         self._held = ""
         """The solver of the map that is held; empty if none is."""

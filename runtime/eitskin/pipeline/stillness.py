@@ -38,14 +38,18 @@ SIGMAS: Final = 3.0
 
 
 class Stillness:
-    """Compares frames with the one that was kept; allocates nothing a frame."""
+    """Compares frames with the one that was kept; allocates nothing a frame.
+
+    Args:
+        rows: Of a frame.
+    """
 
     __slots__ = ("_difference", "_kept", "_limit", "_weight", "age", "holds")
 
-    def __init__(self) -> None:
-        self._kept = np.zeros(N_ROWS, dtype=np.float32)
-        self._difference = np.zeros(N_ROWS, dtype=np.float32)
-        self._weight = np.zeros(N_ROWS, dtype=np.float32)
+    def __init__(self, rows: int = N_ROWS) -> None:
+        self._kept = np.zeros(rows, dtype=np.float32)
+        self._difference = np.zeros(rows, dtype=np.float32)
+        self._weight = np.zeros(rows, dtype=np.float32)
         self._limit = 0.0
         self.age = 0
         """Frames since the kept one."""
@@ -58,8 +62,8 @@ class Stillness:
         """Judge by another reference from the next frame on.
 
         Args:
-            voltages_V: (104,) V.
-            spread_V: (104,) V, standard deviation of a single frame.
+            voltages_V: (rows,) V.
+            spread_V: (rows,) V, standard deviation of a single frame.
             frames: How many frames the spread is of; with fewer than 6 nothing is ever still.
             step_V: Of the converter.
         """
@@ -81,7 +85,7 @@ class Stillness:
         """Return whether a frame is the kept one within noise, and count it.
 
         Args:
-            change: (104,) dV.
+            change: (rows,) dV.
         """
         self.age += 1
         if not self.holds or self.age >= REFRESH_FRAMES:
@@ -94,7 +98,7 @@ class Stillness:
         """Compare with this frame from now on.
 
         Args:
-            change: (104,) dV; copied.
+            change: (rows,) dV; copied.
         """
         self._kept[:] = change
         self.age = 0

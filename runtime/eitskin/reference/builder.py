@@ -13,9 +13,10 @@ from eitskin.reference.front_end import RepeatedFrames
 from eitskin.reference.judged import ReferenceChecks, accept, judge
 from eitskin.reference.movement import Movement
 from eitskin.reference.scanned import ReferenceScan
-from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.wire.messages import Hello
+from eitskin_proto.wire.volts import step_of
 
 MOST_UNFIT: Final = 200
 """Frames that are not fit, with few wanted: one second at 200 frames/s."""
@@ -28,31 +29,34 @@ class ReferenceBuilder:
         frames: Number of frames, at least 2.
         skin: The skin of the reference.
         scan: Scan of the sheet in its present shape; None for a flat one.
+        table: Rows of the frames.
     """
 
     __slots__ = (
-        "_delta", "_mean", "_movement", "_product", "_sameness", "_scan", "_skin", "_squares", "_unfit", "frames",
-        "taken",
+        "_delta", "_mean", "_movement", "_product", "_sameness", "_scan", "_skin", "_squares", "_table", "_unfit",
+        "frames", "taken",
     )  # fmt: skip
 
-    def __init__(self, frames: int, skin: Skin = PAPER, scan: ReferenceScan | None = None) -> None:
+    def __init__(
+        self, frames: int, skin: Skin = PAPER, scan: ReferenceScan | None = None, table: RowTable = ADJACENT_104
+    ) -> None:
         if frames < 2:
             raise ValueError(f"a reference of {frames} frames has no spread; expected at least 2 frames")
-        self.frames, self._skin, self._scan = frames, skin, scan
+        self.frames, self._skin, self._scan, self._table = frames, skin, scan, table
         self.taken = 0
-        self._mean = np.zeros(N_ROWS)
-        self._squares = np.zeros(N_ROWS)
-        self._delta = np.zeros(N_ROWS)
-        self._product = np.zeros(N_ROWS)
+        self._mean = np.zeros(table.rows)
+        self._squares = np.zeros(table.rows)
+        self._delta = np.zeros(table.rows)
+        self._product = np.zeros(table.rows)
         self._unfit = 0
-        self._movement = Movement(frames)
+        self._movement = Movement(frames, table.rows)
         self._sameness = RepeatedFrames()
 
     def add(self, voltages: npt.NDArray[np.float64]) -> bool:
         """Take one frame and return whether there are enough.
 
         Args:
-            voltages: (104,) V.
+            voltages: (rows,) V.
         """
         self.taken += 1
         self._movement.add(voltages)
@@ -111,10 +115,12 @@ class ReferenceBuilder:
             grid_id=self._skin.grid_id,
             skin_digest=self._skin.digest,
             scan=self._scan,
+            table=self._table,
         )
         against = checks or ReferenceChecks()
         looked_at = found.voltages_V if against.missing is None else np.where(against.missing, 0.0, found.voltages_V)
-        same = self._sameness.refusals(found.voltages_V, found.spread_V, hello.volts_per_count)
+        own_rows = self._table.id == ADJACENT_104.id
+        same = self._sameness.refusals(found.voltages_V, found.spread_V, step_of(hello), own_rows=own_rows)
         judgement = judge(found, self._movement.relative(looked_at), against, same)
         accept(judgement, force=force)
         return replace(found, judgement=judgement)

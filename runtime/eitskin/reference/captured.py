@@ -7,8 +7,10 @@ old reference or the new one, never half of one. ::
 
     {"format": "eitskin-reference", "version": 1, "protocol_id", "grid_id", "skin_digest", "serial_number",
      "configuration_digest", "configuration_name", "captured_utc", "frames", "voltages_V": [104], "spread_V": [104],
+     "table": {"name", "electrodes": [rows][4] or null},
      "scan": {"cloud_mm": [3][rows][columns], "predicted_V": [104], "predicted_flat_V": [104]}, "sha256"}
 
+``table`` is there where a device measures other rows than the project's own (:mod:`eitskin_proto.sensor.row_table`).
 ``scan`` is there where the sheet was scanned when the reference was taken (:mod:`eitskin.reference.scanned`); such a
 file has version 2, so that releases that would ignore the scan refuse it.
 
@@ -36,7 +38,7 @@ from eitskin_proto.files.plain import stated
 from eitskin_proto.files.reading import FileError, parse_json
 from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
-from eitskin_proto.sensor.table import N_ROWS, TABLE
+from eitskin_proto.sensor.row_table import ADJACENT_104, MAX_ROWS, RowTable, numbered, row_map
 from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.wire.messages import Hello
@@ -63,9 +65,9 @@ class Reference:
     """A reference: the voltages of the flat, untouched sheet, and their origin."""
 
     voltages_V: npt.NDArray[np.float64]
-    """(104,) V, mean."""
+    """(rows,) V, mean."""
     spread_V: npt.NDArray[np.float64]
-    """(104,) V, standard deviation of a single frame."""
+    """(rows,) V, standard deviation of a single frame."""
     frames: int
     """Number of averaged frames."""
     serial_number: str
@@ -80,6 +82,8 @@ class Reference:
     """Digest of the skin's description."""
     scan: ReferenceScan | None = None
     """Scan of the sheet at capture; None if it was flat."""
+    table: RowTable = ADJACENT_104
+    """Its rows."""
 
     def __repr__(self) -> str:
         return f"<Reference of {self.frames} frames of {self.serial_number}, captured {self.captured_utc}>"
@@ -108,7 +112,7 @@ class Reference:
             shift = float(np.sqrt(np.mean(np.log(self.scan.flattening()) ** 2)))
             lines.append(f"reference: scanned when it was captured; differs from a flat sheet by {shift:.2%} (rms)")
         if self.weak.size:
-            names = ", ".join(f"{row} (drive {TABLE[row, 0]}, measure {TABLE[row, 1]})" for row in self.weak[:8])
+            names = ", ".join(map(self._row_name, self.weak[:8].tolist()))
             more = f" and {self.weak.size - 8} more" if self.weak.size > 8 else ""
             lines.append(f"reference: {self.weak.size} weak rows, filled in from the others: {names}{more}")
         weighed = int(weighed_rows(self.voltages_V, self.spread_V).sum())
@@ -119,6 +123,31 @@ class Reference:
         if self.judgement is not None:
             lines += [f"reference: {line}" for line in (*self.judgement.refusals, *self.judgement.remarks)]
         return lines
+
+    def _row_name(self, row: int) -> str:
+        electrodes = self.table.electrodes
+        return f"{row}" if electrodes is None else f"{row} (drive {electrodes[row, 0]}, measure {electrodes[row, 2]})"
+
+    def in_table(self, table: RowTable, *, signed: bool = True) -> "Reference":
+        """Return this reference in the rows of a table.
+
+        Args:
+            table: The rows in use.
+            signed: Whether the device's voltages have a sign.
+
+        Raises:
+            MismatchError: It lacks some of them.
+        """
+        try:
+            mapped = row_map(self.table, table, signed=signed)
+        except ValueError as error:
+            hint = f"{error}; capture one of these rows: eitskin reference --port PORT --bundle BUNDLE --out FILE"
+            raise MismatchError("reference: its rows", found=self.table.name, expected=table.name, hint=hint) from error
+        if mapped is None:
+            return replace(self, table=table)
+        voltages_V = np.zeros(table.rows)
+        mapped.apply(self.voltages_V, voltages_V)
+        return replace(self, voltages_V=voltages_V, spread_V=mapped.spread(self.spread_V), table=table)
 
     def answer(self) -> dict[str, object]:
         """Return the fields of the answer to the control request ``reference``."""
@@ -177,6 +206,11 @@ def stored(reference: Reference) -> bytes:
         "voltages_V": reference.voltages_V.tolist(),
         "spread_V": reference.spread_V.tolist(),
     }
+    if reference.table.id != ADJACENT_104.id:
+        electrodes = reference.table.electrodes
+        content["table"] = {
+            "name": reference.table.name, "electrodes": None if electrodes is None else electrodes.tolist()
+        }  # fmt: skip
     if reference.scan is not None:
         content["scan"] = reference.scan.stored()
     content["sha256"] = sha256_of_values(content)
@@ -248,9 +282,11 @@ def parsed(raw: bytes, where: str, hint: str, skin: Skin | None = None) -> Refer
         )
     fields = Fields(content, "")
     try:
+        table = _table(content)
         reference = Reference(
-            voltages_V=np.array(fields.numbers("voltages_V", N_ROWS)),
-            spread_V=np.array(fields.numbers("spread_V", N_ROWS)),
+            voltages_V=np.array(fields.numbers("voltages_V", table.rows)),
+            spread_V=np.array(fields.numbers("spread_V", table.rows)),
+            table=table,
             frames=fields.whole("frames", low=1, high=MOST_FRAMES),
             serial_number=fields.text("serial_number", least=0, longest=16),
             configuration_digest=int(fields.text("configuration_digest", longest=8), 16),
@@ -266,6 +302,24 @@ def parsed(raw: bytes, where: str, hint: str, skin: Skin | None = None) -> Refer
     if not float(np.abs(reference.voltages_V).max()) >= SMALLEST_V:
         raise BadReference(f"reference {where}: no row reaches {SMALLEST_V:g} V; {hint}")
     return reference
+
+
+def _table(content: dict[str, Any]) -> RowTable:
+    """Return the rows of a reference.
+
+    Raises:
+        KeyError: Something is missing.
+        TypeError: It is not what it should be.
+        ValueError: The same.
+    """
+    if "table" not in content:
+        return ADJACENT_104
+    name, electrodes = str(content["table"]["name"])[:16], content["table"]["electrodes"]
+    if electrodes is None:
+        return numbered(len(content["voltages_V"]))
+    if len(electrodes) > MAX_ROWS:
+        raise ValueError(f"{len(electrodes)} rows, expected at most {MAX_ROWS}")
+    return RowTable.of(electrodes, name)
 
 
 def taken(reference: Reference | str | Path | None, skin: Skin) -> Reference | None:

@@ -86,19 +86,22 @@ def stuck(
     cut_off: int = 0,
     limit: float = 0,
     symmetric: int = SYMMETRIC,
+    *,
+    own_rows: bool = True,
 ) -> str:
     """Return the fault of rows that no sheet can have, or "".
 
     Args:
-        counts: (104,) as converted, or means of two readings; or (n,) of the idle drives.
+        counts: (rows,) as converted, or means of two readings; or (n,) of the idle drives.
         reference: As many counts of the reference, 0 in rows that carry nothing; None where there is none yet.
         cut_off: Bit r: the device says that row r was cut off.
         limit: Largest count of the converter.
         symmetric: Rows that may read the same by symmetry, where there is no reference.
+        own_rows: 104 rows are those of the project's table, so that drives and measurements can be compared.
     """
     marked = None
     if cut_off:
-        whole = np.frombuffer(cut_off.to_bytes(N_ROWS // 8, "little"), np.uint8)
+        whole = np.frombuffer(cut_off.to_bytes((max(len(counts), N_ROWS) + 7) // 8, "little"), np.uint8)
         marked = np.unpackbits(whole, bitorder="little", count=len(counts)) > 0
         if reference is not None:
             strange = int((marked & (np.abs(reference) * LARGEST_GROWTH < limit)).sum())
@@ -110,7 +113,7 @@ def stuck(
         found = _alike(counts, values, reference, symmetric)
         if found:
             return found
-    if len(values) == N_ROWS:
+    if own_rows and len(values) == N_ROWS:
         weak = MIN_BESIDE_RATIO * abs(values[_ACROSS])
         for strong, depart, weights, what in _WIRES:
             if abs(values[strong]) < weak and counts.all():
@@ -186,7 +189,7 @@ class RepeatedFrames:
         """Different frames."""
 
     def add(self, voltages: Array) -> None:
-        """Take one frame, (104,) V."""
+        """Take one frame, (rows,) V."""
         self.taken += 1
         seen = hash(voltages.tobytes())
         if seen in self._hashes:
@@ -195,20 +198,21 @@ class RepeatedFrames:
             self._hashes.add(seen)
             self.unlike += 1
 
-    def refusals(self, mean_V: Array, spread_V: Array, step_V: float) -> tuple[str, ...]:
+    def refusals(self, mean_V: Array, spread_V: Array, step_V: float, *, own_rows: bool = True) -> tuple[str, ...]:
         """Return why a capture is not from a working front end.
 
         Args:
-            mean_V: (104,) V.
-            spread_V: (104,) V, standard deviation of single frames.
+            mean_V: (rows,) V.
+            spread_V: (rows,) V, standard deviation of single frames.
             step_V: Of one count.
+            own_rows: As of :func:`stuck`.
 
         Raises:
             BadReference: Its rows are alike as no sheet's are.
         """
         allowed = patience(spread_V / step_V)
         # With noise of many counts not even rows that are the same by symmetry have the same mean
-        if found := stuck(mean_V / step_V, symmetric=1 if allowed == 1 else SYMMETRIC):
+        if found := stuck(mean_V / step_V, symmetric=1 if allowed == 1 else SYMMETRIC, own_rows=own_rows):
             raise BadReference(
                 f"the reference does not come from a sheet: {found}; the front end's converter or multiplexer is "
                 "stuck: power the device off and on, check its supply and its wires"

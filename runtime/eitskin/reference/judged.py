@@ -26,11 +26,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.errors import BadReference
+from eitskin.errors import BadReference, MismatchError
 from eitskin.model.gate import Gate
 from eitskin.reference.captured import Reference
 from eitskin.reference.judgement import Judgement
 from eitskin.reference.row_noise import lost_rows, relative_spread
+from eitskin_proto.sensor.row_table import ADJACENT_104
 
 if TYPE_CHECKING:
     from eitskin.model.bundle import Bundle
@@ -104,7 +105,7 @@ def judge(found: Reference, movement: float, checks: ReferenceChecks, refused: t
         checks: What it is compared with.
         refused: Reasons for refusal found already.
     """
-    found, refusals, remarks = found.flat(), list(refused), []
+    found, refusals, remarks = _comparable(found, checks).flat(), list(refused), []
     usable = ~lost_rows(found.voltages_V, found.spread_V)
     if checks.missing is not None:
         usable &= ~checks.missing
@@ -123,7 +124,7 @@ def judge(found: Reference, movement: float, checks: ReferenceChecks, refused: t
         )
     noise = sigma**2 / found.frames
     model, older = None, None
-    if checks.flat_V is not None:
+    if checks.flat_V is not None and len(checks.flat_V) == found.table.rows:
         model = _difference(found.voltages_V, checks.flat_V, usable, noise)
         flat = "the bundle's flat, untouched sheet"
         _compare(model, MODEL_DIFFERENCE, flat, refusals, remarks, f" ({OTHER_SHEET_HINT})")
@@ -151,10 +152,25 @@ def accept(judgement: Judgement, *, force: bool = False) -> None:
         raise BadReference(f"{', and '.join(judgement.refusals)}: {REMEDY}")
 
 
+def _comparable(found: Reference, checks: ReferenceChecks) -> Reference:
+    """Return a reference in the rows of the bundle's flat sheet, if it has them."""
+    if checks.flat_V is None:
+        return found
+    try:
+        return found.in_table(ADJACENT_104)
+    except MismatchError:
+        return found
+
+
 def _same_device(found: Reference, older: Reference | None) -> Reference | None:
     if older is None or older.serial_number != found.serial_number:
         return None
-    return older.flat() if older.configuration_digest == found.configuration_digest else None
+    if older.configuration_digest != found.configuration_digest:
+        return None
+    try:
+        return older.in_table(found.table).flat()
+    except MismatchError:
+        return None
 
 
 def _difference(voltages: Array, against: Array, usable: npt.NDArray[np.bool_], noise: Array) -> float:
@@ -179,7 +195,7 @@ def _compare(
 
 
 def _touched(gate: Gate | None, voltages: Array, against: Array, usable: npt.NDArray[np.bool_]) -> bool | None:
-    if gate is None:
+    if gate is None or len(gate.change) != len(voltages):
         return None
     gate.change[:] = np.where(usable, voltages / np.where(usable, against, 1.0) - 1.0, 0.0)
     return gate.touched()

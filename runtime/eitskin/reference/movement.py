@@ -36,22 +36,23 @@ class Movement:
 
     Args:
         frames: How many will come.
+        rows: Of a frame.
     """
 
     __slots__ = ("_before", "_count", "_frames", "_parts", "_step", "_steps", "_sums", "_taken")
 
-    def __init__(self, frames: int) -> None:
+    def __init__(self, frames: int, rows: int = N_ROWS) -> None:
         self._frames = frames
         self._parts = min(PARTS, frames // MIN_PART_FRAMES)
         self._taken = 0
-        self._sums = np.zeros((max(self._parts, 1), N_ROWS))
+        self._sums = np.zeros((max(self._parts, 1), rows))
         self._count = np.zeros(max(self._parts, 1))
-        self._before = np.zeros(N_ROWS)
-        self._step = np.zeros(N_ROWS)
-        self._steps = np.zeros(N_ROWS)
+        self._before = np.zeros(rows)
+        self._step = np.zeros(rows)
+        self._steps = np.zeros(rows)
 
     def add(self, voltages: Array) -> None:
-        """Take one frame, (104,) V."""
+        """Take one frame, (rows,) V."""
         part = min(self._taken * self._parts // self._frames, max(self._parts - 1, 0))
         np.add(self._sums[part], voltages, out=self._sums[part])
         self._count[part] += 1.0
@@ -66,7 +67,7 @@ class Movement:
         """Return how far the means of the parts wander, in parts of the voltage; 0 if noise may be all there is.
 
         Args:
-            mean: (104,) V, of all frames; rows of 0 are left out.
+            mean: (rows,) V, of all frames; rows of 0 are left out.
         """
         if self._parts < 2 or self._taken < self._frames:
             return 0.0

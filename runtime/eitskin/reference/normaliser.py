@@ -1,7 +1,8 @@
 """From a frame's counts to dV, into memory that exists already.
 
 A frame carries the 104 rows of the table, or all 208, of which each reciprocal pair is averaged: twice the
-measurements, 0.7 of the noise. dV = V / V0 - 1, and 0 in weak rows (:mod:`eitskin_proto.sensor.normalise`).
+measurements, 0.7 of the noise. Scans of other rows are mapped to those of the bundle (``row_table``).
+dV = V / V0 - 1, and 0 in weak rows (:mod:`eitskin_proto.sensor.normalise`).
 """
 
 from typing import Final
@@ -9,8 +10,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.errors import MismatchError
 from eitskin_proto.sensor.normalise import inverse_reference
+from eitskin_proto.sensor.row_table import ADJACENT_104, RowMap, RowTable, row_map
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL
+from eitskin_proto.wire.messages import Hello
+from eitskin_proto.wire.volts import DriverHello, is_signed, table_of_hello
 
 LARGEST_CHANGE: Final = 1e6
 """Norm of dV. Strong rows are above 1e-4 of the largest, so no working front end changes one by more than 1e4."""
@@ -30,14 +35,17 @@ class Normaliser:
 
     Args:
         volts_per_count: V, of HELLO.
+        rows: Of the result.
+        mapped: Computes them from the rows of a scan; None where a scan has them, or is one of the wire.
     """
 
     __slots__ = (
-        "_counts", "_direct", "_exact", "_inverse", "_offset", "_reciprocal", "_scale", "_voltages",
-        "far", "silent", "volts_per_count", "weak_count",
+        "_counts", "_direct", "_exact", "_inverse", "_map", "_offset", "_reciprocal", "_samples", "_scale", "_voltages",
+        "far", "rows", "silent", "volts_per_count", "weak_count",
     )  # fmt: skip
 
-    def __init__(self, volts_per_count: float) -> None:
+    def __init__(self, volts_per_count: float, rows: int = N_ROWS, mapped: RowMap | None = None) -> None:
+        self.rows, self._map = rows, mapped
         self.volts_per_count = volts_per_count
         """V, what one count means."""
         self.weak_count = 0
@@ -46,20 +54,21 @@ class Normaliser:
         """The last frame was refused because no row had a voltage."""
         self.far = False
         """The last frame is so far from the reference that its rows may be no sheet's."""
-        self._inverse = np.zeros(N_ROWS)
-        self._scale = np.zeros(N_ROWS)
-        self._offset = np.zeros(N_ROWS)
-        self._exact = np.zeros(N_ROWS)
-        self._voltages = np.zeros(N_ROWS)
+        self._inverse = np.zeros(rows)
+        self._scale = np.zeros(rows)
+        self._offset = np.zeros(rows)
+        self._exact = np.zeros(rows)
+        self._voltages = np.zeros(rows)
+        self._samples = np.zeros(0 if mapped is None else mapped.source_rows)
         self._direct = np.zeros(N_ROWS, dtype=np.int32)
         self._reciprocal = np.zeros(N_ROWS, dtype=np.int32)
-        self._counts = np.zeros(N_ROWS)
+        self._counts = np.zeros(rows)
 
     def use_reference(self, reference: npt.NDArray[np.float64], lost: npt.NDArray[np.intp] | None = None) -> None:
         """Normalise against a reference from the next frame on.
 
         Args:
-            reference: (104,) V.
+            reference: (rows,) V.
             lost: Rows that do not stand out of their noise, whose dV is 0 like that of weak ones.
 
         Raises:
@@ -69,7 +78,7 @@ class Normaliser:
         if lost is not None:
             self._inverse[lost] = 0.0
         self._offset[:] = self._inverse != 0.0
-        self.weak_count = N_ROWS - int(self._offset.sum())
+        self.weak_count = self.rows - int(self._offset.sum())
         self.use_scale(self.volts_per_count)
 
     def use_scale(self, volts_per_count: float) -> None:
@@ -77,13 +86,16 @@ class Normaliser:
         self.volts_per_count = volts_per_count
         np.multiply(self._inverse, volts_per_count, out=self._scale)
 
-    def load(self, counts: npt.NDArray[np.int32]) -> None:
+    def load(self, counts: npt.NDArray[np.number]) -> None:
         """Take a frame.
 
         Args:
-            counts: (104,) or (208,).
+            counts: (104,) or (208,) of the wire, or those of the device's table.
         """
-        if len(counts) == N_FULL_ROWS:
+        if self._map is not None:
+            self._samples[:] = counts
+            self._map.apply(self._samples, self._counts)
+        elif len(counts) != self.rows and len(counts) == N_FULL_ROWS:
             # mode="clip" writes straight into out; the indices are constants and in range
             np.take(counts, ROW_IN_FULL, out=self._direct, mode="clip")
             np.take(counts, RECIPROCAL_IN_FULL, out=self._reciprocal, mode="clip")
@@ -93,7 +105,7 @@ class Normaliser:
             self._counts[:] = counts  # here, since a product of two types takes longer than both
 
     def voltages(self) -> npt.NDArray[np.float64]:
-        """Return (104,) V of the frame; the next call overwrites them."""
+        """Return (rows,) V of the frame; the next call overwrites them."""
         np.multiply(self._counts, self.volts_per_count, out=self._voltages)
         return self._voltages
 
@@ -114,12 +126,12 @@ class Normaliser:
         """Write dV and return whether all of it is plausible.
 
         Args:
-            out: (104,).
+            out: (rows,).
         """
         np.multiply(self._counts, self._scale, out=self._exact)
         np.subtract(self._exact, self._offset, out=self._exact)
         square = float(self._exact.dot(self._exact))
-        usable = N_ROWS - self.weak_count
+        usable = self.rows - self.weak_count
         # dV = -1 in every row has the square `usable`; only a frame that comes near it is looked at row by row.
         self.silent = abs(square - usable) <= 2.0 * NO_SIGNAL * usable and self._is_silent()
         if self.silent or not square <= LARGEST_CHANGE * LARGEST_CHANGE:  # also false for NaN
@@ -130,8 +142,51 @@ class Normaliser:
 
     @property
     def counts(self) -> npt.NDArray[np.float64]:
-        """(104,) counts of the frame, means of two where it has 208."""
+        """(rows,) counts of the frame, means of two where it has 208."""
         return self._counts
+
+    def cut_off(self, bits: int, samples: int) -> int:
+        """Return which rows are cut off, a bit each.
+
+        Args:
+            bits: Bit r: row r of the scan is cut off.
+            samples: Rows of the scan.
+        """
+        if self._map is None and samples == self.rows:
+            return bits
+        marked = np.array([bits >> row & 1 for row in range(samples)], dtype=bool)
+        both = marked[ROW_IN_FULL] | marked[RECIPROCAL_IN_FULL] if self._map is None else self._map.any_of(marked)
+        return int.from_bytes(np.packbits(both, bitorder="little").tobytes(), "little")
 
     def _is_silent(self) -> bool:
         return bool(np.abs(self._exact + self._offset).max() < NO_SIGNAL)
+
+
+def rows_of(hello: Hello, wanted: RowTable = ADJACENT_104) -> RowTable:
+    """Return the table wanted if a device's scans have its rows, else the device's own."""
+    source = table_of_hello(hello)
+    try:
+        row_map(source, wanted)
+    except ValueError:
+        return source
+    return wanted
+
+
+def normaliser_of(hello: Hello, table: RowTable = ADJACENT_104) -> Normaliser:
+    """Return the normaliser of a device's scans.
+
+    Args:
+        hello: Of the device.
+        table: Rows of the result.
+
+    Raises:
+        MismatchError: The device does not measure these rows.
+    """
+    source, mapped = table_of_hello(hello), None
+    if isinstance(hello, DriverHello) or table.id != ADJACENT_104.id:
+        try:
+            mapped = row_map(source, table, signed=is_signed(hello))
+        except ValueError as error:
+            hint = f"{error}; take a bundle that was taught with this device ('eitskin teach')"
+            raise MismatchError("the device's rows", found=source.name, expected=table.name, hint=hint) from error
+    return Normaliser(hello.volts_per_count, table.rows, mapped)

@@ -30,14 +30,14 @@ import numpy.typing as npt
 
 from eitskin.errors import FrameError
 from eitskin.messaging.streams.measured import CloudInUse, WireFrame
-from eitskin.reference.normaliser import Normaliser
+from eitskin.reference.normaliser import normaliser_of, rows_of
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.files.arrays import save_arrays
 from eitskin_proto.files.writing import replacing
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
+from eitskin_proto.wire.volts import view_of
 from eitskin_tools.recording.codec import unpack_map
 from eitskin_tools.recording.layout import CLOUD, MAP, STATE, WIRE, RecordingError
 from eitskin_tools.recording.reader import Entry
@@ -94,7 +94,7 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
     """
     reference: bytes | None = None
     first = held = ""
-    normaliser, view = Normaliser(script.hello.volts_per_count), FrameView()
+    normaliser, view = normaliser_of(script.hello, rows_of(script.hello)), view_of(script.hello)
     revisions = sorted(script.clouds)
     index_of = {revision: index for index, revision in enumerate(revisions)}
     rows: dict[str, list[Any]] = {name: [] for name in COLUMNS}
@@ -344,7 +344,8 @@ class _Messages:
 
     def __init__(self, store: Any, script: Script) -> None:
         self._types = store.types
-        self._normaliser, self._view = Normaliser(script.hello.volts_per_count), FrameView()
+        self._normaliser = normaliser_of(script.hello, rows_of(script.hello))
+        self._view = view_of(script.hello)
 
     def _type(self, name: str) -> Any:
         return self._types[name]

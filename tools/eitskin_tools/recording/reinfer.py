@@ -31,12 +31,12 @@ from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.map_source import PROJECTION
 from eitskin.pipeline.recorded import RecordedHealth
-from eitskin.reference.normaliser import Normaliser
+from eitskin.reference.normaliser import normaliser_of
 from eitskin_proto.files.arrays import save_arrays
 from eitskin_proto.files.writing import replacing
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
+from eitskin_proto.wire.volts import view_of
 from eitskin_tools.command_line import needs
 from eitskin_tools.pictures import draw_map, save
 from eitskin_tools.recording.codec import digest_of, unpack_json
@@ -447,8 +447,8 @@ class SimulatedSolver:
             raise ValueError(f"solver {name!r} does not exist; expected one of {', '.join(every)}")
         self._script, self._bundle, self._name, self._solve = script, bundle, name, SOLVERS[name]
         self.bundle_id = bundle.id
-        self._normaliser = Normaliser(script.hello.volts_per_count)
-        self._view = FrameView()
+        self._normaliser = normaliser_of(script.hello)
+        self._view = view_of(script.hello)
         self._nothing = np.zeros(bundle.skin.grid.shape, dtype=np.float32)
         self._sheet: Any = None
         self._flat_V: Any = None

@@ -34,6 +34,7 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.wire.codes import Code, MessageType
 from eitskin_proto.wire.framing import Deframer, encode
 from eitskin_proto.wire.messages import Ack, Hello, Time
+from eitskin_proto.wire.volts import LARGEST_VOLTS
 from eitskin_tools.recording.codec import unpack_json
 from eitskin_tools.recording.layout import FRAME, RecordingError
 from eitskin_tools.recording.script import Script, Step, bundle_of, reference_of
@@ -59,6 +60,7 @@ class RecordedLine:
     """
 
     line_bytes_per_s = 0
+    largest_payload = LARGEST_VOLTS
 
     def __init__(
         self,
@@ -105,7 +107,7 @@ class RecordedLine:
             if step is not None and due_ns is not None and now_ns >= due_ns:
                 self._next, self._last_log_ns = None, step.log_ns
                 self.sent += 1
-                return encode(self._renumbered(step.frame.payload))
+                return encode(self._renumbered(step.frame.payload), LARGEST_VOLTS)
             if self._cancelled:
                 self._cancelled = False
                 return b""
@@ -173,7 +175,7 @@ class RecordedLine:
         """Take requests; their answers come with the next ``read``."""
         for payload in self._deframer.feed(data):
             if answer := self._answer(payload):
-                self._answers.append(encode(answer))
+                self._answers.append(encode(answer, LARGEST_VOLTS))
         self._wakes.put(None)
 
     def _answer(self, payload: bytes) -> bytes:

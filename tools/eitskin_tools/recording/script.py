@@ -26,6 +26,7 @@ from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_proto.wire.messages import Hello
+from eitskin_proto.wire.volts import unpack_hello
 from eitskin_tools.recording.codec import unpack_json
 from eitskin_tools.recording.layout import CLOUD, CONDITIONS, FRAME, STATE, WIRE, RecordingError
 from eitskin_tools.recording.reader import LATEST_NS, Entry, Recording
@@ -95,7 +96,7 @@ class SeekableRecording:
         if protocol != PROTOCOL_ID:
             raise MismatchError(f"{self.path}: protocol_id", found=stated(protocol), expected=PROTOCOL_ID, hint=hint)
         try:
-            found = Hello.unpack(bytes.fromhex(head.get("hello", "")))
+            found = unpack_hello(bytes.fromhex(head.get("hello", "")))
             found.check()
         except MismatchError:
             raise

@@ -17,10 +17,12 @@ from eitskin.messaging.regions import MAX_REGIONS, MOST_PIXELS, Region, Regions
 from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, WIRE
 from eitskin.messaging.unpacking import fields_of, require
 from eitskin_proto.fields import Fields
+from eitskin_proto.sensor.row_table import MAX_ROWS
 from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS
+from eitskin_proto.wire.volts import LARGEST_VOLTS
 
-LARGEST_PAYLOAD: Final = 1024
-"""Bytes of a packet's payload (SPEC.md, section 1)."""
+LARGEST_PAYLOAD: Final = LARGEST_VOLTS
+"""Bytes of a packet's payload (SPEC.md, section 1), or of a driver's scan."""
 
 _WIRE_FIELDS: Final = (
     "seq", "device_us", "read_ns", "payload", "withheld", "frame", "touched", "gate_logit", "solver", "map_seq",
@@ -41,7 +43,7 @@ class WireFrame:
     """One intact FRAME from the wire, and its processing.
 
     Attributes:
-        payload: The packet's payload (SPEC.md, section 4), with a correct checksum.
+        payload: The packet's payload (SPEC.md, section 4), with a correct checksum; of a driver, VOLTS (section 8).
         seq: Unwrapped ``sequence``; None if the payload is malformed.
         read_ns: ``perf_counter_ns`` of the runtime's machine after it read the last byte.
         n: Number of this message in its stream; a gap means that this side missed messages.
@@ -244,7 +246,7 @@ class Conditions:
             gate_threshold=_or_none(fields, "gate_threshold", fields.number),
             drift=None if fields.is_nil("drift") else fields.array("drift", "<f4", (N_ROWS,)),
             electrodes=tuple(_finding(findings, place) for place in findings),
-            missing_rows=fields.wholes("missing_rows", high=N_ROWS - 1, most=N_ROWS),
+            missing_rows=fields.wholes("missing_rows", high=MAX_ROWS - 1, most=MAX_ROWS),
             skip_unchanged=fields.truth("skip_unchanged"),
             volts_per_count=fields.number("volts_per_count"),
             n=n,

@@ -13,7 +13,7 @@ from eitskin.messaging.streams.measured import MAX_TEXT
 from eitskin.messaging.unpacking import fields_of, require
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.fields import Fields
-from eitskin_proto.wire.messages import Hello
+from eitskin_proto.wire.volts import LARGEST_VOLTS, unpack_hello
 
 LARGEST_REFERENCE: Final = 1 << 20
 """Bytes; as of a reference's file."""
@@ -24,7 +24,7 @@ MOST_EVENTS: Final = 64
 DEEPEST: Final = 4
 """Lists and maps within each other in the status."""
 
-LARGEST_HELLO: Final = 1024
+LARGEST_HELLO: Final = LARGEST_VOLTS
 
 Event = tuple[int, str]
 """``seq`` of a published frame, and an event of it (SPEC.md, section 7)."""
@@ -101,7 +101,7 @@ class SkinState:
             raise fields.wrong("reference_sha256", "that of the reference beside it")
         hello = fields.raw("hello", most=LARGEST_HELLO)
         try:
-            Hello.unpack(hello)
+            unpack_hello(hello)
         except ProtocolError as error:
             raise fields.wrong("hello", "a HELLO of this protocol") from error
         require(fields, "solvers", "events")
@@ -126,8 +126,9 @@ class SkinState:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON, without the reference file; HELLO as hexadecimal digits and as fields."""
-        hello = Hello.unpack(self.hello)
-        named = {name: getattr(hello, name) for name, _ in Hello.LAYOUT.fields if name not in ("magic", "tag")}
+        hello = unpack_hello(self.hello)
+        hidden = "magic", "tag", "electrodes"
+        named = {name: getattr(hello, name) for name, _ in hello.LAYOUT.fields if name not in hidden}
         return {
             **{name: getattr(self, name) for name in ("n", "run", "made_ns", "utc_ns", *_TEXTS)},
             "solvers": list(self.solvers),
