@@ -32,6 +32,7 @@ from eitskin.errors import BadReference, HandshakeError, NotReady, PortReturned,
 from eitskin.frame_record import INFER, PACK, PUBLISH, READ, FrameRecord
 from eitskin.messaging.frame_message import Demand, FrameMessages
 from eitskin.messaging.streams.publisher import StreamFeed, begin
+from eitskin.model.taught import TaughtFinder
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.idle import IdleMode
 from eitskin.pipeline.stats import Statistics
@@ -568,7 +569,8 @@ class FrameLoop:
         """Put the touches into the record, or forget them once there is no request for touches."""
         pipeline, record, touches = self._pipeline, self._pipeline.record, self._touches
         if touches is None:
-            self._touches = touches = TouchWatch(pipeline.bundle.skin.grid)
+            grid, field = pipeline.bundle.skin.grid, pipeline.field
+            self._touches = touches = TouchWatch(grid, None if field is None else TaughtFinder(field, grid))
         if not wanted:
             touches.reset()
             record.touches = None

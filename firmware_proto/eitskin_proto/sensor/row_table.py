@@ -239,7 +239,8 @@ def row_map(source: RowTable, wanted: RowTable, *, signed: bool = True) -> RowMa
     Raises:
         ValueError: The source lacks rows.
     """
-    if source.id == wanted.id or (source.rows == wanted.rows and None in (source.electrodes, wanted.electrodes)):
+    unknown = source.electrodes is None or wanted.electrodes is None
+    if source.id == wanted.id or (unknown and source.rows == wanted.rows):
         return None
     if source.electrodes is None or wanted.electrodes is None:
         raise ValueError(f"{wanted.name} cannot be made of {source.name}: {source.rows} rows of an unknown protocol")

@@ -16,11 +16,12 @@ import numpy.typing as npt
 
 from eitskin.errors import BundleError
 from eitskin.model.buffers import Buffers, Engine
-from eitskin.model.bundle import EXPORT_HINT, Bundle, graphs_of
+from eitskin.model.bundle import EXPORT_HINT, TAUGHT_FILE, Bundle, graphs_of
 from eitskin.model.denormals import flushed
 from eitskin.model.gentle import GentleEngine
 from eitskin.model.manifest import GENTLE, SMALL
 from eitskin.model.session import check_signature, checked_graph, first_line, onnxruntime, open_session
+from eitskin.model.taught import TaughtField
 
 VD2T_SMALL: Final = "vd2t-small"
 """The head of a smaller network, which some bundles have in addition."""
@@ -31,7 +32,13 @@ HEADS: Final = {"vd2t": "head.onnx", "vd2t-int8": "head_int8.onnx", VD2T_SMALL: 
 QUANTISED: Final = "vd2t-int8"
 """The head that takes half the time."""
 
-FILES: Final = {"tikhonov": "tikhonov.npy"}
+TAUGHT: Final = "taught"
+"""The solver that learned from presses; its gate is its own, too."""
+
+PROJECTION: Final = "tikhonov"
+"""The solver whose maps cannot say that nothing touches: they are scaled to 1 whatever they show."""
+
+FILES: Final = {TAUGHT: TAUGHT_FILE, PROJECTION: "tikhonov.npy"}
 """Solvers without a network, and their files; from the most accurate to the fastest."""
 
 SMALLEST_MAP: Final = 1e-12
@@ -87,6 +94,25 @@ class HeadEngine:
             raise BundleError(f"{self.name} cannot be computed ({first_line(error)}); {EXPORT_HINT}") from error
 
 
+class TaughtEngine:
+    """The place of a touch by what the sheet was taught; its gate has computed it already.
+
+    Args:
+        field: Judges each frame before.
+        buffers: Written.
+    """
+
+    __slots__ = ("_field", "_map", "name")
+
+    def __init__(self, field: TaughtField, buffers: Buffers) -> None:
+        self.name = TAUGHT
+        self._field, self._map = field, buffers.map[0]
+
+    def infer(self) -> None:
+        """Fill the map."""
+        self._field.fill_map(self._map)
+
+
 class ProjectionEngine:
     """Tikhonov for the flat sheet: one matrix times dV, cut off at zero and scaled to 1.
 
@@ -98,7 +124,7 @@ class ProjectionEngine:
     __slots__ = ("_change", "_map", "_matrix", "_whole", "name")
 
     def __init__(self, bundle: Bundle, buffers: Buffers) -> None:
-        self.name = "tikhonov"
+        self.name = PROJECTION
         self._whole = self._matrix = flushed(bundle.tikhonov())
         self._change = buffers.change[0]
         self._map = buffers.map[0]
@@ -122,6 +148,7 @@ def engines(
     *,
     best: str | None = None,
     alone: bool = False,
+    field: TaughtField | None = None,
 ) -> list[Engine]:
     """Return every engine that a bundle offers, from the most accurate to the fastest.
 
@@ -130,6 +157,7 @@ def engines(
         buffers: The engines' memory.
         best: Leave out those before the one of this name; None leaves none out.
         alone: Leave out those behind the first; without ``best`` it is :func:`default_solver`.
+        field: Judges each frame first, where the bundle was taught; None leaves its solver out.
 
     Raises:
         ValueError: The bundle has no solver of this name.
@@ -147,7 +175,13 @@ def engines(
         heads = _with_gentle(bundle, wanted, buffers)
     else:
         heads = [HeadEngine(bundle, HEADS[name], name, buffers) for name in wanted]
-    return [*heads, *(ProjectionEngine(bundle, buffers) for name in names if name not in HEADS)]
+    others: list[Engine] = []
+    for name in names:
+        if name == TAUGHT and field is not None:
+            others.append(TaughtEngine(field, buffers))
+        elif name == PROJECTION:
+            others.append(ProjectionEngine(bundle, buffers))
+    return [*heads, *others]
 
 
 def longest(engine: Engine) -> Callable[[], None]:

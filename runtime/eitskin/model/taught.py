@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from eitskin.errors import BundleError
 from eitskin.model.denormals import flushed
+from eitskin.touches.moments import Found
 from eitskin_proto.skin.grid import Grid
 
 MOST_DIRECTIONS: Final = 64
@@ -364,3 +365,41 @@ def _positive(arrays: Mapping[str, npt.NDArray[np.generic]], name: str) -> float
 
 def _single(values: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
     return np.ascontiguousarray(flushed(np.asarray(values, dtype=np.float64)), dtype=np.float32)
+
+
+class TaughtFinder:
+    """Finds touches for the list of a frame: where they may be, and how sure that is.
+
+    The size of a touch is not known. Its axes and area are those of the region in which it lies: twice the standard
+    errors to either side.
+
+    Args:
+        field: It has judged the frame.
+        grid: Of the map.
+    """
+
+    def __init__(self, field: TaughtField, grid: Grid) -> None:
+        self._field, self._grid = field, grid
+        self.nothing = self._found([])
+        """No touches."""
+
+    def find(self, values: npt.NDArray[np.floating]) -> Found:
+        """Return the touches of the frame that was judged last.
+
+        Args:
+            values: (pixels,) its map, which is not looked at.
+        """
+        return self._found(self._field.touches())
+
+    def _found(self, touches: list[TaughtTouch]) -> Found:
+        rows, doubts, pixels = [], [], []
+        across, along = self._grid.pixel_mm
+        for touch in touches:
+            axes = sorted((4.0 * touch.sd_x_mm, 4.0 * touch.sd_y_mm), reverse=True)
+            angle = 0.0 if touch.sd_x_mm >= touch.sd_y_mm else math.pi / 2
+            rows.append((touch.x_mm, touch.y_mm, axes[0], axes[1], angle, math.pi / 4 * axes[0] * axes[1], 1.0))
+            doubts.append((touch.sd_x_mm, touch.sd_y_mm, touch.amplitude, touch.log_likelihood_ratio))
+            pixels.append((int(touch.y_mm / along) + 1) * (self._grid.shape[1] + 2) + int(touch.x_mm / across) + 1)
+        number = np.arange(len(rows))
+        weights = np.array([row[5] for row in rows]) / self._grid.pixel_mm2
+        return Found(rows, np.array(pixels, dtype=np.intp), number, weights, number, self._grid.pixel_mm2, 0, doubts)

@@ -30,6 +30,7 @@ from eitskin.model.bundle import Bundle
 from eitskin.model.denormals import flushed
 from eitskin.model.gate import RememberingGate
 from eitskin.model.geometry import Geometry
+from eitskin.model.taught import TaughtField
 from eitskin.pipeline.idle import IdleGate
 from eitskin.pipeline.intake import Intake
 from eitskin.pipeline.map_source import MapSource
@@ -292,7 +293,10 @@ class Pipeline:
         """The one in use."""
         grid = bundle.skin.grid
         arrays = bundle.gate_arrays()
-        self.gate = RememberingGate(arrays) if arrays is not None else None
+        taught = bundle.taught_arrays()
+        self.field = None if taught is None else TaughtField(taught, grid)
+        """What the sheet was taught, which is its gate too; None for a bundle that was not."""
+        self.gate = self.field or (None if arrays is None else RememberingGate(arrays))
         self.audit = GateAudit(audit_pixels(arrays, grid.n_pixels), grid.n_pixels)
         self.health = health
         self.idle_gate = idle_gate
@@ -312,7 +316,13 @@ class Pipeline:
         self.step_V = step_of(hello)
         """Of the device's converter."""
         self.maps = MapSource(
-            bundle, self.buffers, self.record, budget_ns, solver=solver, skip_unchanged=skip_unchanged
+            bundle,
+            self.buffers,
+            self.record,
+            budget_ns,
+            solver=solver,
+            skip_unchanged=skip_unchanged,
+            field=self.field,
         )
         self.budget = self.maps.budget
         self.bundle = bundle
@@ -342,7 +352,8 @@ class Pipeline:
         self.front_end.use_reference(reference, step_V)
         if self.health is not None:
             spread_V = with_rounding(flat.spread_V, step_V)
-            self.health.use_reference(flat.voltages_V, spread_V, self.gate, frames=flat.frames, fresh=fresh)
+            gate = self.gate if isinstance(self.gate, RememberingGate) else None
+            self.health.use_reference(flat.voltages_V, spread_V, gate, frames=flat.frames, fresh=fresh)
             self.maps.change_projection(self.health.projection)
         self.maps.compare_by(flat.voltages_V, flat.spread_V, flat.frames, step_V)
         self._prediction.use_reference(reference)

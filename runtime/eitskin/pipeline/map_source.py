@@ -16,12 +16,10 @@ from eitskin.errors import BudgetError
 from eitskin.frame_record import FrameRecord
 from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import ProjectionEngine, engines, longest
+from eitskin.model.engine import PROJECTION, ProjectionEngine, engines, longest
+from eitskin.model.taught import TaughtField
 from eitskin.pipeline.latency_budget import EASY_SHARE, LatencyBudget
 from eitskin.pipeline.stillness import REFRESH_FRAMES, Stillness
-
-PROJECTION: Final = "tikhonov"
-"""The solver whose maps cannot say that nothing touches: they are scaled to 1 whatever they show."""
 
 WARM_UPS: Final = 10
 """Runs of each engine before the first frame; ONNX Runtime plans its memory in the first."""
@@ -38,6 +36,7 @@ class MapSource:
         solver: The most accurate solver to use; None for the bundle's own choice
             (:func:`eitskin.model.engine.default_solver`) or, with a budget, its most accurate one.
         skip_unchanged: Whether a map is kept while only noise changes between two frames.
+        field: The gate of a bundle that was taught.
 
     Raises:
         BundleError: A solver of the bundle cannot be used.
@@ -59,12 +58,13 @@ class MapSource:
         *,
         solver: str | None,
         skip_unchanged: bool,
+        field: TaughtField | None = None,
     ) -> None:
         self._record = record
         self._change = buffers.change[0]
         self.map = buffers.map[0]
         """(pixels,) the map computed last."""
-        self.engines: list[Engine] = engines(bundle, buffers, best=solver, alone=budget_ns is None)
+        self.engines: list[Engine] = engines(bundle, buffers, best=solver, alone=budget_ns is None, field=field)
         self._named = {engine.name: engine for engine in self.engines}
         self.stillness = Stillness(len(self._change)) if skip_unchanged else None
         """Judges whether two frames differ only by noise; None if no map is kept."""
