@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import plain
+from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable
 from eitskin_tools.console.terminal import StatusLine
 
 Array = npt.NDArray[np.float64]
@@ -438,34 +439,40 @@ MAX_UNFIT_FRAMES: Final = 100
 """Frames in a row that cannot be used: then none will come."""
 
 
-def frames_of(device: Any) -> Iterator[npt.NDArray[np.float64]]:
-    """Yield the V of every whole frame that is fit, (208,) of a device that scans all rows, else (104,).
-
-    It ends when none comes.
+def frames_of(device: Any, table: RowTable | None = None) -> Iterator[npt.NDArray[np.float64]]:
+    """Yield the V of every whole frame that is fit; it ends when none comes.
 
     Args:
         device: It streams.
+        table: Rows of a frame; None for those of the device's scans, all 208 where it has them.
 
     Raises:
         GuideError: ``MAX_UNFIT_FRAMES`` frames in a row cannot be used.
     """
     from eitskin.acquisition.capture import whole_frames
     from eitskin.reference.front_end import stuck
-    from eitskin.reference.normaliser import Normaliser
+    from eitskin.reference.normaliser import normaliser_of, rows_of
+    from eitskin_proto.wire.volts import step_of
 
-    normaliser = Normaliser(device.hello.volts_per_count)
+    wanted = rows_of(device.hello) if table is None else table
+    normaliser = normaliser_of(device.hello, wanted)
+    step = step_of(device.hello) / device.hello.volts_per_count
     came, unfit = True, 0
     while came:
         came = False
         for view in whole_frames(device, time.perf_counter() + FRAME_TIMEOUT_S):
             came = True
             normaliser.load(view.counts)
-            reason = "rows are cut off" if view.saturation else stuck(normaliser.counts)
+            counts = normaliser.counts if step == 1.0 else np.rint(normaliser.counts / step)
+            own_rows = wanted.id == ADJACENT_104.id
+            reason = "rows are cut off" if view.saturation else stuck(counts, own_rows=own_rows)
             unfit = unfit + 1 if reason else 0
             if unfit >= MAX_UNFIT_FRAMES:
                 raise GuideError(
                     f"the last {unfit} frames cannot be used: {reason}; check the current and the gain of the "
                     "configuration with 'eitskin flash'"
                 )
-            if not reason:  # not the normaliser's, which averages a row and its reciprocal
+            if not reason and table is not None:
+                yield normaliser.voltages()
+            elif not reason:  # not the normaliser's, which averages a row and its reciprocal
                 yield view.counts * device.hello.volts_per_count

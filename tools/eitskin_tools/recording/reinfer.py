@@ -26,10 +26,9 @@ from eitskin.messaging.regions import whole
 from eitskin.messaging.streams.measured import WireFrame
 from eitskin.model import manifest
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import SMALLEST_MAP, default_solver
+from eitskin.model.engine import PROJECTION, SMALLEST_MAP, default_solver
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
-from eitskin.pipeline.map_source import PROJECTION
 from eitskin.pipeline.recorded import RecordedHealth
 from eitskin.reference.normaliser import normaliser_of
 from eitskin_proto.files.arrays import save_arrays

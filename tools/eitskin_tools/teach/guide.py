@@ -160,7 +160,7 @@ def places_of(path: Path) -> list[Place]:
         GuideError: A line is something else, or there are none.
         OSError: It cannot be read.
     """
-    found = []
+    found: list[Place] = []
     for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), 1):
         words = line.replace(",", " ").replace(";", " ").split()
         if not words or words[0].startswith("#"):
