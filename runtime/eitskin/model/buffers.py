@@ -15,7 +15,7 @@ class Engine(Protocol):
 
     @property
     def name(self) -> str:
-        """Its name in frames: ``vd2t``, ``vd2t-int8``, ``vd2t-small``, ``taught``, ``tikhonov``."""
+        """Its name in frames: ``vd2t``, ``vd2t-int8``, ``vd2t-small``, ``taught``, ``l1``, ``tikhonov``."""
 
     def infer(self) -> None:
         """Fill the map from dV, without making an array."""

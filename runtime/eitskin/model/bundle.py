@@ -11,11 +11,12 @@
       head_int8.onnx    the same, dynamic int8 (optional)
       small_*.onnx      both graphs of a smaller network, gentle_*.onnx of one for faint touches (optional)
       tikhonov.npy      (1350, 104) the projection for the flat sheet (optional without a network)
+      l1.npz            operators of a sparse solver (optional); the projection beside it takes logarithms
       gate.npz          the touch gate (optional)
       consistency.npz   statistics of healthy frames, to detect failing electrodes and drift (optional)
 
-A bundle has a network (manifest: ``head``), or a solver that needs none: ``tikhonov.npy`` or ``taught.npz``. Frames
-have 104 rows, or as many as a taught bundle's manifest says (``rows``).
+A bundle has a network (manifest: ``head``), or a solver that needs none: ``tikhonov.npy``, ``l1.npz`` or
+``taught.npz``. Frames have 104 rows, or as many as a taught bundle's manifest says (``rows``).
 
 A bundle is data: nothing in it is executed or unpickled, sizes are bounded before anything is read. Its id is the
 SHA-256 of the manifest, which holds the SHA-256 of everything else. Files are read when they are asked for, and checked
@@ -48,6 +49,9 @@ from eitskin_proto.skin.touch_kind import TOUCH_KINDS, TouchKind, touch_kind_of
 TAUGHT_FILE: Final = "taught.npz"
 """Touches learned from presses (:mod:`eitskin.model.taught`)."""
 
+L1_FILE: Final = "l1.npz"
+"""Operators of the sparse solver (:mod:`eitskin.model.sparse`)."""
+
 SHIPPED: Final = {
     ("area", "raise"): "free",
     ("units", "raise"): "units",
@@ -62,7 +66,7 @@ HOME: Final = Path(__file__).parents[1] / "bundles"
 NETWORK: Final = ("geometry.onnx", "head.onnx", "tikhonov.npy")
 """Files that a bundle with a network has."""
 
-WITHOUT_NETWORK: Final = (TAUGHT_FILE, "tikhonov.npy")
+WITHOUT_NETWORK: Final = (TAUGHT_FILE, L1_FILE, "tikhonov.npy")
 """Files of which one without a network has at least one."""
 
 LARGEST_MANIFEST: Final = 1 << 20
@@ -206,6 +210,10 @@ class Bundle:
     def taught_arrays(self) -> dict[str, npt.NDArray[np.generic]] | None:
         """Return what was learned from presses, or None for a bundle that was not taught."""
         return self._archive(TAUGHT_FILE)
+
+    def l1_arrays(self) -> dict[str, npt.NDArray[np.generic]] | None:
+        """Return the operators of the sparse solver, or None for a bundle without it."""
+        return self._archive(L1_FILE)
 
     def consistency_arrays(self) -> dict[str, npt.NDArray[np.generic]] | None:
         """Return the arrays that describe healthy frames, or None for a bundle without them."""

@@ -16,11 +16,12 @@ import numpy.typing as npt
 
 from eitskin.errors import BundleError
 from eitskin.model.buffers import Buffers, Engine
-from eitskin.model.bundle import EXPORT_HINT, TAUGHT_FILE, Bundle, graphs_of
+from eitskin.model.bundle import EXPORT_HINT, L1_FILE, TAUGHT_FILE, Bundle, graphs_of
 from eitskin.model.denormals import flushed
 from eitskin.model.gentle import GentleEngine
 from eitskin.model.manifest import GENTLE, SMALL
 from eitskin.model.session import check_signature, checked_graph, first_line, onnxruntime, open_session
+from eitskin.model.sparse import Logarithms, SparseEngine, sign_of
 from eitskin.model.taught import TaughtField
 
 VD2T_SMALL: Final = "vd2t-small"
@@ -36,9 +37,11 @@ TAUGHT: Final = "taught"
 """The solver that learned from presses; its gate is its own, too."""
 
 PROJECTION: Final = "tikhonov"
-"""The solver whose maps cannot say that nothing touches: they are scaled to 1 whatever they show."""
 
-FILES: Final = {TAUGHT: TAUGHT_FILE, PROJECTION: "tikhonov.npy"}
+SCALED: Final = ("l1", PROJECTION)
+"""Solvers whose maps cannot say that nothing touches: they are scaled to 1 whatever they show."""
+
+FILES: Final = {TAUGHT: TAUGHT_FILE, "l1": L1_FILE, PROJECTION: "tikhonov.npy"}
 """Solvers without a network, and their files; from the most accurate to the fastest."""
 
 SMALLEST_MAP: Final = 1e-12
@@ -116,17 +119,27 @@ class TaughtEngine:
 class ProjectionEngine:
     """Tikhonov for the flat sheet: one matrix times dV, cut off at zero and scaled to 1.
 
+    Beside the operators of l1 the matrix takes the logarithms of 1 + dV, as these do.
+
     Args:
         bundle: Where the matrix is.
         buffers: Read and written.
+
+    Raises:
+        BundleError: The matrix cannot be read.
     """
 
-    __slots__ = ("_change", "_map", "_matrix", "_whole", "name")
+    __slots__ = ("_change", "_logs", "_map", "_matrix", "_signed", "_whole", "name")
 
     def __init__(self, bundle: Bundle, buffers: Buffers) -> None:
         self.name = PROJECTION
         self._whole = self._matrix = flushed(bundle.tikhonov())
         self._change = buffers.change[0]
+        arrays = bundle.l1_arrays()
+        self._logs = None if arrays is None else Logarithms(self._change)
+        if self._logs is not None:
+            self._change = self._logs.values
+        self._signed = arrays is not None and sign_of(arrays) == 0.0
         self._map = buffers.map[0]
 
     def change_matrix(self, change: Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]) -> None:
@@ -134,8 +147,15 @@ class ProjectionEngine:
         self._matrix = flushed(change(self._whole))
 
     def infer(self) -> None:
-        """Fill the map; negative values become 0, since a touch only adds, and the largest value becomes 1."""
+        """Fill the map; negative values become 0, since a touch only adds, and the largest value becomes 1.
+
+        Where touches raise and lower conductance, negative values become positive.
+        """
+        if self._logs is not None:
+            self._logs.take()
         np.matmul(self._matrix, self._change, out=self._map)
+        if self._signed:
+            np.abs(self._map, out=self._map)
         np.maximum(self._map, 0.0, out=self._map)
         largest = float(self._map.max())
         if largest > SMALLEST_MAP:
@@ -179,6 +199,8 @@ def engines(
     for name in names:
         if name == TAUGHT and field is not None:
             others.append(TaughtEngine(field, buffers))
+        elif name == "l1":
+            others.append(SparseEngine(bundle.l1_arrays() or {}, buffers.change[0], buffers.map[0]))
         elif name == PROJECTION:
             others.append(ProjectionEngine(bundle, buffers))
     return [*heads, *others]

@@ -16,7 +16,7 @@ VERSION: Final = 1
 LABELS: Final = ("area", "units")
 """The kinds of labels of a bundle's maps."""
 
-SOLVERS: Final = ("vd2t", "vd2t-int8", "vd2t-small", "taught", "tikhonov")
+SOLVERS: Final = ("vd2t", "vd2t-int8", "vd2t-small", "taught", "l1", "tikhonov")
 """Names of a bundle's solvers, from the most accurate to the fastest."""
 
 SMALL: Final = "small"

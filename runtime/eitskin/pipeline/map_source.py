@@ -16,7 +16,7 @@ from eitskin.errors import BudgetError
 from eitskin.frame_record import FrameRecord
 from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import PROJECTION, ProjectionEngine, engines, longest
+from eitskin.model.engine import SCALED, ProjectionEngine, engines, longest
 from eitskin.model.taught import TaughtField
 from eitskin.pipeline.latency_budget import EASY_SHARE, LatencyBudget
 from eitskin.pipeline.stillness import REFRESH_FRAMES, Stillness
@@ -112,7 +112,7 @@ class MapSource:
     @property
     def can_overrule(self) -> bool:
         """Whether the next map can say that nothing touches."""
-        return self.engines[self.budget.engine].name != PROJECTION
+        return self.engines[self.budget.engine].name not in SCALED
 
     def change_projection(self, change: Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]) -> None:
         """Let the projections use ``change`` of the bundle's matrix, and discard the kept map."""

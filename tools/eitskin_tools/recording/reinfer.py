@@ -26,7 +26,7 @@ from eitskin.messaging.regions import whole
 from eitskin.messaging.streams.measured import WireFrame
 from eitskin.model import manifest
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import PROJECTION, SMALLEST_MAP, default_solver
+from eitskin.model.engine import SCALED, SMALLEST_MAP, default_solver, solvers
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.recorded import RecordedHealth
@@ -197,7 +197,7 @@ class Rerun:
         for region in self._regions:
             kept[region.slices] = values[region.slices]
         largest = float(kept.max())
-        scaled = self._pipeline.record.solver == PROJECTION and largest > SMALLEST_MAP
+        scaled = self._pipeline.record.solver in SCALED and largest > SMALLEST_MAP
         return np.divide(kept, np.float32(largest)) if scaled else kept
 
     def _change(self, step: Step) -> None:
@@ -415,7 +415,7 @@ def comparison_solver(
     bundle = recorded if named is None else bundle_of(script, named)
     if solver is None:
         return None if bundle.id == recorded.id else Rerun(script, bundle)
-    if solver in manifest.SOLVERS:
+    if solver in solvers(bundle) or (solver in manifest.SOLVERS and solver != "l1"):
         return Rerun(script, bundle, solver)
     needs.require(f"--solver {solver}", ("scipy",))
     return (
