@@ -83,7 +83,7 @@ class Instrument:
 
     gain: Quantity = _known(1.0, 0.1, 10.0, each="a measured pair")
     """Of each measured pair."""
-    offset_V: Quantity = _known(0.0, -1.0, 1.0, each="a measured pair")
+    offset_V: Quantity = _known(0.0, -200.0, 200.0, each="a measured pair")
     """Offset of each measured pair, for 1 A: at 1 mA a thousand times the real one."""
     stray_pF: Quantity = _known(0.0, 0.0, 1e5, each="an electrode")
     """Capacitance from each terminal to ground."""

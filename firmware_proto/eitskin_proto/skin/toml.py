@@ -192,7 +192,7 @@ POSSIBLE: Final[dict[str, dict[str, tuple[float, float]]]] = {
     },
     "front_end": {
         "gain": (0.01, 100.0),
-        "offset_V": (-10.0, 10.0),
+        "offset_V": (-200.0, 200.0),
         "minus_gain": (0.1, 10.0),
         "sink_share": (0.1, 10.0),
     },

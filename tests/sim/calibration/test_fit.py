@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from eitskin_sim.calibration.fit import MAX_STEPS, UnsettledError, fit
+from eitskin_sim.calibration.fit import LEVEL_STEPS, MAX_STEPS, fit
 
 
 class Linear:
     """Rows that depend linearly on the parameters, with noise of 1."""
+
+    bound = np.inf
 
     def __init__(self, jacobian, read):
         self.jacobian, self.read, self.softness = jacobian, read, 1.0
@@ -16,6 +18,9 @@ class Linear:
     @property
     def count(self):
         return self.jacobian.shape[1]
+
+    def inside(self, z):
+        return np.clip(z, -self.bound, self.bound)
 
     def soften(self, z, error):
         self.softness = 1.0 / np.hypot(1.0, 10.0 * error)
@@ -81,16 +86,31 @@ def test_a_row_that_is_off_stands_out():
     assert np.argmax(np.abs(found.far)) == 7
 
 
-def test_what_never_gets_better_is_an_error():
+def test_a_search_that_never_gets_better_ends_where_it_began_and_says_so():
     class Wrong(Bent):
         def linearised(self, z):
             residuals, jacobian = super().linearised(z)
             return residuals, -jacobian
 
     jacobian, _, read = drawn(5)
-    with pytest.raises(UnsettledError, match=r"does not converge: .*look at the recording") as caught:
-        fit(Wrong(0.01 * jacobian, read))
-    assert caught.value.residuals.shape == read.shape
+    model = Wrong(0.01 * jacobian, read)
+    found = fit(model)
+    assert not found.settled
+    assert found.misfit <= model.residuals(np.zeros(6)) @ model.residuals(np.zeros(6)) / 40.0
+
+
+def test_a_parameter_at_its_bound_stays_there_and_the_others_are_the_best_beside_it():
+    jacobian, _, read = drawn(2)
+    model = Linear(jacobian, read)
+    free = fit(model).z
+    model.bound = 0.5 * np.abs(free).max()
+    found = fit(model)
+    at = np.abs(found.z) > model.bound - 1e-9
+    assert at[np.abs(free).argmax()]
+    assert np.abs(found.z).max() <= model.bound
+    slope = jacobian.T @ model.residuals(found.z) - found.z
+    assert np.allclose(slope[~at], 0.0, atol=1e-3), "nothing is left to gain inside"
+    assert np.all(slope[at] * np.sign(found.z[at]) > 0.0), "and what is at the bound is pushed out"
 
 
 class Swinging(Linear):
@@ -111,19 +131,26 @@ def swinging(off, wrong=0.0):
 
 def test_a_search_that_swings_about_the_least_misfit_and_gains_nothing_any_more_has_found_it():
     found, best = swinging(0.5)
-    assert found.steps == MAX_STEPS
+    assert found.settled
+    assert found.steps < MAX_STEPS
     assert found.misfit < found.limit
     assert abs(found.z - best.z)[0] < 0.5 * best.sd[0]
     worse, _ = swinging(0.5, wrong=100.0)
     assert worse.misfit > worse.limit, "the report shows that it is above noise"
 
 
-def test_a_search_that_still_changes_after_its_last_step_has_found_nothing():
-    with pytest.raises(UnsettledError, match=rf"after {MAX_STEPS} steps the misfit is \S+ and still changes"):
-        swinging(10.0)
+def test_a_search_that_still_changes_after_its_last_step_has_not_settled():
+    found, _ = swinging(10.0)
+    assert (found.settled, found.steps) == (False, MAX_STEPS)
 
 
-def test_a_sheet_that_cannot_be_ends_the_search_in_one_line_with_its_rows():
+def test_a_search_far_from_its_limit_that_gains_nothing_any_more_ends_early():
+    found, _ = swinging(0.5, wrong=1000.0)
+    assert found.misfit > found.limit
+    assert found.steps == LEVEL_STEPS
+
+
+def test_a_sheet_that_cannot_be_ends_the_search_at_the_last_one_that_can():
     class Edge(Linear):
         def linearised(self, z):
             if np.any(z):
@@ -131,8 +158,6 @@ def test_a_sheet_that_cannot_be_ends_the_search_in_one_line_with_its_rows():
             return super().linearised(z)
 
     jacobian, _, read = drawn(6)
-    with pytest.raises(
-        UnsettledError, match=r"the search ends at an impossible sheet \(electrode 4 .*corner\)"
-    ) as caught:
-        fit(Edge(jacobian, read))
-    assert caught.value.residuals.shape == read.shape
+    found = fit(Edge(jacobian, read))
+    assert not found.settled
+    assert not found.z.any()

@@ -120,20 +120,17 @@ def test_the_layer_and_each_press_s_own_strength_and_place_are_shown_with_errors
     assert line.split() == ["layer", "(2)", "-0.5", "to", "0.1", "0.9", "1"]
 
 
-@pytest.mark.slow
-def test_the_way_of_presses_is_told_by_the_recording_where_the_skin_says_both(recorded):
-    both = replace(STATED, touches=replace(STATED.touches, kind="both"))
-    _, report = calibrate(both, replace(recorded, bents=()), 50.0)
-    assert report["press"]["contrast"] < 1.0
-    assert "gauge_factor" in report["unknown"], "flat presses say nothing about it"
-
-
 @pytest.mark.slow  # five CPU-seconds: three presses, which a wrong one keeps from settling
 def test_a_press_that_contradicts_the_others_is_named(recorded):
     rng = np.random.default_rng(9)
     wrong = press(rng, PLACES[2], at=(30.0, 20.0))
-    with pytest.raises(CalibrationError, match=r"press 2 at \(75, 70\) mm contradicts the others: .*drive \d+ measure"):
-        calibrate(STATED, replace(recorded, bents=(), presses=(*recorded.presses, wrong)), 50.0)
+    _, report = calibrate(STATED, replace(recorded, bents=(), presses=(*recorded.presses, wrong)), 50.0)
+    assert not report["explained"]
+    worst = max(report["unexplained"], key=lambda one: one["misfit"] / one["limit"])
+    assert worst["name"] == "press 2 at (75, 70) mm"
+    said = verdict(report)
+    assert said.startswith("NOT explained: press 2 at (75, 70) mm: misfit")
+    assert len(said.splitlines()) == 4
 
 
 def test_presses_that_change_nothing_are_refused_instead_of_making_touches_that_nobody_feels(recorded):
@@ -145,22 +142,24 @@ def test_presses_that_change_nothing_are_refused_instead_of_making_touches_that_
         calibrate(STATED, replace(recorded, bents=(), presses=faint), 50.0)
 
 
-def test_presses_that_go_the_other_way_than_the_skin_says_are_told_so_and_do_not_contradict_each_other(recorded):
+@pytest.mark.parametrize("kind", ["lower", "raise"])
+def test_the_way_of_presses_is_the_recording_s_whatever_the_skin_says(recorded, kind):
     rng = np.random.default_rng(12)
     raising = tuple(press(rng, xy, contrast=3.0) for xy in PLACES[:2])
-    with pytest.raises(CalibrationError, match=r"^presses raise conductance, and \[touches\] of skin ours .* lower"):
-        calibrate(STATED, replace(recorded, bents=(), presses=raising), 50.0)
-    raised = replace(STATED, touches=replace(STATED.touches, kind="raise"))
-    with pytest.raises(CalibrationError, match=r"^presses lower conductance, and \[touches\] of skin ours .* raise"):
-        calibrate(raised, replace(recorded, bents=()), 50.0)
+    stated = replace(STATED, touches=replace(STATED.touches, kind=kind))
+    for presses, found in ((raising, "raise"), (recorded.presses, "lower")):
+        twin, report = calibrate(stated, replace(recorded, bents=(), presses=presses), 50.0)
+        assert twin.touches.kind == found
+        other = f"touches {found} conductance, where the stated skin says {kind}"
+        assert (other in verdict(report)) == (kind != found)
 
 
 def test_a_bend_that_is_no_bend_of_this_sheet_is_named(recorded):
     (bent,) = recorded.bents
     rows = bent.voltages_V.copy()
     rows[20:26] *= 1.6
-    with pytest.raises(CalibrationError, match="bent moment 0 does not fit the sheet: misfit"):
-        calibrate(STATED, replace(recorded, bents=(replace(bent, voltages_V=rows),), presses=()), 50.0)
+    _, report = calibrate(STATED, replace(recorded, bents=(replace(bent, voltages_V=rows),), presses=()), 50.0)
+    assert "bent moment 0" in [one["name"] for one in report["unexplained"]]
 
 
 def test_a_covariance_that_is_made_of_errors_holds_the_next_ones():

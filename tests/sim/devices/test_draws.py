@@ -9,7 +9,14 @@ from eitskin_proto.skin.parts import Outline
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import named
 from eitskin_sim.devices.device import IDEAL
-from eitskin_sim.devices.draws import MAX_DRIFT, MAX_ELECTRODE_OFFSET_MM, draw_device, draw_drift, draw_moment
+from eitskin_sim.devices.draws import (
+    MAX_DRIFT,
+    MAX_ELECTRODE_OFFSET_MM,
+    OFFSETS_V,
+    draw_device,
+    draw_drift,
+    draw_moment,
+)
 from eitskin_sim.devices.readings import readings, sheet_differences
 from eitskin_sim.scene.parts import Bend, Electrodes
 
@@ -38,6 +45,15 @@ def test_a_skin_without_doubts_has_the_ideal_device_alone() -> None:
     assert np.all(draw_drift(PAPER, 50, rng(0)) == 1.0)
     assert (moment.scan_factor, moment.scan_amplitude) == (1.0, 1.0)
     assert moment.scan_noise_mm == pytest.approx(0.1)
+
+
+def test_an_offset_is_common_to_all_rows_and_nothing_else_is_drawn_otherwise() -> None:
+    for seed in range(5):
+        usual, foreign = (draw_device(LAB, rng(seed), offset=offset).device.front_end for offset in (False, True))
+        more = np.subtract(foreign.offset_per_pair_V, usual.offset_per_pair_V)
+        assert np.ptp(more) < 1e-12
+        assert OFFSETS_V[0] <= -more[0] <= OFFSETS_V[1]
+        assert replace(foreign, offset_per_pair_V=usual.offset_per_pair_V) == usual
 
 
 def test_electrodes_are_off_as_the_skin_says_and_never_beyond_what_is_seen() -> None:

@@ -95,7 +95,10 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(report))
     else:
         print(verdict(report))
-        print(f"Wrote {arguments.out}. Next: {_next(twin, arguments.out)}\n")
+        following = _next(twin, arguments.out)
+        if not report["explained"]:
+            following = f"learn touches from presses, without a model: eitskin teach {arguments.recording} --out BUNDLE"
+        print(f"Wrote {arguments.out}. Next: {following}\n")
         print(table(report))
     return 0
 

@@ -51,9 +51,10 @@ def add_arguments(parser: Parser) -> None:
     )
     parser.add_argument(
         "--devices",
-        choices=("ideal", "random"),
+        choices=("ideal", "random", "offset"),
         default="ideal",
-        help="ideal, the nominal sheet, or random: sheets with a lab's errors (default ideal)",
+        help="ideal, the nominal sheet; random, sheets with a lab's errors; or offset, the same read with an offset "
+        "up to several times the signal (default ideal)",
     )
     parser.add_argument(
         "--skin",

@@ -7,6 +7,9 @@ because of the priors. So a misfit can be distinguished from noise without count
 
 A device that is 20 % off is two hundred times its noise away, where the problem is far from linear. So rows first get a
 relative error of ``SOFTENING_ERRORS``, then less, and in the end their own.
+
+Parameters stay where a sheet is possible: the model gives their bounds, and a parameter at its bound stays there while
+it is pushed out. A search that does not converge returns the best parameters that it found, and says so.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,12 +33,13 @@ MAX_STEP_SD: Final = 1.0
 UPHILL_STEPS: Final = 4
 """First steps that may go uphill: a bent valley is crossed in one where damped steps creep along its floor."""
 
+PUSH_SD: Final = 1e-6
+"""A parameter that cannot move so far down the misfit is at its bound."""
+
 MAX_STEPS: Final = 25
 FINAL_STEP_SD: Final = 0.02
 ROUGH_STEP_SD: Final = 0.3
 """A step that is shorter, in posterior standard deviations of a parameter, is the last one; or the last but exact."""
-
-REMEDY: Final = "look at the recording, and the uncertainties in the skin's file"
 
 MAX_DAMPING: Final = 1e6
 MISFIT_LEVEL: Final = 1e-4
@@ -52,25 +56,12 @@ MIN_GAIN_SHARE: Final = 1e-3
 """The same as a share of the whole, where the whole is far above noise."""
 
 LEVEL_STEPS: Final = 5
-"""After the most steps the search has converged too if none of this many last ones gained ``MIN_GAIN``: it then zigzags
-along a curved valley, with small gains."""
+"""The search ends where none of this many last steps gained ``MIN_GAIN``, or ``MIN_GAIN_SHARE`` of the whole: it then
+zigzags along a curved valley, with small gains."""
 
 
 class CalibrationError(SkinError):
     """Nothing could be calibrated; the text says why, and what to do."""
-
-
-class UnsettledError(CalibrationError):
-    """The search does not converge.
-
-    Args:
-        why: The observation.
-        residuals: (rows,) over their noise, where it ended.
-    """
-
-    def __init__(self, why: str, residuals: Array) -> None:
-        self.why, self.residuals = f"the calibration does not converge: {why}", residuals
-        super().__init__(f"{self.why}; {REMEDY}")
 
 
 class Residuals(Protocol):
@@ -79,6 +70,9 @@ class Residuals(Protocol):
     @property
     def count(self) -> int:
         """How many parameters."""
+
+    def inside(self, z: Array) -> Array:
+        """Return the nearest (count,) parameters that a sheet can have."""
 
     def soften(self, z: Array, error: float) -> None:
         """Take rows for uncertain by a share of them."""
@@ -103,6 +97,8 @@ class Fit:
     expected: Array
     """(rows,) standard deviations that they should have, below 1 where parameters follow them."""
     steps: int
+    settled: bool = True
+    """Whether the search converged."""
 
     @property
     def misfit(self) -> float:
@@ -141,20 +137,18 @@ def fit(
             insignificant.
 
     The misfit may be above its limit: the caller checks it.
-
-    Raises:
-        UnsettledError: It does not converge.
     """
     z = np.zeros(model.count) if start is None else start
     steps = done
     for error in soft:
         model.soften(z, error)
         last = error == soft[-1]
-        z, residuals, jacobian, taken = _descend(model, z, last=last, done=steps, progress=progress, rough=rough)
+        found, taken, settled = _descend(model, z, last=last, done=steps, progress=progress, rough=rough)
+        z, residuals, jacobian = found
         steps += taken
     covariance = np.linalg.inv(jacobian.T @ jacobian + np.eye(len(z)))
     learned = np.einsum("ri,ij,rj->r", jacobian, covariance, jacobian)
-    return Fit(z, np.sqrt(np.diag(covariance)), residuals, np.sqrt(np.clip(1.0 - learned, 0.0, 1.0)), steps)
+    return Fit(z, np.sqrt(np.diag(covariance)), residuals, np.sqrt(np.clip(1.0 - learned, 0.0, 1.0)), steps, settled)
 
 
 def _descend(
@@ -165,47 +159,52 @@ def _descend(
     done: int,
     progress: Callable[[int, float], None] | None,
     rough: bool,
-) -> tuple[Array, Array, Array, int]:
-    """Return where the misfit is least, with residuals, Jacobian and steps; only the last descent need be exact."""
+) -> tuple[tuple[Array, Array, Array], int, bool]:
+    """Return where the misfit is least, with residuals and Jacobian, the steps, and whether no step gains any more.
+
+    Only the last descent need be exact.
+    """
     damping = 0.0
     residuals, jacobian = model.linearised(z)
     cost, gains = float(residuals @ residuals + z @ z), []
+    least, best = cost, (z, residuals, jacobian)
     for step in range(1, MAX_STEPS + 1):
         if progress is not None:
             progress(done + step, cost / len(residuals))
         curvature = jacobian.T @ jacobian + np.eye(len(z))
         slope = jacobian.T @ residuals - z
+        held = np.abs(model.inside(z + PUSH_SD * np.sign(slope)) - z) < PUSH_SD / 2.0
+        held &= slope != 0.0
+        curvature[held], curvature[:, held], slope[held] = 0.0, 0.0, 0.0
+        curvature[held, held] = 1.0
         while True:
             change = np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), slope)
             whole = change * min(1.0, MAX_STEP_SD / np.abs(change).max())
-            tried = _cost(model, z + whole)
+            at = model.inside(z + whole)
+            tried = _cost(model, at)
             if tried <= cost * (1.0 + 1e-9) or (step <= UPHILL_STEPS and not damping and np.isfinite(tried)):
                 break
             damping = max(10.0 * damping, 1e-2)
-            if damping > MAX_DAMPING and (rough or (last and cost <= _limit(len(residuals)))):
-                return z, residuals, jacobian, step
             if damping > MAX_DAMPING:
-                raise UnsettledError(
-                    f"no step from a misfit of {cost / len(residuals):.3g} makes it smaller", residuals
-                )
+                return best, step, rough or cost <= _limit(len(residuals))
         far = float(np.sqrt(whole @ curvature @ whole / len(z)))
-        z, damped = z + whole, damping > 1e-3
+        damped = damping > 1e-3
         damping = damping / 10.0 if damped else 0.0
         try:
-            residuals, jacobian = model.linearised(z)
-        except (ValueError, RuntimeError) as error:  # there is such a sheet, but none beside it
-            raise UnsettledError(f"the search ends at an impossible sheet ({error})", residuals) from error
-        before, cost = cost, float(residuals @ residuals + z @ z)
+            residuals, jacobian = model.linearised(at)
+        except (ValueError, RuntimeError):  # there is such a sheet, but none beside it
+            return best, step, False
+        z, before, cost = at, cost, float(residuals @ residuals + at @ at)
+        if cost <= least:
+            least, best = cost, (z, residuals, jacobian)
         gains.append(abs(before - cost))
         if rough and step > UPHILL_STEPS and gains[-1] < MIN_GAIN + MIN_GAIN_SHARE * cost:
-            return z, residuals, jacobian, step
+            return best, step, True
         if far < (FINAL_STEP_SD if last else ROUGH_STEP_SD) and not damped:
-            return z, residuals, jacobian, step
-    if last and len(gains) >= LEVEL_STEPS and max(gains[-LEVEL_STEPS:]) < MIN_GAIN:
-        return z, residuals, jacobian, MAX_STEPS
-    raise UnsettledError(
-        f"after {done + MAX_STEPS} steps the misfit is {cost / len(residuals):.3g} and still changes", residuals
-    )
+            return best, step, True
+        if step >= LEVEL_STEPS and max(gains[-LEVEL_STEPS:]) < max(MIN_GAIN, MIN_GAIN_SHARE * cost):
+            return best, step, max(gains[-LEVEL_STEPS:]) < MIN_GAIN
+    return best, MAX_STEPS, False
 
 
 def _limit(rows: int) -> float:

@@ -15,7 +15,14 @@ from eitskin_proto.sensor.table import FULL_TABLE, N_FULL_ROWS, N_ROWS, TABLE
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.wire.scan_rows import TABLE_ROW_OF_FULL
 from eitskin_sim.calibration.modes import SmoothModes
-from eitskin_sim.calibration.parameters import LAYER_MODES, ParameterGroup, Parameters, check_contacts
+from eitskin_sim.calibration.parameters import (
+    COMMON_OFFSET,
+    COMMON_OFFSET_SPREAD,
+    LAYER_MODES,
+    ParameterGroup,
+    Parameters,
+    check_contacts,
+)
 from eitskin_sim.calibration.recording import Recording
 from eitskin_sim.calibration.rows import noise_V, of_table
 from eitskin_sim.calibration.solved import Metric, Shape, Solved
@@ -32,7 +39,7 @@ MODEL_ERROR: Final = 5e-4
 
 GAUGE: Final = "gauge_factor"
 
-FRONT_END: Final = ("gain", "offset_V", "stray_pF", "minus_gain", "sink_share")
+FRONT_END: Final = ("gain", "offset_V", COMMON_OFFSET, "stray_pF", "minus_gain", "sink_share")
 
 TOUCH_STEP: Final = 1e-2
 """Half the distance of compared touches, in prior standard deviations."""
@@ -91,6 +98,9 @@ class Model:
         self.base = SheetState(None if self.unseen is None else self.unseen.metric)
         """How the sheet lay when the reference was taken."""
         own = [] if self.unseen is None else [self.unseen.group]
+        if offset := recording.offset_V:
+            spread = COMMON_OFFSET_SPREAD * abs(offset)
+            own.append(ParameterGroup(COMMON_OFFSET, "V", np.array([offset]), spread))
         self.parameters = Parameters(skin, self.layer.count, [*own, *more])
         self.level = 10.0 ** (-(min(skin.front_end.snr_db) if snr_db is None else snr_db) / 20.0)
         self._whitener = self._whitening(0.0)
@@ -102,6 +112,10 @@ class Model:
     def count(self) -> int:
         """How many parameters there are."""
         return self.parameters.count
+
+    def inside(self, z: Array) -> Array:
+        """Return the nearest (count,) parameters that a sheet can have."""
+        return self.parameters.inside(z)
 
     def soften(self, z: Array, error: float) -> None:
         """Take every row for uncertain by a share of it beside all else, from now on; 0 for as sure as it is.
@@ -145,7 +159,7 @@ class Model:
         stray = tuple(values("stray_pF", z).tolist())
         return FrontEnd(
             gain=tuple(values("gain", z).tolist()),
-            offset_per_pair_V=tuple(values("offset_V", z).tolist()),
+            offset_per_pair_V=tuple((values("offset_V", z) + self.parameters.one(COMMON_OFFSET, z)).tolist()),
             stray_S=capacitance(stray, self.skin.front_end.frequency_Hz),
             minus_gain=self.parameters.one("minus_gain", z),
             sink_share=self.parameters.one("sink_share", z),

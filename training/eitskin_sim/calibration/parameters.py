@@ -19,11 +19,24 @@ import numpy.typing as npt
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.devices.draws import MIN_ELECTRODE_SIZE_RATIO
 
 Array = npt.NDArray[np.float64]
 
 LEVEL_SPREAD: Final = 0.7
 """Of the logarithm of the level: a factor of two either way."""
+
+COMMON_OFFSET: Final = "common_offset_V"
+"""Name of an offset of all rows, which the reading's straight line found."""
+
+COMMON_OFFSET_SPREAD: Final = 0.3
+"""Of such an offset, over its size."""
+
+ROOM_MM: Final = 0.05
+"""Electrodes keep at least twice this apart: derivatives move them by less."""
+
+CORNER_SIZES: Final = 1.5
+"""Sizes that an electrode's centre keeps from a corner, where patches of two sides would overlap."""
 
 LAYER_MODES: Final = "layer"
 """Name of the smooth modes of the layer's log conductivity."""
@@ -47,6 +60,11 @@ class ParameterGroup:
         if self.logarithmic:
             return np.asarray(self.stated * np.exp(self.spread * z))
         return np.asarray(self.stated + self.spread * z)
+
+    def clipped(self, z: Array, low: Array, high: Array) -> Array:
+        """Return (n,) z whose values are the nearest between bounds (n,)."""
+        ends = (np.log(end / self.stated) if self.logarithmic else end - self.stated for end in (low, high))
+        return np.clip(z, *(end / self.spread for end in ends))
 
     def errors(self, z: Array, sd: Array) -> Array:
         """Return (n,) standard errors of the values, of those of z."""
@@ -108,6 +126,38 @@ class Parameters:
                 each = N_ELECTRODES if part is self._skin.electrodes or name in ("gain", "offset_V", "stray_pF") else 2
                 return quantity.nominal(each)
         return np.full(N_ELECTRODES, default)
+
+    def inside(self, z: Array) -> Array:
+        """Return the nearest (count,) parameters whose electrodes have room.
+
+        Each stays on its own stretch of the border: half the way to its neighbours, and away from corners. None is
+        smaller than half of its stated size, nor larger than twice.
+        """
+        found, ring = z.copy(), self._skin.electrodes
+        sizes = ring.size_mm.nominal(N_ELECTRODES)
+        if "size_mm" in self.groups:
+            own = self.slices["size_mm"]
+            low, high = MIN_ELECTRODE_SIZE_RATIO * sizes, sizes / MIN_ELECTRODE_SIZE_RATIO
+            found[own] = self.groups["size_mm"].clipped(z[own], low, high)
+            sizes = self.groups["size_mm"].values(found[own])
+        if "arc_length_mm" in self.groups:
+            own = self.slices["arc_length_mm"]
+            low, high = self._room(sizes)
+            found[own] = self.groups["arc_length_mm"].clipped(z[own], low, high)
+        return found
+
+    def _room(self, sizes: Array) -> tuple[Array, Array]:
+        """Return (16,) mm, from and to where the centres of electrodes of some sizes may lie."""
+        length, width = self._skin.outline.size_mm
+        perimeter, stated = self._skin.outline.perimeter_mm, self._skin.arc_length_mm
+        corners = np.array([0.0, length, length + width, 2.0 * length + width])
+        ends = []
+        for way in (-1.0, 1.0):
+            neighbour = (way * (np.roll(stated, -int(way)) - stated)) % perimeter
+            corner = ((way * (corners[:, None] - stated)) % perimeter).min(axis=0)
+            free = np.minimum(neighbour / 2.0 - sizes / 2.0, corner - CORNER_SIZES * sizes)
+            ends.append(stated + way * np.maximum(free - ROOM_MM, 0.0))
+        return ends[0], ends[1]
 
     def one(self, name: str, z: Array) -> float:
         """Return the value of a group of one."""

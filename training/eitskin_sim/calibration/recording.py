@@ -69,6 +69,8 @@ class Recording:
     presses: tuple[LaterReading, ...] = ()
     cloud_mm: Array | None = None
     """(3, rows, columns) the scan of the sheet when the reference was taken; None where it lay flat."""
+    offset_V: float = 0.0
+    """Offset of all rows that :mod:`eitskin_sim.calibration.line` found; 0 where a factor explains them as well."""
 
 
 def load_recording(path: str | Path, skin: Skin) -> Recording:

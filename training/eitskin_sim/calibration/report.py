@@ -1,6 +1,5 @@
 """The result of a calibration as numbers: each parameter with its error, each row with its residual."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final
 
@@ -9,11 +8,13 @@ from scipy.stats import chi2
 
 from eitskin_proto.sensor.table import N_ROWS, TABLE
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.calibration.fit import MISFIT_LEVEL, NAMED_ROW_SD, REMEDY, CalibrationError, Fit, UnsettledError, fit
+from eitskin_sim.calibration.fit import MISFIT_LEVEL, NAMED_ROW_SD, CalibrationError, Fit, fit
+from eitskin_sim.calibration.line import straight_line
 from eitskin_sim.calibration.model import Model
+from eitskin_sim.calibration.parameters import COMMON_OFFSET
 from eitskin_sim.calibration.recording import LaterReading, Recording
 from eitskin_sim.calibration.session import Progress, Session, check_felt
-from eitskin_sim.calibration.stamp import BORDER, GROWTH, PLACE, PRESS_CONTRAST, STRENGTH, ways
+from eitskin_sim.calibration.stamp import BORDER, GROWTH, PLACE, PRESS_CONTRAST, STRENGTH, WAYS
 from eitskin_sim.calibration.twin import MAX_LEARNED_SD_RATIO, calibrated_skin
 from eitskin_sim.calibration.unseen import UNSEEN
 
@@ -41,8 +42,11 @@ def calibrate(
         snr_db: Of a single frame; None takes the least that the skin states.
         progress: Called with the step's number and the misfit.
 
+    The most probable sheet is returned whether or not it explains the readings; where it does not, its errors are
+    enlarged by the misfit, and the report names the rows.
+
     Raises:
-        CalibrationError: It does not converge, or its residual stays above noise.
+        CalibrationError: The skin states every value as exact, or presses change nothing.
     """
     recording, current_A = per_ampere(skin, recording)
     model = Model(skin, recording, snr_db)
@@ -52,42 +56,49 @@ def calibrate(
             f"its file, as {{value = .., normal = ..}}, or name another skin, such as --skin "
             "lab"
         )
-    found = _named_if_unsettled(lambda: fit(model, progress), row_names(model))
-    check_rows(model, found, slice(None))
+    found = fit(model, progress)
     session = Session(skin, recording, snr_db)
     if recording.bents or recording.presses:
         session, found = _with_moments(session, found, progress)
+    unexplained = misfits(session, found)
+    if unexplained:
+        worst = max(one["misfit"] for one in unexplained)
+        found = replace(found, sd=np.minimum(found.sd * np.sqrt(max(worst, 1.0)), 1.0))
     twin = calibrated_skin(skin, session, found)
-    return twin, {**fields(session, found, twin), "current_A": current_A}
+    return twin, {
+        **fields(session, found, twin),
+        "explained": not unexplained,
+        "unexplained": unexplained,
+        "current_A": current_A,
+    }
 
 
 def per_ampere(skin: Skin, recording: Recording) -> tuple[Recording, float]:
-    """Return a recording scaled to 1 A, and its current as far as that can be determined.
+    """Return a recording scaled to 1 A with the offset of its straight line, and its current as far as it is known.
 
     Only the contacts distinguish the layer's conductivity from the current, so voltages that are within
     ``LEVEL_PRIOR_FACTOR`` of the stated skin's under 1 A are left as they are: the level finds it. A current below 0 is
     one whose voltages have the sign that other programs give a pair.
     """
     model = Model(skin, recording)
-    stated = model.read(np.zeros(model.count), derivatives=False).voltages_V
-    current_A = float(np.median(np.abs(recording.reference_V) / np.abs(stated)))
+    line = straight_line(recording.reference_V, model.read(np.zeros(model.count), derivatives=False).voltages_V)
+    current_A = abs(line.factor)
     if 1.0 / LEVEL_PRIOR_FACTOR < current_A < LEVEL_PRIOR_FACTOR:
         current_A = 1.0
-    current_A *= float(np.sign(np.median(recording.reference_V / stated)))
-    if current_A == 1.0:
-        return recording, 1.0
+    current_A *= float(np.sign(line.factor))
 
     def scaled(moments: tuple[LaterReading, ...]) -> tuple[LaterReading, ...]:
         return tuple(replace(one, voltages_V=one.voltages_V / current_A) for one in moments)
 
     volts, bents, presses = recording.reference_V / current_A, scaled(recording.bents), scaled(recording.presses)
-    return replace(recording, reference_V=volts, bents=bents, presses=presses), current_A
+    offset = line.offset_V / current_A
+    return replace(recording, reference_V=volts, bents=bents, presses=presses, offset_V=offset), current_A
 
 
 def _with_moments(session: Session, flat: Fit, progress: Progress | None) -> tuple[Session, Fit]:
     """Return the fit of the whole recording, from that of its reference; presses go the way that fits."""
     skin, recording, level = session.flat.skin, session.flat.recording, session.flat.snr_db
-    tried = [Session(skin, recording, level, way) for way in ways(skin.touches)] if recording.presses else [session]
+    tried = [Session(skin, recording, level, way) for way in WAYS] if recording.presses else [session]
     start = np.concatenate([flat.z, np.zeros(tried[0].count - len(flat.z))])
 
     def off(one: Session) -> float:
@@ -96,89 +107,33 @@ def _with_moments(session: Session, flat: Fit, progress: Progress | None) -> tup
 
     chosen = tried[0] if len(tried) == 1 else min(tried, key=off)
     if recording.presses:
-        check_felt(chosen, start)
-    names = [*row_names(chosen.flat), *(f"{one.name} {row}" for one in chosen.moments for row in MOMENT_ROWS)]
-    found = _named_if_unsettled(
-        lambda: fit(chosen, progress, start=start, soft=MOMENT_ERRORS, done=flat.steps, rough=True), names
-    )
-    check_moments(chosen, found)
-    check_rows(chosen.flat, found, chosen.blocks[0])
-    return chosen, found
+        check_felt(chosen)
+    return chosen, fit(chosen, progress, start=start, soft=MOMENT_ERRORS, done=flat.steps, rough=True)
 
 
-def _named_if_unsettled(work: Callable[[], Fit], names: list[str]) -> Fit:
-    """Return a fit; where the search does not converge, the rows that are off most are named.
-
-    Raises:
-        CalibrationError: It does not.
-    """
-    try:
-        return work()
-    except UnsettledError as error:
-        worst = _worst(error.residuals, names)
-        raise CalibrationError(f"{error.why}; rows with their error in units of noise: {worst}; {REMEDY}") from error
-
-
-def check_moments(session: Session, found: Fit) -> None:
-    """Refuse a fit that leaves a bent moment or a press above noise; the worst is named.
-
-    Raises:
-        CalibrationError: With the moment, or the press, and its rows.
-    """
+def misfits(session: Session, found: Fit) -> list[dict[str, Any]]:
+    """Return what the sheet does not explain: of the reference and each moment its misfit, limit and worst rows."""
+    model, block = session.flat, session.blocks[0]
+    residuals = found.residuals[block]
+    misfit = float((residuals @ residuals + found.z @ found.z) / len(residuals))
+    limit = float(chi2.isf(MISFIT_LEVEL, len(residuals))) / len(residuals)
+    if model.unseen is not None:
+        limit += (model.unseen.largest - 1.0) * N_ROWS / len(residuals)
+    every = [("reference", misfit, limit, _worst(found.far[block], row_names(model)))]
     own, rows = session.flat.parameters.slices, len(TABLE)
-    chance = float(chi2.isf(MISFIT_LEVEL / len(session.moments), rows)) / rows
-    worst: tuple[float, float, float, str, slice] | None = None
+    chance = float(chi2.isf(MISFIT_LEVEL / max(len(session.moments), 1), rows)) / rows
     for number, (moment, block) in enumerate(zip(session.moments, session.blocks[1:], strict=True)):
         size = float(np.sum(found.residuals[block] ** 2))
         if moment.lying.touched_by:
             press = number - len(session.flat.recording.bents)
             place = own[PLACE].start + 2 * press
             size += float(found.z[own[PRESS_CONTRAST].start + press] ** 2 + np.sum(found.z[place : place + 2] ** 2))
-        misfit, limit = size / rows, chance * moment.allowed
-        if worst is None or misfit / limit > worst[0]:
-            worst = (misfit / limit, misfit, limit, moment.name, block)
-    assert worst is not None
-    over, misfit, limit, name, block = worst
-    if over <= 1.0:
-        return
-    several = len(session.flat.recording.presses) > 1 and name.startswith("press")
-    what = "contradicts the others" if several else "does not fit the sheet"
-    raise CalibrationError(
-        f"{name} {what}: misfit {misfit:.3g}, expected at most {limit:.3g}; rows with their error in units of noise: "
-        f"{_named(found, block)}; leave it out, or record it again"
-    )
-
-
-def check_rows(model: Model, found: Fit, block: slice) -> None:
-    """Refuse a fit that leaves the reference above noise.
-
-    Args:
-        model: Of the reference.
-        found: The fit.
-        block: Which residuals are the reference's.
-
-    Raises:
-        CalibrationError: With the rows.
-    """
-    residuals = found.residuals[block]
-    misfit = float((residuals @ residuals + found.z @ found.z) / len(residuals))
-    limit = float(chi2.isf(MISFIT_LEVEL, len(residuals))) / len(residuals)
-    scan = ""
-    if model.unseen is not None:
-        limit += (model.unseen.largest - 1.0) * N_ROWS / len(residuals)
-        scan = "the reference's scan, "
-    if misfit <= limit:
-        return
-    named = _worst(found.far[block], row_names(model))
-    raise CalibrationError(
-        f"the residual stays above noise: misfit {misfit:.3g}, expected at most {limit:.3g}; rows with their error in "
-        f"units of noise: {named}; check these electrodes ('eitskin doctor --electrodes'), {scan}at the noise "
-        "([front_end] snr_db, --snr-db), and the uncertainties in the skin's file"
-    )
-
-
-def _named(found: Fit, block: slice) -> str:
-    return _worst(found.far[block], MOMENT_ROWS)
+        every.append((moment.name, size / rows, chance * moment.allowed, _worst(found.far[block], MOMENT_ROWS)))
+    return [
+        {"name": name, "misfit": misfit, "limit": limit, "rows": worst}
+        for name, misfit, limit, worst in every
+        if not misfit <= limit
+    ]
 
 
 def _worst(far: Any, rows: list[str]) -> str:
@@ -223,12 +178,15 @@ def fields(session: Session, found: Fit, twin: Skin) -> dict[str, Any]:
         "skin_digest": twin.digest,
         "calibrated_from": twin.calibrated_from,
         "steps": found.steps,
+        "settled": found.settled,
         "misfit": found.misfit,
         "misfit_limit": found.limit,
         "parameters": parameters,
         "reference_scan": scan_fields(model, found),
         "residuals": dict(zip(rows, found.far[block].tolist(), strict=True)),
         "far": [row for row, far in zip(rows, found.far[block], strict=True) if abs(far) > NAMED_ROW_SD],
+        "offset_V": offset_field(model, found),
+        "stated_kind": model.skin.touches.kind,
         "moments": moments,
         "press": press_fields(session, found),
         "unknown": [_unknown(name, one) for name, one in parameters.items() if one["unknown_ones"]],
@@ -258,6 +216,17 @@ def own_fields(session: Session, found: Fit, number: int) -> dict[str, Any]:
         "off_mm": (groups[PLACE].spread * found.z[at : at + 2]).tolist(),
         "off_error_mm": (groups[PLACE].spread * found.sd[at : at + 2]).tolist(),
     }
+
+
+def offset_field(model: Model, found: Fit) -> dict[str, float]:
+    """Return the mean offset of all pairs and its standard error, V under 1 A."""
+    parameters, each = model.parameters, np.zeros(model.count)
+    for name in (COMMON_OFFSET, "offset_V"):
+        if name in parameters.groups:
+            own = parameters.slices[name]
+            each[own] = parameters.groups[name].errors(found.z[own], found.sd[own]) / (own.stop - own.start)
+    value = parameters.values("offset_V", found.z).mean() + parameters.one(COMMON_OFFSET, found.z)
+    return {"value": float(value), "error": float(np.linalg.norm(each))}
 
 
 def scan_fields(model: Model, found: Fit) -> dict[str, float] | None:

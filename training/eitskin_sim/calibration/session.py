@@ -34,9 +34,6 @@ UNEVEN_DRIFT_SHARE: Final = 0.1
 PRESS_ERROR: Final = 0.03
 """Of a press's own change, row by row: elements of 3 mm, and no stamp's outline is exactly a disc or a rectangle."""
 
-MIN_SIGN_COSINE: Final = 0.5
-"""Cosine of a press's measured and modelled change above which its direction is known."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
@@ -63,7 +60,7 @@ class Session:
         skin: The stated one.
         recording: The recording.
         snr_db: Of a single frame; None takes the least that the skin states.
-        way: Which way presses change conductance; see :func:`eitskin_sim.calibration.stamp.ways`.
+        way: Which way presses change conductance, of :data:`eitskin_sim.calibration.stamp.WAYS`.
     """
 
     def __init__(self, skin: Skin, recording: Recording, snr_db: float | None = None, way: stamps.Way = -1) -> None:
@@ -85,6 +82,10 @@ class Session:
         stops = np.cumsum([len(self.flat.recording.reference_V), *([N_ROWS] * len(self.moments))])
         starts = np.concatenate([[0], stops[:-1]])
         return [slice(int(low), int(high)) for low, high in zip(starts, stops, strict=True)]
+
+    def inside(self, z: Array) -> Array:
+        """Return the nearest (count,) parameters that a sheet can have."""
+        return self.flat.inside(z)
 
     def soften(self, z: Array, error: float) -> None:
         """Take every row for uncertain by a share of it beside all else, from now on."""
@@ -122,16 +123,6 @@ class Session:
         """Return the mean square, over noise and drift, of what the press that is felt most changed."""
         presses = [(self._change(one), one.covariance) for one in self.moments if one.lying.touched_by]
         return max(float(change @ np.linalg.solve(covariance, change)) / len(change) for change, covariance in presses)
-
-    def alike(self, z: Array) -> Array:
-        """Return (presses,) how what each changed goes with what the model says: cosines, what rows share left out."""
-        flat, found = of_table(self.flat.read(z, derivatives=False).voltages_V), []
-        for moment in self.moments:
-            if moment.lying.touched_by:
-                should = of_table(self.flat.read(z, moment.lying, derivatives=False).voltages_V) / flat
-                one, other = (part - part.mean() for part in (self._change(moment), should))
-                found.append(float(one @ other / (np.linalg.norm(one) * np.linalg.norm(other) + 1e-300)))
-        return np.array(found)
 
     def _whitening(self, moment: Moment, flat: ModelVoltages, read: ModelVoltages) -> tuple[Array, Array]:
         """Return the (104, 104) factor of what dV may be off by, and (104,) what it should be."""
@@ -188,27 +179,17 @@ class Session:
         return found
 
 
-def check_felt(session: Session, z: Array) -> None:
-    """Refuse presses that change nothing, and those that all go the way that the skin rules out.
-
-    Args:
-        session: With presses.
-        z: (count,) where the search begins.
+def check_felt(session: Session) -> None:
+    """Refuse presses that change nothing.
 
     Raises:
-        CalibrationError: They do.
+        CalibrationError: They change nothing beyond noise and drift.
     """
-    presses, skin = session.flat.recording.presses, session.flat.skin
+    presses = session.flat.recording.presses
     if session.changed() <= float(chi2.isf(MISFIT_LEVEL / len(presses), N_ROWS)) / N_ROWS:
         raise CalibrationError(
             f"presses change the voltages no more than noise and a drift of {DRIFT:.0%}: press harder, or leave out "
             "press_V, press_xy_mm and stamp_mm"
-        )
-    if len(stamps.ways(skin.touches)) == 1 and (session.alike(z) < -MIN_SIGN_COSINE).all():
-        found, stated = ("raise", "lower") if session.way < 0 else ("lower", "raise")
-        raise CalibrationError(
-            f"presses {found} conductance, and [touches] of skin {skin.name} says that touches {stated} it: correct "
-            "its kind"
         )
 
 

@@ -6,7 +6,7 @@ Every press is one touch with a graded border, of the stamp's shape ::
     outline      = the stamp's, larger by growth
     place        = the stated place plus a common shift plus an error of its own
 
-The skin states whether presses raise or lower conductance; if it allows both, the recording decides.
+Whether presses raise or lower conductance is decided by the recording.
 """
 
 from collections.abc import Callable
@@ -52,6 +52,9 @@ SMALLEST_MM: Final = 2.0
 Way = int
 """-1: presses lower conductance; 1: they raise it."""
 
+WAYS: Final[tuple[Way, ...]] = (-1, 1)
+"""Both are tried: the recording says which way presses go, and the skin's file does not."""
+
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
@@ -90,17 +93,12 @@ def places(size_mm: tuple[float, float], count: int) -> tuple[tuple[float, float
     return tuple((float(x), float(y)) for x, y in found)
 
 
-def ways(touches: Touches) -> tuple[Way, ...]:
-    """Return which ways presses of a skin may change conductance."""
-    return tuple(way for way, known in ((-1, touches.lower), (1, touches.higher)) if known) or (-1,)
-
-
 def groups(touches: Touches, way: Way, count: int) -> list[ParameterGroup]:
     """Return the parameters of some presses.
 
     Args:
         touches: The touches of the skin's description.
-        way: Of :func:`ways`.
+        way: Of ``WAYS``.
         count: How many presses.
     """
     contrast = touches.lowering_contrast if way < 0 else touches.raising_contrast
@@ -122,7 +120,7 @@ def press(stamp: Stamp, xy_mm: Array, way: Way, number: int, parameters: Paramet
     Args:
         stamp: The stamp.
         xy_mm: (2,) where it was said.
-        way: Of :func:`ways`.
+        way: Of ``WAYS``.
         number: Which of the presses.
         parameters: Those that z is of, with :func:`groups`.
     """

@@ -9,7 +9,7 @@ from eitskin_proto.skin.quantity import Law, Quantity
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration.fit import Fit
 from eitskin_sim.calibration.model import Model
-from eitskin_sim.calibration.parameters import LAYER_MODES
+from eitskin_sim.calibration.parameters import COMMON_OFFSET, LAYER_MODES
 from eitskin_sim.calibration.session import Session
 from eitskin_sim.calibration.stamp import BORDER, PRESS_CONTRAST_SD, PRESSES, STRENGTH
 from eitskin_sim.calibration.unseen import UNSEEN
@@ -49,7 +49,7 @@ def calibrated_skin(skin: Skin, session: Session, found: Fit) -> Skin:
             rms = float(np.sqrt(np.mean((model.layer.at(middle) @ z) ** 2)))
             parts.setdefault("may_be_off", {})["layer_rms"] = (_round(0.8 * rms), _round(1.2 * rms))
             continue
-        if name in PRESSES or name == UNSEEN:
+        if name in PRESSES or name in (UNSEEN, COMMON_OFFSET):
             continue
         stated = "conductivity_S_per_m" if name == "level" else name
         value = tuple(_round(one) for one in group.values(z))
@@ -63,11 +63,24 @@ def calibrated_skin(skin: Skin, session: Session, found: Fit) -> Skin:
             one for one in ("layer", "electrodes", "front_end", "may_be_off") if hasattr(getattr(skin, one), stated)
         )
         parts.setdefault(part, {})[stated] = quantity
+    if COMMON_OFFSET in model.parameters.groups:
+        parts.setdefault("front_end", {})["offset_V"] = _offset(model, found)
     if model.recording.presses:
         parts["touches"] = _touches(session, found)
     changed = {part: replace(getattr(skin, part), **values) for part, values in parts.items()}
     name = f"{skin.name}, calibrated"
     return replace(skin, **changed, name=name, calibrated_from=skin.digest, stated_grid_id=skin.grid_id)
+
+
+def _offset(model: Model, found: Fit) -> Quantity:
+    """Return each pair's offset with the one that all rows have in common."""
+    parameters, variance = model.parameters, 0.0
+    for name in (COMMON_OFFSET, "offset_V"):
+        if name in parameters.groups:
+            own = parameters.slices[name]
+            variance += float(np.mean(parameters.groups[name].errors(found.z[own], found.sd[own]) ** 2))
+    values = parameters.values("offset_V", found.z) + parameters.one(COMMON_OFFSET, found.z)
+    return Quantity(tuple(_round(one) for one in values), "normal", _round(float(np.sqrt(variance))))
 
 
 def _touches(session: Session, found: Fit) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.sensor.table import N_ELECTRODES, TABLE
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.toml import parse
 from eitskin_sim.dataset.plan import Plan
@@ -34,8 +35,8 @@ DEVICE, MOMENT, DRIFT, SCAN = 7, 8, 9, 10
 """Seeds of a plan's draws, beside those of :mod:`eitskin_sim.dataset.plan` and others."""
 
 REFERENCE_RATIO_RANGE: Final = (0.4, 2.5)
-"""Bounds of a reference over the nominal one, in every row; a lab would find the fault behind any other before taking
-data."""
+"""Bounds of a reference over the nominal one, in every row, stated offsets taken away; a lab would find the fault behind
+any other before taking data."""
 
 ATTEMPTS: Final = 100
 """Draws of a front end."""
@@ -56,7 +57,9 @@ def _parsed(text: str) -> Skin:
 
 def device_job(plan: Plan, first: int) -> dict[str, Any]:
     """Return the data from which a worker draws the device of a shard's deformations; empty for ideal devices."""
-    return {"device": first} if plan.devices == "random" else {}
+    if plan.devices == "ideal":
+        return {}
+    return {"device": first, "offset": True} if plan.devices == "offset" else {"device": first}
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +84,8 @@ def referenced_device(job: dict[str, Any], nominal: Array) -> ReferencedDevice:
     """
     skin = job_skin(job)
     rng = np.random.default_rng([job["seed"], DEVICE, job["device"]])
-    drawn = draw_device(skin, rng)
+    offset = bool(job.get("offset", False))
+    drawn = draw_device(skin, rng, offset=offset)
     try:
         before = sheet_differences(drawn.device, drawn.reference_bend)
     except ValueError as error:
@@ -91,14 +95,15 @@ def referenced_device(job: dict[str, Any], nominal: Array) -> ReferencedDevice:
         ) from error
     for _ in range(ATTEMPTS):
         found = readings(drawn.device, before)
-        if _usable(found / nominal):
+        if usable_reference(skin, found, nominal, offset=offset):
             return ReferencedDevice(drawn, found)
-        drawn = replace(drawn, device=replace(drawn.device, front_end=draw_front_end(skin, rng)))
+        drawn = replace(drawn, device=replace(drawn.device, front_end=draw_front_end(skin, rng, offset=offset)))
     least, most = REFERENCE_RATIO_RANGE
-    perfect = readings(Device(drawn.device.sheet, drawn.device.electrodes), before) / nominal
-    if not _usable(perfect):
+    perfect = readings(Device(drawn.device.sheet, drawn.device.electrodes), before)
+    ratio = perfect / nominal
+    if not usable_reference(skin, perfect + stated_offset_V(skin), nominal):
         raise ValueError(
-            f"skin {skin.name}: a random sheet reads {perfect.min():.3g} to {perfect.max():.3g} times the nominal "
+            f"skin {skin.name}: a random sheet reads {ratio.min():.3g} to {ratio.max():.3g} times the nominal "
             f"reference, expected every row within {least:g} and {most:g}; make the uncertainties in {SHEET} smaller"
         )
     raise ValueError(
@@ -107,10 +112,20 @@ def referenced_device(job: dict[str, Any], nominal: Array) -> ReferencedDevice:
     )
 
 
-def _usable(share: Array) -> bool:
-    """Return whether a reference is usable, of (104,) shares of the nominal one."""
+def usable_reference(skin: Skin, found: Array, nominal: Array, *, offset: bool = False) -> bool:
+    """Return whether the readings of a reference (104,) are near the nominal ones (104,), both in V.
+
+    The skin's stated offset is taken away first. With an offset that nobody states, readings may be of any size.
+    """
+    ratio = (found - stated_offset_V(skin)) / nominal
     least, most = REFERENCE_RATIO_RANGE
-    return bool(least < share.min() and share.max() < most)
+    return bool(least < ratio.min() and (offset or ratio.max() < most))
+
+
+def stated_offset_V(skin: Skin) -> Array:
+    """Return (104,) V, the offset that a skin's file states of each row's pair, for a layer of 1 S/m."""
+    sigma = float(skin.layer.conductivity_S_per_m.nominal(1)[0])
+    return np.asarray(sigma * skin.front_end.offset_V.nominal(N_ELECTRODES)[TABLE[:, 1]])
 
 
 def true_bend(drawn: DrawnDevice, bend: Bend) -> Bend:

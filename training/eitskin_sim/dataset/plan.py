@@ -33,10 +33,10 @@ from eitskin_sim.unit_grid.patterns import N_PAPER_SETS
 SetName = Literal["paper", "units", "free"]
 """The paper's data; richer shapes on the unit grid; touches anywhere."""
 
-DeviceKind = Literal["ideal", "random"]
-"""The nominal device, or one drawn for every few deformations."""
+DeviceKind = Literal["ideal", "random", "offset"]
+"""The nominal device; one drawn for every few deformations; the same, read with a large offset."""
 
-DEVICE_KINDS: Final[tuple[DeviceKind, ...]] = ("ideal", "random")
+DEVICE_KINDS: Final[tuple[DeviceKind, ...]] = ("ideal", "random", "offset")
 
 SET_NAMES: Final[tuple[SetName, ...]] = ("paper", "units", "free")
 
@@ -188,7 +188,8 @@ def make_plan(
         near: Share of the sets drawn with touches near to each other; for "free" alone.
         touches: "hard", the paper's; "firm", of good conductors; "press", that lower conductance; "raise"; "both";
             "skin", as the skin's file says; "paper" has hard ones alone.
-        devices: "ideal", or "random": a device for every few deformations; "paper" has the ideal one alone.
+        devices: "ideal", or "random": a device for every few deformations; "offset": random ones whose readings have a
+            large offset. "paper" has the ideal one alone.
         skin: What is bent and touched; None is the paper's, or for random devices the shipped skin "lab".
 
     Raises:
@@ -200,8 +201,8 @@ def make_plan(
         raise ValueError(f"seed is {seed}; it must be at least 0")
     ranges_of(touches, PAPER if skin is None else skin)
     if skin is None:
-        skin = named("lab") if devices == "random" else PAPER
-    if devices == "random":
+        skin = PAPER if devices == "ideal" else named("lab")
+    if devices != "ideal":
         check_outline(skin)
     nominal_sheet(skin)
     kind = cast(TouchKind, touches)

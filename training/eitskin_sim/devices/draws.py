@@ -46,6 +46,9 @@ MAX_DRIFT: Final = 0.3
 MAX_ELECTRODE_OFFSET_MM: Final = 2.0
 """No electrode is further from its stated place: it would be seen."""
 
+OFFSETS_V: Final = (0.1, 60.0)
+"""Offset of all rows, for 1 A and 1 S/m, of devices that are read with one; a sheet was measured with 42 V."""
+
 MIN_ELECTRODE_SIZE_RATIO: Final = 0.5
 """No electrode is smaller than this share of its stated size, nor larger than its inverse."""
 
@@ -84,8 +87,8 @@ class Moment:
     """The scan shows the deformation multiplied by this."""
 
 
-def draw_device(skin: Skin, rng: np.random.Generator) -> DrawnDevice:
-    """Return a random device of a skin.
+def draw_device(skin: Skin, rng: np.random.Generator, *, offset: bool = False) -> DrawnDevice:
+    """Return a random device of a skin; see :func:`draw_front_end` for its offset.
 
     Raises:
         ValueError: The skin is no rectangle.
@@ -100,7 +103,7 @@ def draw_device(skin: Skin, rng: np.random.Generator) -> DrawnDevice:
     )
     scale = _one(layer.length_scale, rng), _one(layer.width_scale, rng)
     stretch = 1.0 + doubts.reference_stretch.draw(rng, 2)
-    device = Device(sheet, _electrodes(skin, rng), draw_front_end(skin, rng))
+    device = Device(sheet, _electrodes(skin, rng), draw_front_end(skin, rng, offset=offset))
     return DrawnDevice(device, scale, (float(stretch[0]), float(stretch[1])))
 
 
@@ -109,12 +112,18 @@ def check_outline(skin: Skin) -> None:
     ideal(skin)
 
 
-def draw_front_end(skin: Skin, rng: np.random.Generator) -> FrontEnd:
-    """Return random electronics of a skin."""
+def draw_front_end(skin: Skin, rng: np.random.Generator, *, offset: bool = False) -> FrontEnd:
+    """Return random electronics of a skin.
+
+    Args:
+        skin: The skin.
+        rng: Source of the draws; without an offset they are the same as before there were offsets.
+        offset: Whether all rows have an offset of ``OFFSETS_V`` in common, of the readings' own sign.
+    """
     own = skin.front_end
     sigma = float(skin.layer.conductivity_S_per_m.nominal(1)[0])  # the layer is scaled to 1 S/m, and so are these
     stray = np.maximum(own.stray_pF.draw(rng, N_ELECTRODES), 0.0) / sigma
-    return FrontEnd(
+    found = FrontEnd(
         gain=tuple(own.gain.draw(rng, N_ELECTRODES).tolist()),
         offset_per_pair_V=tuple((sigma * own.offset_V.draw(rng, N_ELECTRODES)).tolist()),
         stray_S=capacitance(tuple(stray.tolist()), own.frequency_Hz),
@@ -122,6 +131,10 @@ def draw_front_end(skin: Skin, rng: np.random.Generator) -> FrontEnd:
         sink_share=_one(own.sink_share, rng),
         normalised=own.normalised,
     )
+    if not offset:
+        return found
+    common = -_log_uniform(OFFSETS_V, rng)
+    return replace(found, offset_per_pair_V=tuple((np.array(found.offset_per_pair_V) + common).tolist()))
 
 
 def draw_moment(skin: Skin, rng: np.random.Generator) -> Moment:

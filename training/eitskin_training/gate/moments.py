@@ -22,7 +22,7 @@ import numpy.typing as npt
 from eitskin_proto.sensor.row_gaussian import log_of_ratio
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.dataset.device_files import ATTEMPTS, REFERENCE_RATIO_RANGE, true_bend
+from eitskin_sim.dataset.device_files import ATTEMPTS, true_bend, usable_reference
 from eitskin_sim.devices import expansion as expanded
 from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.devices.draws import DrawnDevice, draw_device, draw_front_end, draw_moment
@@ -214,8 +214,7 @@ def _usable(
     """Return a device with electronics that can be used and what it reads when its reference is taken."""
     for _ in range(ATTEMPTS):
         own = readings(drawn.device, before)
-        share = own / nominal
-        if REFERENCE_RATIO_RANGE[0] < share.min() and share.max() < REFERENCE_RATIO_RANGE[1]:
+        if usable_reference(skin, own, nominal):
             return drawn, own
         drawn = replace(drawn, device=replace(drawn.device, front_end=draw_front_end(skin, rng)))
     raise ValueError(f"skin {skin.name}: no front end of {ATTEMPTS} reads every row; make what is off in it smaller")
