@@ -35,8 +35,8 @@ DEVICE, MOMENT, DRIFT, SCAN = 7, 8, 9, 10
 """Seeds of a plan's draws, beside those of :mod:`eitskin_sim.dataset.plan` and others."""
 
 REFERENCE_RATIO_RANGE: Final = (0.4, 2.5)
-"""Bounds of a reference over the nominal one, in every row, stated offsets taken away; a lab would find the fault behind
-any other before taking data."""
+"""Bounds of a reference over the nominal one, in every row, stated offsets taken away; a lab would find the fault
+behind any other before taking data."""
 
 ATTEMPTS: Final = 100
 """Draws of a front end."""
