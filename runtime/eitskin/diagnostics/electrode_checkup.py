@@ -4,6 +4,9 @@ Frames are compared with a captured reference if there is one, else with the for
 device's current. The model also finds an electrode that failed before any reference was captured; it allows a real
 sheet to be a few percent off in every row. If a device scans all 208 rows, each row and its reciprocal must agree; no
 touch and no deformation breaks that.
+
+No electrode can be judged where rows are in another order than the device states. Levels show that
+(:mod:`eitskin_proto.sensor.wiring`), once two wires that the watch found exchanged are exchanged back.
 """
 
 import time
@@ -30,6 +33,7 @@ from eitskin_proto.files.arrays import read_npy
 from eitskin_proto.files.reading import FileError
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.table import N_ELECTRODES, N_FULL_ROWS, N_ROWS
+from eitskin_proto.sensor.wiring import read_wiring
 from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.volts import step_of
 
@@ -38,7 +42,7 @@ MODEL_SPREAD: Final = 0.02
 reference."""
 
 UNKNOWN: Final = "unknown"
-"""State of every electrode while the front end hangs."""
+"""State of every electrode while the front end hangs, or rows are in a wrong order."""
 
 LARGEST_RECORDING: Final = 256 << 20
 """Bytes of a recording: 27 minutes at 200 frames/s."""
@@ -50,7 +54,7 @@ ADVICE: Final[dict[str, str]] = {
     "swapped": "exchange the two wires at the plug; until then the runtime swaps their rows back",
     "noisy": "its contact comes and goes: fix the wire so that it does not move, renew the hydrogel",
     "excluded": "you excluded it",
-    UNKNOWN: "fix the front end first, see below",
+    UNKNOWN: "fix the front end or the order of rows first, see below",
     NOT_RECIPROCAL: "it measures differently than it drives: check its wire, its contact and the front end's switch",
 }
 """Advice for each state."""
@@ -142,21 +146,26 @@ def check_up(recording: Recording, consistency: Consistency, reference: Referenc
     volts, spread = _against(recording, consistency, reference)
     watch = ElectrodeWatch(consistency, volts, spread)
     seen: list[Sequence[npt.NDArray[np.float64]]] = []
+    corrected: list[npt.NDArray[np.float32]] = []
     for voltages in recording.voltages:
         raw = relative_change(voltages, volts).astype(np.float32)
         change = raw.copy()
         watch.correct(change)
         watch.update(raw, change)
+        corrected.append(change)
         evidence = watch.evidence
         seen.append((evidence.surprise, evidence.pair_ratio, evidence.jumping))
     surprise, ratio, jumping = (np.median([one[part] for one in seen], axis=0) for part in range(3))
     gaps = None if recording.gap is None else electrode_gaps(recording.gap)
     faults = front_end_faults(recording.voltages, recording.step_V)
+    wiring = read_wiring(recording.voltages, consistency.reference)
+    exchanged = volts * (1.0 + np.median(corrected, axis=0))
+    wrong = not (wiring.right or faults or read_wiring(exchanged, consistency.reference).right)
     found = []
     for electrode, watched in enumerate(watch.states()):
         gap = None if gaps is None else float(gaps[electrode])
         apart = watched == WELL and gap is not None and gap > LARGEST_RECORDED_GAP
-        state = UNKNOWN if faults else NOT_RECIPROCAL if apart else watched
+        state = UNKNOWN if faults or wrong else NOT_RECIPROCAL if apart else watched
         partner = next((f.partner for f in watch.findings if f.electrode == electrode), None)
         found.append(
             {"electrode": electrode, "state": state, "partner": partner,
@@ -170,6 +179,7 @@ def check_up(recording: Recording, consistency: Consistency, reference: Referenc
         "surprise_limit": round(watch.threshold, 1),
         "unclear": watch.unclear,
         "front_end": list(faults),
+        "wiring": {"right": not wrong, "text": wiring.text, "rank_correlation": round(wiring.rank_correlation, 3)},
         "electrodes": found,
     }
 
@@ -204,6 +214,8 @@ def _verdict(found: dict[str, Any]) -> str:
     """Return which electrodes need work, in a sentence."""
     if found["front_end"]:
         return "The front end fails, so no electrode can be judged: power the device off and on, check supply and plug."
+    if not found["wiring"]["right"]:
+        return f"No electrode can be judged: {found['wiring']['text']}."
     if found["unclear"]:
         return "The rows fit neither a sheet nor any single failure: check the plug, then every wire."
     bad = [f"{one['electrode']} {one['state']}" for one in found["electrodes"] if one["state"] != WELL]

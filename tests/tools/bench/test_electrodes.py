@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin.diagnostics.electrode_checkup import ADVICE, UNKNOWN, Recording, check_up, load_recording
+from eitskin.diagnostics.electrode_checkup import ADVICE, UNKNOWN, Recording, check_up, lines, load_recording
 from eitskin.errors import BadReference
 from eitskin.health.gate_without_rows import GateWithoutRows
 from eitskin.health.imputation import Consistency
@@ -66,6 +66,21 @@ def test_doctor_tells_a_failure_without_any_reference(fault: Fault | None, state
     assert {one["electrode"]: one["state"] for one in found["electrodes"] if one["state"] != "well"} == states
     assert len(found["electrodes"]) == 16
     assert all(one["to_do"] == ADVICE[one["state"]] for one in found["electrodes"])
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        (np.random.default_rng(3).permutation(104), "the rows are in no known order"),
+        (np.roll(np.arange(104), 1), "readings come 1 row late"),
+    ],
+)
+def test_no_electrode_works_where_rows_are_in_another_order(order: np.ndarray, said: str) -> None:
+    found = check_up(Recording(frames(None)[:, order], None), consistency())
+    assert [one["state"] for one in found["electrodes"]] == [UNKNOWN] * 16
+    assert not found["wiring"]["right"]
+    assert lines(found)[0].startswith("No electrode can be judged: ")
+    assert said in lines(found)[0]
 
 
 def test_a_row_that_differs_from_its_reciprocal_is_reported() -> None:

@@ -27,11 +27,19 @@ def test_objects_are_found_and_counted(tmp_path, frames, capsys):
     found = json.loads(capsys.readouterr().out)
     assert (found["objects"], found["right"], found["ghosts"]) == (3, 3, 0)
     assert found["angle_error_deg"]["worst"] < 11.25
+    assert found["solver"] == "l1"
+    assert found["wiring"].startswith("the rows are in order")
     first, _, unnamed = found["frames"]
     assert [one["electrode"] for one in first["objects"]] == [4, 12]
     assert first["offset_V"] == pytest.approx([tank.OFFSET_V.real, tank.OFFSET_V.imag], abs=1e-3)
     assert unnamed["objects"] == []
     assert {one["material"] for one in unnamed["found"]} == {"metal", "plastic"}
+
+
+def test_rows_off_by_one_are_named_before_any_object(tmp_path, frames, capsys):
+    np.savez(tmp_path / "tank.npz", **{name: np.roll(array, 1, axis=0) for name, array in frames.items()})
+    assert cli.main(["evaluate", "--tank", str(tmp_path / "tank.npz")]) == 0
+    assert capsys.readouterr().out.startswith("wiring: the rows are not in the stated order: readings come 1 row late")
 
 
 @pytest.mark.parametrize("solver", ["tikhonov", "l1", "sbl"])

@@ -6,6 +6,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.sensor.wiring import read_wiring
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.tank.common import MIN_COMMON_FACTOR, SIGNIFICANT_SD, common_factor
 from eitskin_sim.tank.images import IMAGES
@@ -19,7 +20,7 @@ SOLVERS: Final = tuple(IMAGES)
 
 
 def evaluate_tank(
-    path: str | Path, progress: Progress | None = None, skin: Skin | None = None, solver: str = "tikhonov"
+    path: str | Path, progress: Progress | None = None, skin: Skin | None = None, solver: str = "l1"
 ) -> dict[str, Any]:
     """Return the object that ``eitskin evaluate --tank --json`` prints.
 
@@ -42,8 +43,10 @@ def evaluate_tank(
             progress(number + 1, len(frames))
     every: list[dict[str, Any]] = [one for row in rows for one in row["objects"]]
     errors = [one["error_deg"] for one in every if one["right"]]
+    water_V = np.mean([np.abs(frame.water_V) for frame in frames], axis=0)
     return {
         "solver": solver,
+        "wiring": read_wiring(water_V, model.water_V).text,
         "frames": rows,
         "electrode_width_deg": model.disc.electrode_width_deg,
         "objects": len(every),
@@ -66,6 +69,7 @@ def _row(model: TankModel, frame: TankFrame, solver: str) -> dict[str, Any]:
     return {
         "name": frame.name,
         "offset_V": [front_end.offset_V.real, front_end.offset_V.imag],
+        "raw": front_end.raw,
         "residual": front_end.residual,
         "reciprocity": front_end.reciprocity,
         "common": {
@@ -106,7 +110,7 @@ def _sectors(found: list[ImageObject]) -> set[tuple[int, str]]:
 
 def table(found: dict[str, Any]) -> str:
     """Return what was found as people read it."""
-    lines = [line for row in found["frames"] for line in _lines(row)]
+    lines = [f"wiring: {found['wiring']}", *(line for row in found["frames"] for line in _lines(row))]
     if found["objects"]:
         angles = found["angle_error_deg"]
         lines.append(
@@ -134,8 +138,9 @@ def _what_common_changed(found: dict[str, Any]) -> str:
 
 
 def _lines(row: dict[str, Any]) -> list[str]:
+    offset_mV = 1e3 * abs(complex(*row["offset_V"]))
     lines = [
-        f"{row['name']}: offset {1e3 * abs(complex(*row['offset_V'])):.1f} mV, water explained to "
+        f"{row['name']}: {'rows as read' if row['raw'] else f'offset {offset_mV:.1f} mV'}, water explained to "
         f"{row['residual']:.1%}, reciprocal to {row['reciprocity']:.1%}",
         f"  {_common(row['common'])}",
     ]

@@ -6,6 +6,9 @@ with v the model's voltages of water. The rows span a factor of 50, and an offse
 than the smallest: it must go before anything is divided. The gains cancel in a ratio; they say how well the model
 explains the tank. Least squares are of relative errors, so that small rows count as well as large ones; since the
 weights are the fit's own, they are found in a few rounds.
+
+A good front end needs no correction, and the fit then follows the model's errors. Where raw rows and their reciprocals
+agree better than corrected ones, the correction is left out.
 """
 
 from collections.abc import Sequence
@@ -36,6 +39,8 @@ class OffsetAndGains:
     reciprocity: float
     """Rms relative difference between rows (s, m) and (m, s), the offset and the gains taken out: what no passive tank
     explains."""
+    raw: bool = False
+    """Whether rows are used as read, without an offset, because they are more reciprocal so."""
 
     @property
     def noise(self) -> float:
@@ -74,11 +79,15 @@ def fit_front_end(water_V: Complex, model_V: Array) -> OffsetAndGains:
         weight = 1.0 / np.abs(explained)
     ratio = (water_V - found[0]) / explained
     apart = ratio[ROW_IN_FULL] - ratio[RECIPROCAL_IN_FULL]
+    reciprocity = float(np.sqrt(np.mean(np.abs(apart) ** 2)))
+    one, other = water_V[ROW_IN_FULL], water_V[RECIPROCAL_IN_FULL]
+    uncorrected = float(np.sqrt(np.mean(np.abs(2.0 * (one - other) / (one + other)) ** 2)))
     return OffsetAndGains(
-        offset_V=complex(found[0]),
+        offset_V=0j if uncorrected < reciprocity else complex(found[0]),
         gains=np.asarray(found[1:], dtype=np.complex128),
         residual=float(np.sqrt(np.mean(np.abs(ratio - 1.0) ** 2))),
-        reciprocity=float(np.sqrt(np.mean(np.abs(apart) ** 2))),
+        reciprocity=min(uncorrected, reciprocity),
+        raw=uncorrected < reciprocity,
     )
 
 
