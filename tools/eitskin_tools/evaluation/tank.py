@@ -9,6 +9,7 @@ import numpy.typing as npt
 from eitskin_proto.sensor.wiring import read_wiring
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.tank.common import MIN_COMMON_FACTOR, SIGNIFICANT_SD, common_factor
+from eitskin_sim.tank.front_end import levels_of
 from eitskin_sim.tank.images import IMAGES
 from eitskin_sim.tank.model import TankModel, front_end_of, tank_model, widths_deg
 from eitskin_sim.tank.objects import SECTOR_DEG, ImageObject, find_objects, ghosts, judge
@@ -43,10 +44,10 @@ def evaluate_tank(
             progress(number + 1, len(frames))
     every: list[dict[str, Any]] = [one for row in rows for one in row["objects"]]
     errors = [one["error_deg"] for one in every if one["right"]]
-    water_V = np.mean([np.abs(frame.water_V) for frame in frames], axis=0)
+    levels = np.mean([levels_of(frame.water_V) for frame in frames], axis=0)
     return {
         "solver": solver,
-        "wiring": read_wiring(water_V, model.water_V).text,
+        "wiring": read_wiring(levels, np.abs(model.water_V)).text,
         "frames": rows,
         "electrode_width_deg": model.disc.electrode_width_deg,
         "objects": len(every),

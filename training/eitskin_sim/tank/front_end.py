@@ -23,6 +23,9 @@ from eitskin_proto.sensor.table import FULL_TABLE, N_ELECTRODES, N_FULL_ROWS, RE
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
+LOWEST_LEVEL: Final = 0.01
+"""Of a frame of water, over the range of its levels."""
+
 WEIGHT_ROUNDS: Final = 8
 """Of weights; they settle to 1e-4 in five."""
 
@@ -89,6 +92,18 @@ def fit_front_end(water_V: Complex, model_V: Array) -> OffsetAndGains:
         reciprocity=min(uncorrected, reciprocity),
         raw=uncorrected < reciprocity,
     )
+
+
+def levels_of(water_V: Complex) -> Array:
+    """Return (208,) levels above 0 of a frame of water, in the order of their sizes whatever the offset.
+
+    Without an offset and noise, complex readings are on a line through 0. Levels are the places along that line, of
+    which few are far from the others.
+    """
+    apart = water_V - np.median(water_V.real) - 1j * np.median(water_V.imag)
+    along = (apart * np.exp(-0.5j * np.angle(np.sum(apart**2)))).real
+    along = along * np.sign(np.sum(along**3))
+    return np.asarray((along - along.min()) / np.ptp(along) + LOWEST_LEVEL)
 
 
 def best_model(waters_V: Sequence[Complex], models_V: Sequence[Array]) -> int:
