@@ -28,6 +28,7 @@ import importlib
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
+    from eitskin.acquisition.drivers.feed import Feed
     from eitskin.acquisition.transport import Transport
     from eitskin.errors import (
         BadReference,
@@ -89,6 +90,7 @@ __all__ = [
     "ControlError",
     "ControlServer",
     "EndpointError",
+    "Feed",
     "ForceTable",
     "Frame",
     "FrameError",
@@ -146,6 +148,7 @@ _HOMES: Final = {
     "CloudInUse": "eitskin.messaging.streams.measured",
     "Conditions": "eitskin.messaging.streams.measured",
     "ControlServer": "eitskin.messaging.control",
+    "Feed": "eitskin.acquisition.drivers.feed",
     "ForceTable": "eitskin.touches.force",
     "Frame": "eitskin.messaging.frame",
     "Pose": "eitskin.robot.pose",

@@ -157,6 +157,9 @@ LONGEST_BAD_S: Final = 60.0
 LOOK_NS: Final = 50_000_000
 """Without a usable frame for this long, the cause is examined."""
 
+WAKE_S: Final = 1e-6
+"""Of a look at the line without waiting."""
+
 MOST_EVENTS: Final = 8
 """Events that one frame tells at most if it is to tell those of a device's own words, too."""
 
@@ -186,6 +189,8 @@ class FrameSource:
         self._bad_s = FIRST_BAD_S
         self.payload = b""
         """Of the frame in hand."""
+        self.waits = True
+        """Whether it waits for frames; else it ends once none is left, as where a program feeds them."""
         self.on_withheld: Callable[[bytes, int], None] | None = None
         """Takes the payload of each frame that is not accepted, and when it was read."""
 
@@ -228,7 +233,7 @@ class FrameSource:
         device, pipeline = self._device, self._pipeline
         intake = pipeline.intake
         try:
-            self._start()
+            self.begin()
         except NotReady:
             if self._stopping:
                 return
@@ -267,6 +272,8 @@ class FrameSource:
                             self._fit_ns, self._withheld = now_ns, withheld
                         if self._stopping:
                             return
+                if not self.waits:
+                    return
                 if intake.generation_differs or read_ns - self._fit_ns >= LOOK_NS:
                     self._look_after(read_ns)
         finally:
@@ -274,7 +281,7 @@ class FrameSource:
 
     def _wait_s(self, until_ns: int | None) -> float:
         """Return how long to wait for bytes; 0 or less if the time is over."""
-        silence_s = self._device.silence_s
+        silence_s = self._device.silence_s if self.waits else WAKE_S
         return silence_s if until_ns is None else min(silence_s, (until_ns - time.perf_counter_ns()) * 1e-9)
 
     def _look_after(self, now_ns: int) -> None:
@@ -308,7 +315,7 @@ class FrameSource:
             self._pipeline.check_health()
         return [] if self._stopping else self._device.payloads(wait_s)  # what woke the moment's wait wakes no other
 
-    def _start(self) -> None:
+    def begin(self) -> None:
         """Start the stream with the first request for frames; earlier frames would only grow old."""
         if self._started:
             return

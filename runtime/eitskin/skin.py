@@ -7,7 +7,7 @@ picks them up between two frames.
 
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.acquisition.device import Device
+from eitskin.acquisition.drivers.driver import Driver, PolledDriver
+from eitskin.acquisition.drivers.feed import Feed, line_of
 from eitskin.acquisition.ports import open_line
 from eitskin.acquisition.serial_port import DEFAULT_BAUD
 from eitskin.acquisition.transport import Transport
@@ -34,6 +36,7 @@ from eitskin.pipeline.frame_pipeline import Pipeline, prediction_against
 from eitskin.pipeline.idle import IdleGate, IdleMode
 from eitskin.pipeline.latency_budget import in_ns
 from eitskin.reference import captured as references
+from eitskin.reference.builder import reference_of_scans
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference
 from eitskin.reference.plausible import check_prediction
 from eitskin.stream_source import status_of, with_streams
@@ -108,9 +111,11 @@ class Skin:
     """An open skin, read in this process; close it with ``close`` or as a context manager.
 
     Args:
-        port: A serial port's path, ``usb:SERIAL``, or an open :class:`eitskin.Transport`, which ``close`` closes too.
+        port: A serial port's path, ``usb:SERIAL``, ``NAME:REST`` of a driver, or an open :class:`eitskin.Transport`,
+            which ``close`` closes too; None with a source.
         bundle: A bundle, its path, or the name of a shipped one; None takes the shipped one that knows the touches.
-        reference: A reference, or its path; None if you will call :meth:`capture_reference`.
+        reference: A reference, its path, or (n, rows) or (rows,) V of the untouched sheet, of this device; None if you
+            will call :meth:`capture_reference`.
         budget_ms: Time limit in ms from read to publish; None for no limit.
         baud: Bits per second, for a real UART.
         solver: The most accurate solver to use: ``vd2t``, ``vd2t-int8``, ``vd2t-small`` or ``tikhonov``. None takes the
@@ -123,6 +128,8 @@ class Skin:
         skin: The skin's description, or the path of its file, which the bundle must fit; None takes the bundle's.
         touches: ``lower``, ``raise`` or ``both``: how touches change conductance. The bundle must know such touches.
             None takes the skin description's kind, or accepts any bundle.
+        source: In place of a port: a driver (:mod:`eitskin.acquisition.drivers.driver`), an :class:`eitskin.Feed`, or
+            an iterable of (rows,) volts.
 
     Raises:
         BundleError: The bundle cannot be used, or lacks the idle gate that ``idle_after_s`` needs.
@@ -136,10 +143,10 @@ class Skin:
 
     def __init__(
         self,
-        port: str | Transport,
+        port: str | Transport | None = None,
         *,
         bundle: Bundle | str | Path | None = None,
-        reference: Reference | str | Path | None = None,
+        reference: Reference | str | Path | npt.NDArray[np.floating] | None = None,
         budget_ms: float | None = None,
         baud: int = DEFAULT_BAUD,
         solver: str | None = None,
@@ -149,13 +156,21 @@ class Skin:
         compensate_drift: bool | None = None,
         skin: SkinChoice = None,
         touches: TouchKind | None = None,
+        source: Driver | PolledDriver | Iterable[npt.ArrayLike] | None = None,
     ) -> None:
+        if (port is None) == (source is None):
+            raise ValueError("expected either port or source")
         budget_ns = in_ns(budget_ms)
         self.bundle, self.description = bundle_and_skin(bundle, skin, touches)
-        loaded = references.taken(reference, self.description)
-        self.transport = open_line(port, baud) if isinstance(port, str) else port
+        measured = np.atleast_2d(reference) if isinstance(reference, np.ndarray) else None
+        loaded = None if isinstance(reference, np.ndarray) else references.taken(reference, self.description)
+        line = line_of(source) if port is None else open_line(port, baud) if isinstance(port, str) else port
+        self.transport: Transport = line
+        self._feed = source if isinstance(source, Feed) else None
         try:
             self.device = Device(self.transport, self.description)
+            if measured is not None:
+                loaded = reference_of_scans(measured, self.device.hello, self.description)
             if loaded is not None:
                 loaded.check(self.device.hello)
             idle = None if idle_after_s is None else IdleMode(idle_after_s)
@@ -282,6 +297,29 @@ class Skin:
         here = LastMessage(touches=touches)
         for _ in self.loop.run(here, None if timeout_s is None else time.perf_counter_ns() + int(timeout_s * 1e9)):
             yield unpack_frame(here.message, time.perf_counter_ns())
+
+    def feed(self, voltages: npt.ArrayLike, device_us: int | None = None) -> Frame | None:
+        """Take one scan of the program's own, and return its frame; None if it was withheld.
+
+        The skin was opened with ``source=eitskin.Feed(...)``; ``status()["withheld_by_reason"]`` counts the reasons.
+
+        Args:
+            voltages: (rows,) V, real or complex, in the order of the feed's table.
+            device_us: When it was made, in microseconds of the device's clock; None if unknown.
+
+        Raises:
+            BadReference: There is no reference yet.
+            ValueError: The skin has another source, or the scan another number of rows.
+        """
+        if self._feed is None:
+            raise ValueError("this skin reads a device, expected Skin(source=eitskin.Feed(...)) for feed()")
+        self.loop.source.waits = False
+        self.loop.source.begin()
+        self._feed.put(voltages, device_us)
+        here, found = LastMessage(touches=True), None
+        for _ in self.loop.run(here):
+            found = unpack_frame(here.message, time.perf_counter_ns())
+        return found
 
     def publish(self, taker: Taker, until_ns: int | None = None) -> Generator[FrameRecord, None, None]:
         """Hand every frame's message to a taker, and yield each frame's record after that; the next overwrites it.

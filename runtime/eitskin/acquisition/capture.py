@@ -100,7 +100,8 @@ def _collect(device: Device, builder: ReferenceBuilder, table: RowTable, end_s: 
             builder.leave_out(unfit)
         elif builder.add(normaliser.voltages()):
             return
-    raise BadReference(
-        f"only {builder.taken} of {builder.frames} frames for the reference were whole and not saturated; check the "
-        "current and the gain of the configuration with 'eitskin flash'"
-    )
+    few = f"only {builder.taken} of {builder.frames} frames for the reference were whole and not saturated"
+    if isinstance(device.hello, DriverHello):
+        trouble = getattr(device.transport, "trouble", "")
+        raise BadReference(f"{few}{f' ({trouble})' if trouble else ''}; check the options of {device.transport.name}")
+    raise BadReference(f"{few}; check the current and the gain of the configuration with 'eitskin flash'")

@@ -24,6 +24,7 @@ from eitskin.acquisition.ports import serial_ports
 from eitskin.acquisition.serial_port import DEFAULT_BAUD
 from eitskin.acquisition.transport import USB_PREFIX, Transport
 from eitskin.errors import PortLost, PortReturned, TransportError
+from eitskin_proto.wire.framing import MAX_PAYLOAD
 
 LOOK_S: Final = 0.05
 """How often a port that vanished is looked for; nothing can be waited on while it is gone."""
@@ -101,6 +102,11 @@ class HotPlug:
     def line_bytes_per_s(self) -> int:
         """Capacity of the line; 0 if no baud rate limits it, or while it is gone."""
         return 0 if self._line is None else self._line.line_bytes_per_s
+
+    @property
+    def largest_payload(self) -> int:
+        """Bytes of a payload; more than the wire's where a driver sends volts."""
+        return int(getattr(self._line, "largest_payload", MAX_PAYLOAD))
 
     def read(self, timeout_s: float | None = None) -> bytes:
         """Return what has arrived, waiting for the first byte; nothing after the timeout or ``cancel``.

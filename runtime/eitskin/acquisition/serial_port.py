@@ -76,6 +76,10 @@ class SerialPort:
         """Return the settings of the line, for people, a line each."""
         return [f"port {self.name}: open, exclusive", self._low_latency]
 
+    def fileno(self) -> int:
+        """Return the descriptor, for waiting on several lines at once."""
+        return self._fd
+
     def read(self, timeout_s: float | None = None) -> bytes:
         """Return what has arrived, waiting for the first byte; see :class:`eitskin.acquisition.transport.Transport`."""
         try:

@@ -16,7 +16,7 @@ from eitskin.reference.scanned import ReferenceScan
 from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.wire.messages import Hello
-from eitskin_proto.wire.volts import step_of
+from eitskin_proto.wire.volts import step_of, table_of_hello
 
 MOST_UNFIT: Final = 200
 """Frames that are not fit, with few wanted: one second at 200 frames/s."""
@@ -124,3 +124,32 @@ class ReferenceBuilder:
         judgement = judge(found, self._movement.relative(looked_at), against, same)
         accept(judgement, force=force)
         return replace(found, judgement=judgement)
+
+
+def reference_of_scans(
+    voltages: npt.NDArray[np.floating], hello: Hello, skin: Skin = PAPER, table: RowTable | None = None
+) -> Reference:
+    """Return the reference of scans that were made already, without a check.
+
+    Args:
+        voltages: (n, rows) V of the untouched sheet; complex ones as amounts.
+        hello: Of the device.
+        skin: The skin of the reference.
+        table: Their rows; None for the device's.
+
+    Raises:
+        BadReference: They are no reference.
+        ValueError: They have another number of rows, or values that are not finite.
+    """
+    table = table_of_hello(hello) if table is None else table
+    found = np.abs(voltages) if np.iscomplexobj(voltages) else np.asarray(voltages, dtype=np.float64)
+    if found.ndim != 2 or not len(found) or found.shape[1] != table.rows or not np.isfinite(found).all():
+        raise ValueError(f"reference has shape {found.shape}, expected (n, {table.rows}) finite volts")
+    mean = found.mean(axis=0)
+    if not float(np.abs(mean).max()) >= SMALLEST_V:
+        raise BadReference(f"the reference is under {SMALLEST_V:g} V in every row: check that electrodes are connected")
+    spread = found.std(axis=0, ddof=1) if len(found) > 1 else np.zeros(table.rows)
+    return Reference(
+        mean, spread, len(found), hello.serial_number, hello.configuration_digest, hello.configuration_name,
+        time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), grid_id=skin.grid_id, skin_digest=skin.digest, table=table,
+    )  # fmt: skip

@@ -5,6 +5,7 @@ import json
 import sys
 from typing import Any
 
+from eitskin.acquisition.drivers.driver import driver_name
 from eitskin.acquisition.ports import open_line
 from eitskin.acquisition.serial_port import DEFAULT_BAUD
 from eitskin.acquisition.transport import Transport
@@ -46,6 +47,9 @@ def run(arguments: argparse.Namespace) -> int:
             configuration.check()
             return _print(arguments, {"action": "write", "dry_run": True, **_describe(configuration)})
         raise UsageError(f"flash {arguments.action} needs --port; 'eitskin doctor' lists the ports")
+
+    if name := driver_name(arguments.port):
+        raise UsageError(f"{arguments.port} is a device of the driver {name}, which is not flashed; set its options")
 
     def opened() -> Transport:
         return open_line(arguments.port, arguments.baud)
