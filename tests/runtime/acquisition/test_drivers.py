@@ -175,9 +175,9 @@ def test_an_iterable_ends_with_its_last_scan(tiny):
 
     go, counted = threading.Semaphore(2), []
     reference = np.array([own_rows(at_rest(number)) for number in range(100, 140)])
-    with eitskin.Skin(source=stream(), bundle=tiny, reference=reference) as skin:
-        with pytest.raises(eitskin.PortLost, match="iterable ended: it has no more scans"):
-            count(skin)
+    ended = pytest.raises(eitskin.PortLost, match="iterable ended: it has no more scans")
+    with eitskin.Skin(source=stream(), bundle=tiny, reference=reference) as skin, ended:
+        count(skin)
     assert counted[-1] >= 38  # the newest of those that waited is the first
 
 

@@ -43,7 +43,7 @@ class WireFrame:
     """One intact FRAME from the wire, and its processing.
 
     Attributes:
-        payload: The packet's payload (SPEC.md, section 4), with a correct checksum; of a driver, VOLTS (section 8).
+        payload: The packet's payload (SPEC.md, section 4), with a correct checksum; of a driver, VOLTS (section 10).
         seq: Unwrapped ``sequence``; None if the payload is malformed.
         read_ns: ``perf_counter_ns`` of the runtime's machine after it read the last byte.
         n: Number of this message in its stream; a gap means that this side missed messages.
