@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 from tests.second_skin import SECOND
 
+from eitskin_proto.sensor.table import RECIPROCAL_IN_FULL, ROW_IN_FULL
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import harness
@@ -19,6 +21,7 @@ from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_tools import cli
 from eitskin_tools.evaluation import measured as measuring
+from eitskin_tools.evaluation.measured_file import MeasuredFileError, load_measured
 
 MESH_MM = 3.0
 BENT = Bend(angle_deg=60, stretch_along=1.05)
@@ -134,7 +137,7 @@ NAN = np.full((5, 104), np.nan)
     ("change", "said"),
     [
         ({"voltages_V": np.ones((5, 103))}, "(5, 103), expected (n, 104)"),
-        ({"voltages_V": np.ones((5, 208))}, "ROW_IN_FULL"),
+        ({"voltages_V": np.ones((5, 207))}, "(5, 207), expected (n, 104)"),
         ({"voltages_V": NAN}, "voltages_V[0, 0] is nan"),
         ({"voltages_V": None}, "lacks voltages_V"),
         ({"reference_V": np.zeros(104)}, "zeros"),
@@ -158,6 +161,35 @@ def test_whatever_is_wrong_is_one_line(tmp_path, arrays, capsys, change, said):
     assert line.count("\n") == 1
     assert said in line
     assert line.startswith("eitskin evaluate: ")
+
+
+def test_rows_of_a_full_scan_are_averaged_with_their_reciprocals(tmp_path, arrays):
+    full = np.zeros((5, 208))
+    full[:, ROW_IN_FULL], full[:, RECIPROCAL_IN_FULL] = 1.1 * arrays["voltages_V"], 0.9 * arrays["voltages_V"]
+    found = load_measured(written(tmp_path, {**arrays, "voltages_V": full}))
+    np.testing.assert_allclose(found.voltages_V, arrays["voltages_V"], rtol=1e-12)
+
+
+def test_matlab_and_text_hold_the_same_samples(tmp_path, arrays):
+    savemat(
+        tmp_path / "m.mat", {**arrays, "reference_V": arrays["reference_V"][None], "kind": arrays["kind"].astype("O")}
+    )
+    found = load_measured(tmp_path / "m.mat")
+    assert found.kinds == tuple(arrays["kind"])
+    assert found.touch_kind == "raise"
+    np.testing.assert_array_equal(found.truth, arrays["truth"])
+    np.testing.assert_array_equal(found.cloud_index, arrays["cloud_index"])
+    lines = [",".join(map(repr, row.tolist())) for row in (arrays["reference_V"], *arrays["voltages_V"])]
+    (tmp_path / "m.csv").write_text("\ufeff" + "\n".join([",".join(f"V{k}" for k in range(104)), *lines, ""]))
+    text = load_measured(tmp_path / "m.csv")
+    np.testing.assert_array_equal(text.voltages_V, arrays["voltages_V"])
+    np.testing.assert_array_equal(text.reference_V, found.reference_V)
+    (tmp_path / "m.csv").write_text("1,2\n3,x\n")
+    with pytest.raises(MeasuredFileError, match=r"line 2 holds '3,x', expected numbers"):
+        load_measured(tmp_path / "m.csv")
+    (tmp_path / "m.mat").write_bytes(b"nonsense")
+    with pytest.raises(MeasuredFileError, match="no file of MATLAB up to version 7"):
+        load_measured(tmp_path / "m.mat")
 
 
 @pytest.mark.parametrize("what", ["none", "folder", "text", "pickled", "objects", "cut"])

@@ -12,14 +12,17 @@
                   touch_kind text              "lower" or "raise": which way touches change conductance (optional)
                   protocol_id, grid_id, skin_digest text   checked against this release and its sheet (optional)
 
-A recording, ``FILE.mcap``, is read too: its first reference, its frames that were published with that, its clouds.
+A recording, ``FILE.mcap``, is read too: its first reference, its frames that were published with that, its clouds. So
+are the same arrays in a ``.mat`` file of MATLAB, and a ``.csv`` file of numbers alone: a line a sample, the first of
+them the reference.
 
-Rows are those of :data:`eitskin_proto.sensor.table.TABLE`. Other arrays are left alone and named in the report.
+Rows are those of :data:`eitskin_proto.sensor.table.TABLE`; of 208 the reciprocals are averaged. Other arrays are left
+alone and named in the report.
 """
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -27,8 +30,9 @@ import numpy.typing as npt
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.arrays import Array, Arrays, numbers, read_npz, text
 from eitskin_proto.files.plain import quoted
+from eitskin_proto.files.reading import opened
 from eitskin_proto.sensor.normalise import weak_rows
-from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
+from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL
 from eitskin_proto.skin.cloud import align_cloud, check_cloud
 from eitskin_proto.skin.made_for import check_arrays_made_for
 from eitskin_proto.skin.skin import PAPER, Skin
@@ -97,9 +101,11 @@ def load_measured(path: str | Path, skin: Skin = PAPER) -> Measured:
         FileError: It is no intact file of plain arrays.
         OSError: It cannot be read.
     """
-    ending = ""
-    if Path(path).suffix == ".mcap":
+    ending, suffix = "", Path(path).suffix.lower()
+    if suffix == ".mcap":
         arrays, ending = _of_recording(path)
+    elif suffix in (".mat", ".csv", ".txt"):
+        arrays = _of_matlab(path) if suffix == ".mat" else _of_text(path)
     else:
         arrays = read_npz(path, LARGEST_FILE)
     try:
@@ -123,6 +129,56 @@ def _of_recording(path: str | Path) -> tuple[Arrays, str]:
     script = Script(path)
     arrays, later = measured_arrays(script)
     return arrays, script.ending + (f"; {later} frames with a later reference are left out" if later else "")
+
+
+def _of_matlab(path: str | Path) -> Arrays:
+    """Return the arrays of a file of MATLAB; texts as such, and row vectors without their first dimension.
+
+    Raises:
+        MeasuredFileError: It is none of version 7 or older.
+    """
+    from scipy.io import loadmat
+
+    with opened(path, LARGEST_FILE) as stream:
+        try:
+            found = loadmat(cast("Any", stream))
+        except Exception as error:  # scipy's readers raise whatever a damaged file leads them to
+            raise MeasuredFileError(f"{path}: no file of MATLAB up to version 7; save it with -v7") from error
+    arrays = {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
+    for name in ("reference_V", "cloud_index"):
+        if name in arrays:
+            arrays[name] = arrays[name].reshape(-1)
+    if "kind" in arrays:
+        arrays["kind"] = np.array([str(np.squeeze(one)).strip() for one in arrays["kind"].reshape(-1)])
+    if "touch_kind" in arrays:
+        arrays["touch_kind"] = np.array(str(np.squeeze(arrays["touch_kind"])))
+    return arrays
+
+
+def _of_text(path: str | Path) -> Arrays:
+    """Return the samples of a text file of numbers, behind a line of names or none.
+
+    Raises:
+        MeasuredFileError: A line is something else, or there are fewer than two.
+    """
+    with opened(path, LARGEST_FILE) as stream:
+        lines = [line for line in stream.read().decode("utf-8-sig", "replace").splitlines() if line.strip()]
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines, 1):
+        words = line.replace(";", ",").replace("\t", ",").split(",")
+        try:
+            rows.append([float(word) for word in words if word.strip()])
+        except ValueError:
+            if number == 1:
+                continue  # names of the columns
+            raise MeasuredFileError(f"{path}: line {number} holds {line[:40]!r}, expected numbers") from None
+    if len(rows) < 2 or len({len(row) for row in rows}) > 1:
+        lengths = sorted({len(row) for row in rows})
+        raise MeasuredFileError(
+            f"{path}: found {len(rows)} lines of {' or '.join(map(str, lengths)) or 'no'} numbers, expected 2 or more, "
+            f"each of {N_ROWS} or {N_FULL_ROWS} V, of which the first is the reference"
+        )
+    return {"reference_V": np.array(rows[0]), "voltages_V": np.array(rows[1:])}
 
 
 def _measured(arrays: Arrays, skin: Skin) -> Measured:
@@ -158,13 +214,11 @@ def _measured(arrays: Arrays, skin: Skin) -> Measured:
 
 
 def _voltages(arrays: Arrays, name: str, shape: tuple[int | None, ...]) -> Array:
-    """Return V in the order of the table; of a full scan, which rows to keep is said."""
+    """Return V in the order of the table; of a full scan, means of reciprocals."""
     found = arrays[name].shape
     if len(found) == len(shape) and found[-1] == N_FULL_ROWS:
-        raise ValueError(
-            f"{name} has shape {found}, expected {N_ROWS} rows; of {N_FULL_ROWS} rows keep "
-            "eitskin_proto.sensor.table.ROW_IN_FULL"
-        )
+        whole = numbers(arrays, name, (*shape[:-1], N_FULL_ROWS))
+        return np.asarray(0.5 * (whole[..., ROW_IN_FULL] + whole[..., RECIPROCAL_IN_FULL]))
     return numbers(arrays, name, shape)
 
 
