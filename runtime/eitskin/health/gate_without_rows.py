@@ -24,6 +24,7 @@ import numpy.typing as npt
 from eitskin.health.imputation import Consistency, Imputation, Rows
 from eitskin.model.gate import Gate
 from eitskin.model.small_products import product
+from eitskin_proto.sensor.noise_law import own_sd
 from eitskin_proto.sensor.row_gaussian import precision_of
 from eitskin_proto.sensor.table import N_ROWS
 
@@ -51,10 +52,13 @@ class GateWithoutRows:
         consistency: Of the bundle.
         gate: Of the bundle; its threshold is changed.
         sigma: (104,) relative standard deviation of a single frame's rows.
+        shared: (104, k) the part of it that rows share, of :mod:`eitskin_proto.sensor.noise_law`; None for none.
     """
 
-    def __init__(self, consistency: Consistency, gate: Gate, sigma: Array) -> None:
-        self._gate, self._sigma = gate, sigma
+    def __init__(self, consistency: Consistency, gate: Gate, sigma: Array, shared: Array | None = None) -> None:
+        self._gate, self._sigma, self._shared = gate, sigma, None
+        if shared is not None and shared.size:
+            self._sigma, self._shared = own_sd(sigma, shared), shared
         covariance = consistency.untouched_covariance
         self._mean, self._half = consistency.untouched_mean, np.linalg.cholesky(covariance)
         self._precision: Array = precision_of(covariance + np.diag(sigma**2))
@@ -78,7 +82,7 @@ class GateWithoutRows:
         self._gate.reset()
         self._logits = []
         self._rng = np.random.default_rng(SEED)
-        self.due = bool(rows.any() or (self._sigma > LEARNED_NOISE).any())
+        self.due = bool(rows.any() or (self._sigma > LEARNED_NOISE).any() or self._shared is not None)
 
     def fill(self, change: npt.NDArray[np.float32]) -> None:
         """Overwrite the missing rows of (104,) dV by an untouched sheet's."""
@@ -94,6 +98,8 @@ class GateWithoutRows:
             return
         logs = self._mean + product(self._rng.standard_normal((BLOCK, N_ROWS)), self._half.T)
         changes = np.expm1(logs) + self._sigma * self._rng.standard_normal(logs.shape)
+        if self._shared is not None:
+            changes += self._rng.standard_normal((BLOCK, self._shared.shape[1])) @ self._shared.T
         self._logits.append(self._gate.logits(self.filled(changes)))
         if len(self._logits) == BLOCKS:
             found = float(np.quantile(np.concatenate(self._logits), 1.0 - FALSE_ALARMS))

@@ -21,6 +21,7 @@ from eitskin.health.imputation import MISSING, UNPREDICTED, Consistency, without
 from eitskin.health.reciprocity import LARGEST_GAP, Reciprocity
 from eitskin.model.bundle import Bundle
 from eitskin.model.gate import Gate
+from eitskin_proto.sensor.normalise import inverse_reference
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
 
 BATCH_FRAMES: Final = 5
@@ -75,6 +76,7 @@ class Health:
         *,
         frames: int = 100,
         fresh: bool = False,
+        shared_V: npt.NDArray[np.float64] | None = None,
     ) -> None:
         """Compare frames with another reference from now on.
 
@@ -87,6 +89,7 @@ class Health:
             gate: The gate of the frames; its threshold depends on their rows.
             frames: Number of frames of which the reference is the mean.
             fresh: Whether it was captured just now.
+            shared_V: (104, k) V, the part of the spread that rows share; None for none.
         """
         by_hand = tuple(finding.electrode for finding in self.electrodes.findings if finding.state == "excluded")
         self.electrodes = ElectrodeWatch(self._consistency, reference_V, spread_V, by_hand)
@@ -95,7 +98,9 @@ class Health:
         self.gate_without_rows = None
         if gate is not None:
             before = gate.threshold
-            self.gate_without_rows = GateWithoutRows(self._consistency, gate, self.electrodes.sigma)
+            inverse = np.abs(inverse_reference(reference_V))
+            shared = None if shared_V is None else shared_V * inverse[:, None]
+            self.gate_without_rows = GateWithoutRows(self._consistency, gate, self.electrodes.sigma, shared)
             self.gate_without_rows.leave_out(self.electrodes.missing)
             if not known:
                 self.gate_without_rows.finish()

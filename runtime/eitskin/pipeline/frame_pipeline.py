@@ -353,7 +353,9 @@ class Pipeline:
         if self.health is not None:
             spread_V = with_rounding(flat.spread_V, step_V)
             gate = self.gate if isinstance(self.gate, RememberingGate) else None
-            self.health.use_reference(flat.voltages_V, spread_V, gate, frames=flat.frames, fresh=fresh)
+            self.health.use_reference(
+                flat.voltages_V, spread_V, gate, frames=flat.frames, fresh=fresh, shared_V=flat.shared_V
+            )
             self.maps.change_projection(self.health.projection)
         self.maps.compare_by(flat.voltages_V, flat.spread_V, flat.frames, step_V)
         self._prediction.use_reference(reference)

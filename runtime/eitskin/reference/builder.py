@@ -13,6 +13,7 @@ from eitskin.reference.front_end import RepeatedFrames
 from eitskin.reference.judged import ReferenceChecks, accept, judge
 from eitskin.reference.movement import Movement
 from eitskin.reference.scanned import ReferenceScan
+from eitskin_proto.sensor.noise_law import shared_noise
 from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.wire.messages import Hello
@@ -23,7 +24,7 @@ MOST_UNFIT: Final = 200
 
 
 class ReferenceBuilder:
-    """Makes a reference from frame after frame, by Welford's running mean; keeps one number of each.
+    """Makes a reference from frame after frame, by Welford's running mean and covariance.
 
     Args:
         frames: Number of frames, at least 2.
@@ -33,8 +34,8 @@ class ReferenceBuilder:
     """
 
     __slots__ = (
-        "_delta", "_mean", "_movement", "_product", "_sameness", "_scan", "_skin", "_squares", "_table", "_unfit",
-        "frames", "taken",
+        "_delta", "_mean", "_movement", "_outer", "_product", "_products", "_sameness", "_scan", "_skin", "_squares",
+        "_table", "_unfit", "frames", "taken",
     )  # fmt: skip
 
     def __init__(
@@ -48,6 +49,7 @@ class ReferenceBuilder:
         self._squares = np.zeros(table.rows)
         self._delta = np.zeros(table.rows)
         self._product = np.zeros(table.rows)
+        self._outer, self._products = np.zeros((2, table.rows, table.rows))
         self._unfit = 0
         self._movement = Movement(frames, table.rows)
         self._sameness = RepeatedFrames()
@@ -65,6 +67,8 @@ class ReferenceBuilder:
         np.divide(self._delta, self.taken, out=self._product)
         np.add(self._mean, self._product, out=self._mean)
         np.subtract(voltages, self._mean, out=self._product)
+        np.multiply.outer(self._product, self._delta, out=self._outer)
+        np.add(self._products, self._outer, out=self._products)
         np.multiply(self._product, self._delta, out=self._product)
         np.add(self._squares, self._product, out=self._squares)
         return self.taken >= self.frames
@@ -104,6 +108,7 @@ class ReferenceBuilder:
                 f"the reference is at most {largest:.3g} V in every row, expected at least {SMALLEST_V:g} V in one: "
                 "check that the electrodes are connected"
             )
+        shared_V = shared_noise(self._products / (self.taken - 1), self.taken)
         found = Reference(
             voltages_V=self._mean.copy(),
             spread_V=np.sqrt(self._squares / (self.taken - 1)),
@@ -116,6 +121,7 @@ class ReferenceBuilder:
             skin_digest=self._skin.digest,
             scan=self._scan,
             table=self._table,
+            shared_V=shared_V if shared_V.size else None,
         )
         against = checks or ReferenceChecks()
         looked_at = found.voltages_V if against.missing is None else np.where(against.missing, 0.0, found.voltages_V)

@@ -7,10 +7,11 @@ old reference or the new one, never half of one. ::
 
     {"format": "eitskin-reference", "version": 1, "protocol_id", "grid_id", "skin_digest", "serial_number",
      "configuration_digest", "configuration_name", "captured_utc", "frames", "voltages_V": [104], "spread_V": [104],
-     "table": {"name", "electrodes": [rows][4] or null},
+     "table": {"name", "electrodes": [rows][4] or null}, "shared_V": [k][rows],
      "scan": {"cloud_mm": [3][rows][columns], "predicted_V": [104], "predicted_flat_V": [104]}, "sha256"}
 
 ``table`` is there where a device measures other rows than the project's own (:mod:`eitskin_proto.sensor.row_table`).
+``shared_V`` is there where rows are noisy together (:mod:`eitskin_proto.sensor.noise_law`).
 ``scan`` is there where the sheet was scanned when the reference was taken (:mod:`eitskin.reference.scanned`); such a
 file has version 2, so that releases that would ignore the scan refuse it.
 
@@ -38,6 +39,7 @@ from eitskin_proto.files.plain import stated
 from eitskin_proto.files.reading import FileError, parse_json
 from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.sensor.noise_law import MAX_COMPONENTS
 from eitskin_proto.sensor.row_table import ADJACENT_104, MAX_ROWS, RowTable, numbered, row_map
 from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import PAPER, Skin
@@ -84,6 +86,8 @@ class Reference:
     """Scan of the sheet at capture; None if it was flat."""
     table: RowTable = ADJACENT_104
     """Its rows."""
+    shared_V: npt.NDArray[np.float64] | None = None
+    """(rows, k) V, components of a frame's noise that rows share, part of ``spread_V``; None where nobody measured."""
 
     def __repr__(self) -> str:
         return f"<Reference of {self.frames} frames of {self.serial_number}, captured {self.captured_utc}>"
@@ -93,7 +97,9 @@ class Reference:
         if self.scan is None:
             return self
         factor = self.scan.flattening()
-        return replace(self, voltages_V=self.voltages_V * factor, spread_V=self.spread_V * factor, scan=None)
+        shared = None if self.shared_V is None else self.shared_V * factor[:, None]
+        spread = self.spread_V * factor
+        return replace(self, voltages_V=self.voltages_V * factor, spread_V=spread, shared_V=shared, scan=None)
 
     @property
     def weak(self) -> npt.NDArray[np.intp]:
@@ -118,6 +124,9 @@ class Reference:
         weighed = int(weighed_rows(self.voltages_V, self.spread_V).sum())
         if weighed:
             lines.append(f"reference: {weighed} rows vary by more than {WEIGHED_SPREAD:.0%} and get less weight")
+        if self.shared_V is not None:
+            share = float(np.sum(self.shared_V**2) / np.sum(self.spread_V**2))
+            lines.append(f"reference: rows share {share:.0%} of their noise, in {self.shared_V.shape[1]} components")
         if not self.spread_V.any():
             lines.append("reference: all its frames are identical, so a front end that hangs goes unnoticed")
         if self.judgement is not None:
@@ -147,7 +156,12 @@ class Reference:
             return replace(self, table=table)
         voltages_V = np.zeros(table.rows)
         mapped.apply(self.voltages_V, voltages_V)
-        return replace(self, voltages_V=voltages_V, spread_V=mapped.spread(self.spread_V), table=table)
+        shared_V = None if self.shared_V is None else np.zeros((table.rows, self.shared_V.shape[1]))
+        if shared_V is not None and self.shared_V is not None:
+            for before, after in zip(self.shared_V.T, shared_V.T, strict=True):
+                mapped.apply(before, after)
+        spread_V = mapped.spread(self.spread_V)
+        return replace(self, voltages_V=voltages_V, spread_V=spread_V, shared_V=shared_V, table=table)
 
     def answer(self) -> dict[str, object]:
         """Return the fields of the answer to the control request ``reference``."""
@@ -213,6 +227,8 @@ def stored(reference: Reference) -> bytes:
         }  # fmt: skip
     if reference.scan is not None:
         content["scan"] = reference.scan.stored()
+    if reference.shared_V is not None:
+        content["shared_V"] = reference.shared_V.T.tolist()
     content["sha256"] = sha256_of_values(content)
     return (json.dumps(content, indent=1) + "\n").encode("ascii")
 
@@ -287,6 +303,7 @@ def parsed(raw: bytes, where: str, hint: str, skin: Skin | None = None) -> Refer
             voltages_V=np.array(fields.numbers("voltages_V", table.rows)),
             spread_V=np.array(fields.numbers("spread_V", table.rows)),
             table=table,
+            shared_V=_shared(content, table.rows),
             frames=fields.whole("frames", low=1, high=MOST_FRAMES),
             serial_number=fields.text("serial_number", least=0, longest=16),
             configuration_digest=int(fields.text("configuration_digest", longest=8), 16),
@@ -302,6 +319,21 @@ def parsed(raw: bytes, where: str, hint: str, skin: Skin | None = None) -> Refer
     if not float(np.abs(reference.voltages_V).max()) >= SMALLEST_V:
         raise BadReference(f"reference {where}: no row reaches {SMALLEST_V:g} V; {hint}")
     return reference
+
+
+def _shared(content: dict[str, Any], rows: int) -> npt.NDArray[np.float64] | None:
+    """Return (rows, k) V that rows' noise shares; None of a reference that does not say.
+
+    Raises:
+        TypeError: It is no table of numbers.
+        ValueError: The same, or of other rows.
+    """
+    if "shared_V" not in content:
+        return None
+    found = np.array(content["shared_V"], dtype=np.float64)
+    if found.ndim != 2 or found.shape[1] != rows or len(found) > MAX_COMPONENTS or not np.isfinite(found).all():
+        raise ValueError(f"shared_V of shape {found.shape}, expected at most {MAX_COMPONENTS} finite rows of {rows}")
+    return found.T
 
 
 def _table(content: dict[str, Any]) -> RowTable:

@@ -107,6 +107,16 @@ def test_noise_beyond_what_the_gate_learned_raises_its_threshold_and_less_does_n
     assert not GateWithoutRows(known, Gate(arrays), QUIET).due
 
 
+def test_noise_that_rows_share_raises_the_threshold_of_a_gate_that_takes_it_for_touches(distance):
+    known, gate, arrays = distance[0], Gate(distance[1]), distance[1]
+    shared = 0.05 * np.linalg.qr(np.random.default_rng(3).standard_normal((104, 3)))[0] * np.sqrt(104.0)
+    gate_without_rows = GateWithoutRows(known, gate, np.hypot(QUIET, np.linalg.norm(shared, axis=1)), shared)
+    gate_without_rows.finish()
+    assert gate.threshold > Gate(arrays).usual_threshold
+    plain = GateWithoutRows(known, Gate(arrays), QUIET, np.zeros((104, 0)))
+    assert not plain.due
+
+
 def test_noise_is_no_touch_to_matched_filters_and_their_threshold_stays(filters):
     known, arrays = filters
     gate, sigma = Gate(arrays), np.full(N_ROWS, 0.02)

@@ -42,6 +42,21 @@ def test_a_stored_reference_comes_back_bit_by_bit(captured, hello, tmp_path):
     found.check(hello)
 
 
+def test_noise_that_rows_share_is_stored_and_comes_back(frames, hello, tmp_path):
+    builder, rng = ReferenceBuilder(50), np.random.default_rng(2)
+    for volts in frames:
+        if builder.add(volts * (1.0 + 0.01 * rng.standard_normal())):
+            break
+    found = builder.finish(hello, force=True)
+    assert found.shared_V is not None
+    assert found.shared_V.shape == (104, 1)
+    assert np.allclose(np.abs(found.shared_V[:, 0]), 0.01 * np.abs(found.voltages_V), rtol=0.5)
+    references.save(found, tmp_path / "flat.json")
+    again = references.load(tmp_path / "flat.json")
+    assert np.array_equal(again.shared_V, found.shared_V)
+    assert any("rows share" in line for line in again.report())
+
+
 def test_a_reference_of_another_device_or_configuration_is_refused_with_the_command(captured, hello):
     with pytest.raises(MismatchError, match=r"serial_number: found TEST-1, expected OTHER; .*eitskin reference"):
         captured.check(replace(hello, serial_number="OTHER"))

@@ -11,19 +11,21 @@ which replaces the reference and shifts both inputs of a network.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.files.plain import plain
+from eitskin_proto.sensor.noise_law import noise_of, own_sd
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.harness import SOLVERS, Case, Reference, Sheet
 from eitskin_sim.evaluation.metrics import correlation, localisation_error_mm
 from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
 from eitskin_sim.surface.predict import flat_voltages, predict
-from eitskin_tools.evaluation.measured_file import Measured
+from eitskin_sim.verification.residual import Noise
+from eitskin_tools.evaluation.measured_file import UNTOUCHED, Measured
 from eitskin_tools.evaluation.printed import cell
 from eitskin_tools.evaluation.solvers import Progress, Request, bundle_on, judge_of, named
 
@@ -31,6 +33,10 @@ if TYPE_CHECKING:
     from eitskin_tools.evaluation.verified.solver import MapVerdict
 
 Array = npt.NDArray[np.float64]
+
+
+MIN_UNTOUCHED: Final = 8
+"""Untouched samples from which noise is taken; with fewer it is N2 of 50 dB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,15 +81,20 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
     bundle = bundle_on(request, "area", kind, skin)
     labels: Literal["units", "area"] = "units" if bundle is not None and bundle.labels == "units" else "area"
     path = None if bundle is None else bundle.path
-    solver = named(Request(request.name, reference, path, request.prediction), labels, skin, kind)
-    judge = judge_of(bundle)
     flat = _flat_reference(measured)
+    noise = measured_noise(measured, flat)
+    solver = named(Request(request.name, reference, path, request.prediction), labels, skin, kind, noise=noise)
+    judge = judge_of(bundle)
     sheets: dict[int, Sheet] = {}
     last = {int(scan): number for number, scan in enumerate(measured.cloud_index)}
+    untouched = np.array(measured.kinds) == UNTOUCHED
     scores = []
     for number, (volts, scan) in enumerate(zip(measured.voltages_V, measured.cloud_index.tolist(), strict=True)):
         if scan not in sheets:
             sheets[scan] = _sheet(measured, scan)
+            rest = measured.voltages_V[untouched & (measured.cloud_index == scan)]
+            if solver.verified is not None and len(rest) >= MIN_UNTOUCHED:
+                solver.verified.use_untouched(rest.mean(axis=0), len(rest))
         sheet = sheets[scan]
         held = sheet.predicted() * flat / flat_voltages(skin) if reference == "predicted" else flat
         case = Case(volts, held, flat, sheet, labels, lowering=kind == "lower")
@@ -107,6 +118,25 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
             kind: summary([one for one in scores if one.kind == kind]) for kind in dict.fromkeys(measured.kinds)
         },
     }
+
+
+def measured_noise(measured: Measured, flat_V: Array) -> Noise | None:
+    """Return the noise of dV that the untouched samples show, with what rows share; None of too few of one shape.
+
+    Args:
+        measured: The samples.
+        flat_V: (104,) V that they are compared with.
+    """
+    untouched = np.array(measured.kinds) == UNTOUCHED
+    apart = []
+    for scan in np.unique(measured.cloud_index[untouched]):
+        own = measured.voltages_V[untouched & (measured.cloud_index == scan)] / flat_V - 1.0
+        if len(own) > 1:
+            apart.append((own - own.mean(axis=0)) * np.sqrt(len(own) / (len(own) - 1.0)))
+    if sum(map(len, apart)) < MIN_UNTOUCHED:
+        return None
+    sd, shared = noise_of(np.concatenate(apart))
+    return Noise("measured", measured=own_sd(sd, shared), shared=shared if shared.size else None)
 
 
 def touches_of(measured: Measured) -> TouchKind:

@@ -40,6 +40,7 @@ from eitskin_sim.surface.predict import flat_voltages
 
 if TYPE_CHECKING:
     from eitskin.model.bundle import Bundle
+    from eitskin_sim.verification.residual import Noise
     from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork
 
 Prediction = Literal["scan", "none", "true"]
@@ -95,6 +96,7 @@ def named(
     skin: Skin = PAPER,
     touches: TouchKind = "raise",
     conditions: Conditions | None = None,
+    noise: "Noise | None" = None,
 ) -> Named:
     """Return the solver that a request means on phantoms with these labels.
 
@@ -104,6 +106,7 @@ def named(
         skin: Whose maps and clouds there are.
         touches: What touches the phantoms, see :func:`bundle_for`.
         conditions: The noise that a verifier assumes; None is N2 at 50 dB.
+        noise: Noise as measured, instead of that of the conditions.
 
     Raises:
         ValueError: The name is unknown, the network takes no such reference, or the bundle holds no such network.
@@ -116,7 +119,7 @@ def named(
     if request.name in SOLVERS:
         return Named(Run(SOLVERS[request.name], request.reference or "post"))
     if request.name == VERIFIED:
-        return _verified(request, labels, skin, touches, conditions or Conditions())
+        return _verified(request, labels, skin, touches, conditions or Conditions(), noise)
     if request.name not in NETWORKS:
         raise ValueError(f"solver {request.name!r} is unknown; expected one of {', '.join(NAMES)}")
     return _network(request, labels, skin, touches)
@@ -189,13 +192,15 @@ def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> N
     return Named(Run(solver, "pre"), loaded.id, prediction)
 
 
-def _verified(request: Request, labels: str, skin: Skin, touches: TouchKind, conditions: Conditions) -> Named:
+def _verified(
+    request: Request, labels: str, skin: Skin, touches: TouchKind, conditions: Conditions, noise: "Noise | None"
+) -> Named:
     from eitskin_sim.verification.residual import Noise
     from eitskin_tools.evaluation.verified.solver import VerifiedNetwork
 
     network = _network(replace(request, name="vd2t"), labels, skin, touches)
-    noise = Noise(conditions.noise, conditions.snr_db)
-    verified = VerifiedNetwork(network.run, noise, labels, touches, skin, at_rest=request.at_rest)
+    assumed = Noise(conditions.noise, conditions.snr_db) if noise is None else noise
+    verified = VerifiedNetwork(network.run, assumed, labels, touches, skin, at_rest=request.at_rest)
     return replace(network, run=verified.run, verified=verified)
 
 

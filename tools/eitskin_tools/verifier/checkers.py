@@ -48,7 +48,8 @@ class Checker:
         self._reference_V: Array = np.where(self._usable, reference_V, 0.0)
         self._surface = Surface(cloud_mm, skin.grid)
         touches: TouchKind = setup.touches  # type: ignore[assignment]  # of a bundle, which was checked
-        noise = noise_shown(reference_V, np.frombuffer(setup.spread_V, dtype="<f8"))
+        shared_V = np.frombuffer(setup.shared_V, dtype="<f8").reshape(len(reference_V), -1)
+        noise = noise_shown(reference_V, np.frombuffer(setup.spread_V, dtype="<f8"), shared_V)
         self._verifier = MapVerifier(self._reference_V, noise, setup.labels, touches, skin)
         self._verifier.shapes.deform(cloud_mm)
 

@@ -197,11 +197,13 @@ class VerifierFeed:
         given = None if pipeline.buffers.geometry is None else pipeline.buffers.geometry.given
         skin = pipeline.skin
         cloud = skin.grid.flat_cloud_mm() if given is None or given.cloud is None else given.cloud
+        shared_V = np.zeros(0) if flat.shared_V is None else flat.shared_V
         setup = Setup(
             bundle=pipeline.bundle.id, labels=pipeline.bundle.labels, touches=pipeline.bundle.touch_kind,
             skin=to_toml(skin), skin_digest=skin.digest, cloud=record.cloud,
             cloud_mm=np.asarray(cloud, dtype="<f4").tobytes(), reference_V=flat.voltages_V.astype("<f8").tobytes(),
             spread_V=np.hypot(flat.spread_V, step_V / math.sqrt(12.0)).astype("<f8").tobytes(), budget_s=self._budget_s,
+            shared_V=shared_V.astype("<f8").tobytes(),
         )  # fmt: skip
         self._setup += 1
         self._setup_packet = setup.packed(self._setup)

@@ -57,6 +57,8 @@ class Setup:
     """(104,) float64: standard deviation of a single frame."""
     budget_s: float
     """What a frame may take."""
+    shared_V: bytes = b""
+    """(104, k) float64: the part of the spread that rows share; empty for none."""
 
     def packed(self, number: int) -> bytes:
         """Return its packet."""

@@ -37,12 +37,14 @@ class Noise:
     Args:
         law: How it goes with the signal.
         snr_db: Its level, but for "measured".
-        measured: (rows,) standard deviation of dV, only for "measured".
+        measured: (rows,) standard deviation of dV, only for "measured"; that of each row alone where some is shared.
+        shared: (rows, k) components of dV's noise that rows share (:mod:`eitskin_proto.sensor.noise_law`).
     """
 
     law: Law = "N2"
     snr_db: float = 50.0
     measured: Array | None = None
+    shared: Array | None = None
 
     def __post_init__(self) -> None:
         """Check the law."""
@@ -60,7 +62,8 @@ class Noise:
         if frames < 1:
             raise ValueError(f"{frames} frames: a mean is of 1 at least")
         if self.measured is not None:
-            return Noise("measured", measured=self.measured / np.sqrt(frames))
+            shared = None if self.shared is None else self.shared / np.sqrt(frames)
+            return Noise("measured", measured=self.measured / np.sqrt(frames), shared=shared)
         return Noise(self.law, self.snr_db + 10.0 * float(np.log10(frames)))
 
     def sd(self, change: Array, reference: Array) -> Array:

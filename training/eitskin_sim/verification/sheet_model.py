@@ -98,6 +98,8 @@ class SheetModel:
             floor_factor: Factor of each row's error over the mesh's error.
         """
         columns, sd = self._columns() * self.ratio(change)[:, None], noise.sd(change, reference)
+        if noise.shared is not None:
+            columns = np.hstack([columns, noise.shared])
         floor = c.MESH_ERROR * floor_factor * (1.0 if self.rest is None else self.rest.scale)
         return Whitener(sd if own is None else np.hypot(sd, own), columns, 1.0 + change, rows, floor)
 
@@ -121,7 +123,7 @@ class SheetModel:
         if misfit:
             factor = float(np.sqrt(1.0 + c.ROW_ERROR_PER_MISFIT**2 * misfit))
             white = self.whitener(change, reference, noise, rows, floor_factor=factor)
-        return white.amplitudes(residual)[0]
+        return white.amplitudes(residual)[0][: self._columns().shape[1]]
 
     def _columns(self) -> Array:
         """Return the (104, m) dV that may differ, of one standard deviation each, on the untouched sheet."""
@@ -196,7 +198,10 @@ class SheetModel:
                 break
             model = other
         columns, floor = model._columns() * ratio[:, None], c.MESH_ERROR * (1.0 + change)
-        rest = at_rest(change, beside, expected, columns, floor, noise.sd(change, reference))
+        sd = noise.sd(change, reference)
+        if noise.shared is not None:
+            sd = np.hypot(sd, np.linalg.norm(noise.shared, axis=1))
+        rest = at_rest(change, beside, expected, columns, floor, sd)
         return replace(model, rest=rest) if rest.scale <= c.MAX_EXCESS_AT_REST else None
 
     @property

@@ -131,6 +131,6 @@ class VerifiedSolver:
         """Return the solver of a reference's frames."""
         bundle, step_V = self._bundle, self._script.hello.volts_per_count
         spread_V = np.hypot(reference.spread_V, step_V / math.sqrt(12.0))
-        noise = noise_shown(reference.voltages_V, spread_V)
+        noise = noise_shown(reference.voltages_V, spread_V, reference.shared_V)
         network = Run(lambda case: self._image, "pre")
         return VerifiedNetwork(network, noise, bundle.labels, bundle.touch_kind, bundle.skin)

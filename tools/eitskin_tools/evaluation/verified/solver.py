@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.touches.moments import TouchFinder
+from eitskin_proto.sensor.noise_law import own_sd
 from eitskin_proto.sensor.normalise import inverse_reference
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
@@ -226,16 +227,20 @@ def untouched_mean(case: Case, noise: Noise, frames: int) -> Array:
     return np.asarray(add_noise(every, case.flat_reference, noise.law, noise.snr_db, rng).mean(axis=0))
 
 
-def noise_shown(reference_V: Array, spread_V: Array) -> Noise:
+def noise_shown(reference_V: Array, spread_V: Array, shared_V: Array | None = None) -> Noise:
     """Return the noise of a frame, as a reference's frames showed it.
 
     Args:
         reference_V: (rows,) V.
         spread_V: (rows,) V, standard deviation of a single frame.
+        shared_V: (rows, k) V, the part of it that rows share; None for none.
     """
     inverse = inverse_reference(reference_V)
-    sd = np.clip(spread_V * np.abs(inverse), *SPREADS)
-    return Noise("measured", measured=np.where(inverse != 0.0, sd, SPREADS[1]))
+    if shared_V is None or not shared_V.size:
+        sd = np.clip(spread_V * np.abs(inverse), *SPREADS)
+        return Noise("measured", measured=np.where(inverse != 0.0, sd, SPREADS[1]))
+    sd = np.maximum(own_sd(spread_V, shared_V) * np.abs(inverse), SPREADS[0])
+    return Noise("measured", measured=np.where(inverse != 0.0, sd, SPREADS[1]), shared=shared_V * inverse[:, None])
 
 
 def add_verdicts(found: dict[str, Any], results: Results, checked: dict[int, list[MapVerdict]]) -> None:
