@@ -1,7 +1,7 @@
 # make demo    a virtual skin, the runtime and a subscriber, drawn live (installs no torch)
-# make test    lint, types, Python and C tests; under ten minutes on two cores
-# make test-quick | test-all    without processes and heavy sums, under a minute; with all that is slow
-# make check   the same
+# make test    lint, Python and C tests; four minutes on two cores
+# make test-quick | test-all    without processes and heavy sums, under a minute; with mypy and all that is slow
+# make check   the same, and mypy
 # make coverage                            the lines of each file that the Python tests of `make test` run
 # make docs    the documentation as HTML in .build/docs; a warning is an error
 # make release-check                       the sdist and the wheel, as an index and a bare environment take them
@@ -18,8 +18,8 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet --retries 10 --timeout 60
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --dist loadfile --durations 10
 
-# One more than there are cores: many tests wait for the processes that they have started.
-export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell echo $$(($$(nproc) + 1)))
+# Twice as many as there are cores: many tests wait for the processes that they have started.
+export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell echo $$((2 * $$(nproc))))
 
 # Keep bytecode even where the environment forbids it: a worker then collects the tests in 10 s of CPU, not in 22.
 export PYTHONDONTWRITEBYTECODE :=
@@ -72,17 +72,22 @@ docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html -d .build/doctrees docs .build/docs
 	@echo "open .build/docs/index.html"
 
-test: check
+# Side by side: many tests wait for the processes that they have started.
+test: $(VENV)/.dev system-packages
+	@$(MAKE) --no-print-directory --jobs --output-sync=line lint unit firmware-test
 
-# The rest: what `make test` leaves out, so that both together are everything.
-test-rest: release-check slow wheel-test-others wheel-test-lowest wheel-test-newest docs
+# The rest: what `make test` leaves out, so that both together are everything. All that pip installs comes first.
+# Types and documents take one core for two minutes while slow tests wait.
+test-rest: $(VENV)/.slow $(VENV)/.docs release-check
+	@$(MAKE) --no-print-directory --jobs --output-sync=line types slow docs
+	@$(MAKE) --no-print-directory wheel-test-others wheel-test-lowest wheel-test-newest
 
 test-all: test test-rest
 
 test-quick: $(VENV)/.dev
 	$(PYTEST) -m "not slow and not process and not heavy"
 
-# Side by side: mypy takes one core for a minute while many tests wait for the processes that they have started.
+# A first mypy takes a core for more than a minute, so `make test` leaves it to the rest.
 check: $(VENV)/.dev system-packages
 	@$(MAKE) --no-print-directory --jobs --output-sync=line lint types unit firmware-test
 

@@ -45,6 +45,7 @@ def exported(run: Path, data: TrainingData, tmp_path_factory: pytest.TempPathFac
     )
 
 
+@pytest.mark.slow
 def test_the_bundle_is_what_the_runtime_reads(exported: tuple[Path, dict[str, Any]]) -> None:
     path, result = exported
     loaded = load_bundle(path)
@@ -118,6 +119,7 @@ def test_a_projection_of_another_shape_or_with_holes_is_refused() -> None:
         bundle.projection_bytes(np.full((1350, 104), np.nan), PAPER.grid)
 
 
+@pytest.mark.slow
 def test_a_card_grows_without_touching_the_graphs(exported: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     path, result = exported
     copy = tmp_path / "copy.eitskin"
@@ -129,6 +131,7 @@ def test_a_card_grows_without_touching_the_graphs(exported: tuple[Path, dict[str
     assert after.manifest["metrics"] == {**before.manifest["metrics"], "phantoms": {"one": 1.0}}
 
 
+@pytest.mark.slow
 def test_a_changed_bundle_is_not_amended(exported: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     files, facts, skin = bundle.read(exported[0])
     broken = tmp_path / "broken.eitskin"

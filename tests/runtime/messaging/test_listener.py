@@ -130,14 +130,13 @@ def test_300_held_connections_at_256_files_end_nobody(tmp_path):
         good.subscribe(EVERY_FRAME)
         good.connect(f"ipc://{tmp_path}/f")
         assert good.poll(60_000)
-        held, end = 0, time.perf_counter() + 3.0
-        while held < 300 and time.perf_counter() < end:  # where too many wait already, nobody else gets in
+        held, end = 0, time.perf_counter() + 1.0
+        while held < 300 and (held <= 100 or time.perf_counter() < end):  # where too many wait, nobody else gets in
             if (one := connect(tmp_path / "f")) is not None:
                 stack.enter_context(one)
                 held += 1
-        assert held > 100
         numbers = []
-        while len(numbers) < 1000:
+        while len(numbers) < 200:
             assert good.poll(60_000)
             numbers.append(int.from_bytes(good.recv()[2:6], "big"))
         assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))

@@ -113,6 +113,7 @@ def test_a_folder_with_something_else_in_it_is_left_alone(copy: Path, tmp_path: 
     assert [path.name for path in strange.iterdir()] == ["dear.txt"]
 
 
+@pytest.mark.slow  # it is made once more
 def test_a_folder_whose_first_file_was_cut_off_by_force_is_begun_again(copy: Path) -> None:
     made = {path.name: path.read_bytes() for path in copy.iterdir()}
     for path in copy.iterdir():

@@ -69,7 +69,7 @@ def test_a_free_set_of_both_ways_keeps_contrast_border_and_shape_and_labels_outl
     assert data.labels(np.array([single]))[0].sum() * (10 / 3) ** 2 == pytest.approx(
         sum(shape.area_mm2 for touch in touches for shape in touch.shapes), rel=2e-3
     )
-    scene = Scene(bend=data.bends[0], touches=touches, element_size_mm=2.0)
+    scene = Scene(bend=data.bends[0], touches=touches, element_size_mm=3.0)
     exact = solve_scene(scene).voltages / solve_scene(scene.untouched()).voltages - 1.0
     found = data.voltages_V[single] / data.untouched_V[0] - 1.0
     assert np.linalg.norm(found - exact) < 0.06 * np.linalg.norm(exact)

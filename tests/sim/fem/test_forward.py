@@ -44,7 +44,7 @@ def test_every_drive_puts_one_ampere_in_one_electrode_and_out_of_the_next(contac
     np.testing.assert_allclose(found, np.eye(16) - np.roll(np.eye(16), 1, axis=0), atol=1e-8)
 
 
-@pytest.mark.parametrize("contact", ["patch", "edge"])
+@pytest.mark.parametrize("contact", ["patch", pytest.param("edge", marks=pytest.mark.slow)])
 def test_voltages_converge_and_meet_their_target(contact: str) -> None:
     scene = Scene(electrodes=Electrodes(contact))
     sizes = (6.0, 3.0, 1.5)

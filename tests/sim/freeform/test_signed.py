@@ -108,7 +108,7 @@ def test_every_sign_border_and_shape_is_near_a_scene_on_a_mesh_of_its_own(
 
 @cache
 def scene_voltages(touches: tuple[Touch, ...]) -> np.ndarray:
-    return solve_scene(Scene(bend=BEND, touches=touches, element_size_mm=2.0)).voltages
+    return solve_scene(Scene(bend=BEND, touches=touches, element_size_mm=3.0)).voltages
 
 
 def test_a_border_that_narrows_becomes_the_sharp_one(sheet: InvertedSheet) -> None:

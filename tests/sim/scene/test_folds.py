@@ -32,12 +32,12 @@ def test_no_sheet_that_runs_ahead_meets_itself() -> None:
     generator = np.random.default_rng(3)
     bends = [
         replace(bend, angle_deg=bend.angle_deg * turns, twist_deg=bend.twist_deg * twists)
-        for bend in draw("A", 40, 11)
+        for bend in draw("A", 20, 11)
         for turns, twists in [generator.uniform(1.0, (4.0, 9.0))]
     ]
     found = np.array([(runs_ahead(bend), meets_itself(bend)) for bend in bends])
     assert not found.all(axis=1).any()
-    assert found.sum(axis=0).min() >= 4  # both kinds are there
+    assert found.sum(axis=0).min() >= 2  # both kinds are there
 
 
 TIGHT = Bend(angle_deg=359.0, skew=1.0)

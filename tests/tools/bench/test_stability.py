@@ -64,7 +64,7 @@ def test_what_the_stream_shows_is_what_the_pipeline_publishes(sheet):
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("labels", ["units", "area"])
+@pytest.mark.parametrize("labels", ["units", pytest.param("area", marks=pytest.mark.slow)])
 def test_a_frame_gives_the_same_map_again(sheet, labels):
     rows = repeat_rows(load_bundle(default_path(labels)), [sheet])
     again = [row for row in rows if "run to run" in row["sweep"]]

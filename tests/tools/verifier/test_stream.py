@@ -150,6 +150,7 @@ def test_a_verifier_that_dies_is_started_again_and_the_stream_goes_on(streaming)
         assert stream.skin.status()["verifier"]["restarts"] >= 1
 
 
+@pytest.mark.slow  # it computes for two seconds, and another comes
 def test_a_computation_that_hangs_is_said_and_ended_and_the_stream_goes_on(streaming):
     with streaming(touches=MOVING) as stream, stream.subscribed() as verdicts:
         first(verdicts, lambda one: one.verified)
