@@ -1,6 +1,6 @@
 """Scans that this program has itself: put in one at a time, taken from an iterable, or measured on request.
 
-:class:`Feed` is a driver without a device. Whoever has voltages puts them in; an eventfd wakes the frame loop. A thread
+:class:`Feed` is a driver without a device. A program puts its voltages in; an eventfd wakes the frame loop. A thread
 of :class:`Pump` does so for an iterable, or for a driver whose ``measure`` blocks.
 """
 
