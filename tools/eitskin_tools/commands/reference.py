@@ -19,7 +19,7 @@ from eitskin_tools.errors import UsageError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--port", help="capture: serial port (or usb:SERIAL) of the skin, flat and untouched")
+    what.add_argument("--port", help="capture: port of the skin, flat and untouched, as for run")
     what.add_argument("--show", type=Path, metavar="FILE", help="show a captured reference")
     parser.add_argument("--out", type=Path, metavar="FILE", help="capture: file to write")
     parser.add_argument("--frames", type=int, default=100, metavar="N", help="capture: number of frames (default 100)")

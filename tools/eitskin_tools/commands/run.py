@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: Parser) -> None:
     """Declare the options."""
-    parser.add_argument("--port", help="serial port of the skin, or usb:SERIAL")
+    parser.add_argument("--port", help="serial port of the skin, usb:SERIAL, or NAME:REST of a driver")
     parser.add_argument("--config", type=Path, metavar="FILE.toml", help="run all skins that a robot.toml lists")
     options.add_touches(parser, "those of --skin, else raise", "touches to expect")
     options.add_bundle(parser, "to use (default: the shipped one for these touches)")
