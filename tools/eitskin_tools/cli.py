@@ -80,6 +80,7 @@ COMMANDS: Final[dict[str, Command]] = {
     "calibrate": Command(
         SHEET, "estimate the properties of your sheet from its own readings", "calibrate session.npz --out skin.toml"
     ),
+    "teach": Command(SHEET, "learn touches from presses at known places", "teach presses.npz --out mine.eitskin"),
     "build": Command(SHEET, "make a bundle for a sheet", "build skin.toml --out mine.eitskin"),
     "adapt-skin": Command(
         SHEET, "train a bundle further on a calibrated sheet", "adapt-skin press --skin skin.toml --out mine.eitskin"

@@ -169,7 +169,7 @@ class TaughtField:
         """Return whether the sheet is touched, by ``change`` and the frames before it."""
         self._read()
         self._average()
-        self.logit = self._judge(self._mean)
+        self.logit = self.judge(self._mean)
         size = float(self._mean.dot(self._mean))
         if self.logit > self.threshold:
             self._held = 0
@@ -189,7 +189,7 @@ class TaughtField:
         self._baseline[:] = 0.0
         self._read()
         self._mean[:] = self._raw
-        self.logit = self._judge(self._mean)
+        self.logit = self.judge(self._mean)
         return self.logit
 
     def fill_map(self, out: npt.NDArray[np.float32]) -> None:
@@ -213,10 +213,10 @@ class TaughtField:
             found.append(self._subtract(len(found), logit))
             for number in [*range(len(found))] * (ROUNDS if len(found) > 1 else 0):
                 np.add(self._rest, self._found[number], out=self._rest)
-                found[number] = self._subtract(number, self._judge(self._rest))
-            logit = self._judge(self._rest)
+                found[number] = self._subtract(number, self.judge(self._rest))
+            logit = self.judge(self._rest)
         if found:
-            self._judge(self._mean)  # the map is that of the whole frame
+            self.judge(self._mean)  # the map is that of the whole frame
         return found
 
     def strongest(self) -> TaughtTouch:
@@ -259,7 +259,7 @@ class TaughtField:
         np.subtract(self._mean, self._step, out=self._mean)
         self._held = 0
 
-    def _judge(self, z: npt.NDArray[np.float32]) -> float:
+    def judge(self, z: npt.NDArray[np.float32]) -> float:
         """Fill the likelihood of a touch at each place, and return the log of its mean over that of none.
 
         Args:

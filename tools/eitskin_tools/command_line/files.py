@@ -48,6 +48,7 @@ CONFIGURATION: Final = Kind("a configuration as TOML", "eitskin_proto.configurat
 POINTS: Final = Kind("measured points of the surface, as .ply, .pcd, .xyz or .npy", "eitskin_tools.scenes", ".ply")
 RECORDING: Final = Kind("recorded frames as .npy, (n, 104) V, or a .mcap of 'eitskin record'")
 MEASURED: Final = Kind("measured samples as .npz, .mat or .csv, see docs/evaluation.md, or a .mcap of 'eitskin record'")
+PRESSES: Final = Kind("presses at known places as .npz, see docs/teach.md")
 CALIBRATION_RECORDING: Final = Kind("what was recorded of the sheet as .npz, see docs/calibrate.md")
 TANK: Final = Kind("frames of a tank as .npz, see docs/evaluation.md")
 MISMATCHES: Final = Kind("a JSON list of mismatches", "eitskin_tools.mismatches", ".json", ("lab", "random"))

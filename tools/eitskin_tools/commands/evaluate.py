@@ -81,12 +81,32 @@ def _measured(arguments: argparse.Namespace, request: Any) -> int:
     from eitskin_tools.evaluation.measured import evaluate_measured, table, touches_of
     from eitskin_tools.evaluation.measured_file import load_measured
 
-    measured = load_measured(files.find(arguments.measured, files.MEASURED), options.chosen_skin(arguments))
+    path = files.find(arguments.measured, files.MEASURED)
+    if (status := _taught(arguments, path)) is not None:
+        return status
+    measured = load_measured(path, options.chosen_skin(arguments))
     if measured.ending:
         print(f"eitskin evaluate: {arguments.measured}{measured.ending}", file=sys.stderr)
     if measured.touch_kind or touches_of(measured) == "lower":  # raising ones are also where nothing is said
         _tell_unknown(request, [("area", touches_of(measured))])
     found = evaluate_measured(measured, request, arguments.progress)
+    print(json.dumps(found) if arguments.json else table(found))
+    return 0
+
+
+def _taught(arguments: argparse.Namespace, path: Any) -> int | None:
+    """Evaluate a taught bundle on its kind of file, and return the exit status; None for any other bundle."""
+    from eitskin.model.bundle import load_bundle
+    from eitskin_tools.teach.presses import is_presses, load_presses
+
+    bundle = load_bundle(arguments.bundle, lazily=True) if arguments.bundle is not None else None
+    if bundle is None or bundle.taught_arrays() is None:
+        if is_presses(path):
+            raise UsageError(f"{path} holds presses: name a bundle of 'eitskin teach' with --bundle")
+        return None
+    from eitskin_tools.evaluation.taught import evaluate_taught, table
+
+    found = evaluate_taught(load_presses(path), bundle)
     print(json.dumps(found) if arguments.json else table(found))
     return 0
 
