@@ -8,6 +8,7 @@ of them would bring.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from statistics import NormalDist, mean, stdev
 from typing import Any, Final
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy.typing as npt
 from eitskin.model.taught import TaughtField
 from eitskin_proto.files.arrays import Array
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.parts import Map, Outline, Ring
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import Skin
@@ -37,6 +39,9 @@ SPREADS: Final = (0.3, 4.0)
 
 DRAWS: Final = 5000
 """Untouched frames that are drawn to set the gate."""
+
+FASTEST: Final = 0.7
+"""Least error of twice as many presses, over the present one: that of errors that average out."""
 
 ENOUGH: Final = 16
 """Presses from which one that is left out must be placed better than in the middle of the others."""
@@ -119,7 +124,9 @@ def teach(
     if len(places) >= ENOUGH and np.median(errors) > np.median(np.hypot(*(places - places.mean(axis=0)).T)):
         raise PressesError(NOT_FELT)
     arrays["spread"] = np.array(spread)
-    arrays["threshold"] = np.array(_threshold(TaughtField(arrays, skin.grid), arrays, untouched, false_alarms))
+    arrays["threshold"] = np.array(
+        _threshold(TaughtField(arrays, skin.grid), arrays, untouched, false_alarms, skin.grid)
+    )
     curve = {}
     for count in (len(places) // 4, len(places) // 2):
         if count >= FEWEST:
@@ -219,17 +226,14 @@ def _arrays(response: Response, presses: Presses, skin: Skin, untouched: Array) 
     if prior is None:  # nothing is known of places beyond the presses
         inside &= _within(centres, response.places_mm)
     field, variance = response.at(centres, prior)
-    q = field.shape[1]
-    if q == 0:
+    if not field.shape[1]:
         raise PressesError(NOT_FELT)
-    noise = untouched @ response.project
     return {
         "project": response.project.astype(np.float32),
         "field": field.astype(np.float32),
         "variance": variance.astype(np.float32),
         "inside": inside,
-        # where few untouched readings are known, their noise is taken to be that of presses, which is the identity
-        "untouched": (noise.T @ noise + q * np.eye(q)) / (len(noise) + q),
+        "untouched": _noise(untouched @ response.project),
         "amplitude_sd": np.array(response.amplitude_sd),
         "freedom": np.array(FREEDOM),
         "threshold": np.array(0.0),
@@ -246,19 +250,33 @@ def _within(places_mm: Array, presses_mm: Array) -> npt.NDArray[np.bool_]:
     return np.asarray((places_mm @ outwards <= (presses_mm @ outwards).max(axis=0) + margin).all(axis=1))
 
 
-def _threshold(field: TaughtField, arrays: Arrays, untouched: Array, false_alarms: float) -> float:
+def _threshold(field: TaughtField, arrays: Arrays, untouched: Array, false_alarms: float, grid: Grid) -> float:
     """Return the logit that untouched frames exceed with the probability ``false_alarms``.
 
-    Frames are drawn by the untouched noise; measured ones count too, as soon as they are enough to see such a share.
+    It is the quantile of frames that are drawn by the untouched noise, and of measured ones where those say more. Each
+    of few measured ones is judged by the noise of the others; a normal distribution of their logits gives the tail.
     """
     rng = np.random.default_rng(0)
     root = np.linalg.cholesky(arrays["untouched"])
     drawn = rng.normal(size=(DRAWS, len(root))) @ root.T / np.sqrt(rng.chisquare(FREEDOM, (DRAWS, 1)) / FREEDOM)
-    threshold = float(np.quantile([field.judge(one) for one in drawn.astype(np.float32)], 1.0 - false_alarms))
-    if len(untouched) * false_alarms >= 1.0:
-        measured = (untouched @ arrays["project"]).astype(np.float32)
-        threshold = max(threshold, float(np.quantile([field.judge(one) for one in measured], 1.0 - false_alarms)))
-    return threshold
+    drawn_logits = [field.judge(one) for one in drawn.astype(np.float32)]
+    threshold = float(np.quantile(drawn_logits, 1.0 - false_alarms))
+    noise = (untouched @ arrays["project"]).astype(np.float32)
+    if len(noise) * false_alarms >= 1.0:
+        return max(threshold, float(np.quantile([field.judge(one) for one in noise], 1.0 - false_alarms)))
+    if len(noise) < FEWEST:
+        return threshold
+    logits = []
+    for index, one in enumerate(noise):
+        others = {"untouched": _noise(np.delete(noise, index, axis=0))}
+        logits.append(TaughtField({**arrays, **others}, grid).judge(one))
+    return max(threshold, NormalDist(mean(logits), stdev(logits)).inv_cdf(1.0 - false_alarms))
+
+
+def _noise(untouched: Array) -> Array:
+    """Return the covariance of untouched frames, along the axes: that of presses, the identity, where few are known."""
+    q = untouched.shape[1]
+    return np.asarray((untouched.T @ untouched + q * np.eye(q)) / (len(untouched) + q))
 
 
 def _touch_kind(response: Response, changes: Array) -> str:
@@ -270,4 +288,4 @@ def _touch_kind(response: Response, changes: Array) -> str:
 def _twice(curve: dict[int, float]) -> float:
     """Return the median error that twice as many presses would have, if it goes on falling as it did."""
     *before, last = curve.values()
-    return last * min(last / before[-1], 1.0) if before else last
+    return last * float(np.clip(last / before[-1], FASTEST, 1.0)) if before else last
