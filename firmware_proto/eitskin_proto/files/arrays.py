@@ -34,16 +34,20 @@ MOST_ARRAYS: Final = 256
 DESCRIPTION: Final = re.compile(r"[<>|=]?(?:[?]|b1|[iu][1248]|f[248]|c(?:8|16)|[SU][0-9]{1,6})")
 """Types of elements: truth values, integers, real and complex numbers, texts."""
 
+GAP: Final = re.compile(r"\|V[0-9]{1,4}")
+"""Bytes between fields that hold nothing."""
+
 Array = npt.NDArray[np.float64]
 Arrays = Mapping[str, npt.NDArray[Any]]
 
 
-def parse_npy(data: bytes, what: str = "it") -> npt.NDArray[Any]:
+def parse_npy(data: bytes, what: str = "it", *, records: bool = False) -> npt.NDArray[Any]:
     """Return the array of a ``.npy`` file's bytes.
 
     Args:
         data: All of it.
         what: How messages call it.
+        records: Whether its elements may have named fields, each of plain numbers.
 
     Raises:
         FileError: It is none, holds objects, or another number of bytes than its header says.
@@ -57,7 +61,7 @@ def parse_npy(data: bytes, what: str = "it") -> npt.NDArray[Any]:
     length = int.from_bytes(data[8:start], "little")
     if length > LONGEST_HEADER or start + length > len(data):
         raise FileError(f"{what} has a header of {length} bytes, expected at most {LONGEST_HEADER} and no more than it")
-    kind, fortran, shape = _header(data[start : start + length], what)
+    kind, fortran, shape = _header(data[start : start + length], what, records=records)
     found = len(data) - start - length
     needed = math.prod(shape) * kind.itemsize
     if found != needed:
@@ -95,14 +99,14 @@ def pack_arrays(arrays: Mapping[str, npt.ArrayLike]) -> bytes:
     return buffer.getvalue()
 
 
-def read_npy(path: str | Path, largest: int) -> npt.NDArray[Any]:
-    """Return the array of a ``.npy`` file.
+def read_npy(path: str | Path, largest: int, *, records: bool = False) -> npt.NDArray[Any]:
+    """Return the array of a ``.npy`` file, as :func:`parse_npy` does.
 
     Raises:
         FileError: It is none, longer than ``largest`` bytes, or no regular file.
         OSError: It cannot be read.
     """
-    return parse_npy(read_bytes(path, largest), str(path))
+    return parse_npy(read_bytes(path, largest), str(path), records=records)
 
 
 def parse_npz(source: bytes | BinaryIO, largest: int, what: str = "it") -> dict[str, npt.NDArray[Any]]:
@@ -145,7 +149,7 @@ def read_npz(path: str | Path, largest: int) -> dict[str, npt.NDArray[Any]]:
         return parse_npz(stream, largest, str(path))
 
 
-def _header(raw: bytes, what: str) -> tuple[np.dtype[Any], bool, tuple[int, ...]]:
+def _header(raw: bytes, what: str, *, records: bool = False) -> tuple[np.dtype[Any], bool, tuple[int, ...]]:
     try:
         found = ast.literal_eval(raw.decode("latin-1").strip())
     except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError) as error:
@@ -155,13 +159,25 @@ def _header(raw: bytes, what: str) -> tuple[np.dtype[Any], bool, tuple[int, ...]
     if not isinstance(found, dict) or set(found) != {"descr", "fortran_order", "shape"}:
         raise FileError(f"{what} has an .npy header with other fields than descr, fortran_order and shape")
     kind, fortran, shape = found["descr"], found["fortran_order"], found["shape"]
-    if not isinstance(kind, str) or DESCRIPTION.fullmatch(kind) is None:
+    if records and isinstance(kind, list) and all(map(_is_field, kind)):
+        try:
+            kind = np.lib.format.descr_to_dtype(kind)  # it leaves out the gaps between fields
+        except ValueError as error:
+            raise FileError(f"{what} has fields that contradict each other: {error}") from error
+    elif not isinstance(kind, str) or DESCRIPTION.fullmatch(kind) is None:
         raise FileError(f"{what} holds elements of type {quoted(kind)}, expected plain numbers or texts")
     if not isinstance(shape, tuple) or len(shape) > MOST_AXES or not isinstance(fortran, bool):
         raise FileError(f"{what} has the shape {quoted(shape)}, expected at most {MOST_AXES} axes")
     if not all(isinstance(size, int) and not isinstance(size, bool) and 0 <= size < 1 << 48 for size in shape):
         raise FileError(f"{what} has a shape that is not a list of sizes, expected whole numbers from 0 up")
     return np.dtype(kind), fortran, shape
+
+
+def _is_field(field: Any) -> bool:
+    """Whether this is the name and the type of a field, or of a gap between fields."""
+    if not isinstance(field, tuple) or len(field) != 2 or not all(isinstance(one, str) for one in field):
+        return False
+    return (DESCRIPTION if field[0] else GAP).fullmatch(field[1]) is not None
 
 
 def numbers(arrays: Arrays, name: str, shape: Sequence[int | None] | None = None) -> Array:

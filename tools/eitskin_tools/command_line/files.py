@@ -45,7 +45,9 @@ class Kind:
 SCENE: Final = Kind("a scene as JSON", "eitskin_tools.scenes", ".json")
 PHANTOMS: Final = Kind("a JSON list of phantoms", "eitskin_tools.phantoms", ".json")
 CONFIGURATION: Final = Kind("a configuration as TOML", "eitskin_proto.configurations", ".toml")
-POINTS: Final = Kind("measured points of the surface, as .ply, .pcd, .xyz or .npy", "eitskin_tools.scenes", ".ply")
+POINTS: Final = Kind(
+    "measured points of the surface, as .ply, .pcd, .xyz, .csv, .npy, .obj, .stl", "eitskin_tools.scenes", ".ply"
+)
 RECORDING: Final = Kind("recorded frames as .npy, (n, 104) V, or a .mcap of 'eitskin record'")
 MEASURED: Final = Kind("measured samples as .npz, .mat or .csv, see docs/evaluation.md, or a .mcap of 'eitskin record'")
 PRESSES: Final = Kind("presses at known places as .npz, see docs/teach.md")

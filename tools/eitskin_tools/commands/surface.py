@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "file",
         metavar="POINTS",
-        help="points of the sheet: .ply or .pcd (ASCII or binary), .xyz or .npy; or sample",
+        help="points of the sheet: .ply, .pcd, text (.xyz, .txt, .csv, .asc, .pts), .npy, .obj or .stl; or sample",
     )
     parser.add_argument(
         "--unit",

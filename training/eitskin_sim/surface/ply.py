@@ -1,7 +1,14 @@
-"""PLY files: ASCII, little and big endian. Colours, normals and faces may be there and are passed over."""
+"""PLY files: ASCII, little and big endian. Colours, normals, lists and faces may be there and are passed over.
+
+A binary entry with lists has no fixed length. Entries are read as if every list were as long as the first entry's; if
+one is not, each entry is walked through.
+"""
 
 import io
+import re
+import struct
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from itertools import islice
 from typing import Final
 
@@ -14,18 +21,34 @@ from eitskin_sim.surface.words import check_count, table
 Array = npt.NDArray[np.float64]
 
 PLY_TYPES: Final = {
-    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
-    "double": "f8",
-    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4",
-    "float64": "f8",
+    "char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I", "float": "f", "double": "d",
+    "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f", "float64": "d",
 }  # fmt: skip
-"""Names that the PLY format gives to numbers, old and new."""
+"""Names that the PLY format gives to numbers, old and new, and their letters in :mod:`struct` and numpy."""
 
 PLY_ORDERS: Final = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 """Formats of a PLY file and their byte order."""
 
 LARGEST_HEADER: Final = 65_536
 """Longest PLY header in bytes."""
+
+HEADER_END: Final = re.compile(rb"[\r\n]end_header[ \t]*(?:\r\n|\n|\r)")
+
+
+@dataclass(frozen=True, slots=True)
+class _Property:
+    name: str
+    kind: str
+    """Letter of its numbers."""
+    length: str = ""
+    """Letter of a list's length; empty for a single number."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Element:
+    name: str
+    count: int
+    properties: list[_Property] = field(default_factory=list)
 
 
 def read_ply(data: bytes) -> Array:
@@ -34,34 +57,21 @@ def read_ply(data: bytes) -> Array:
     Raises:
         ValueError: It is no PLY file, or holds no points.
     """
-    end = data.find(b"end_header", 0, LARGEST_HEADER)
-    if not data.startswith(b"ply") or end < 0:
+    end = HEADER_END.search(data, 0, LARGEST_HEADER)
+    if not data.startswith(b"ply") or end is None:
         raise ValueError("no PLY header ('ply' ... 'end_header')")
-    body = data.index(b"\n", end) + 1
-    order, elements = _ply_header(data[:end].decode("ascii"))
+    order, elements = _header(data[: end.start()].decode("latin-1"))
+    place = end.end()
     if order == "":
-        return _ply_ascii(data[body:], elements)
-    for name, count, properties in elements:
-        if any(kind == "list" for _, kind in properties):
-            raise ValueError(f"element {quoted(name)} with a list comes before the vertices: save the vertices first")
-        layout = np.dtype([(label, order + PLY_TYPES[kind]) for label, kind in properties])
-        if len(data) - body < count * layout.itemsize:
-            raise ValueError(
-                f"{count} entries of {quoted(name)} need {count * layout.itemsize} bytes, found {len(data) - body}"
-            )
-        if name == "vertex":
-            check_count(count)
-            table = np.frombuffer(data, dtype=layout, count=count, offset=body)
-            return np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=-1)
-        body += count * layout.itemsize
-    raise ValueError("no element 'vertex'")
+        return _ascii(data[place:], elements)
+    for element in elements[:-1]:
+        place, _ = _entries(data, place, element, order)
+    check_count(elements[-1].count)
+    return _entries(data, place, elements[-1], order)[1]
 
 
-_Element = tuple[str, int, list[tuple[str, str]]]
-
-
-def _ply_header(header: str) -> tuple[str, list[_Element]]:
-    """Byte order, and the elements up to the vertices, each with its count and its properties' names and types."""
+def _header(header: str) -> tuple[str, list[_Element]]:
+    """Byte order, and the elements up to the vertices."""
     order: str | None = None
     elements: list[_Element] = []
     for words in (line.split() for line in header.splitlines()):
@@ -70,35 +80,105 @@ def _ply_header(header: str) -> tuple[str, list[_Element]]:
                 raise ValueError(f"format {quoted(words[1])} is none of {', '.join(PLY_ORDERS)}")
             order = PLY_ORDERS[words[1]]
         elif words[:1] == ["element"]:
-            if elements and elements[-1][0] == "vertex":
+            if elements and elements[-1].name == "vertex":
                 break
-            elements.append((words[1], int(words[2]), []))
+            elements.append(_Element(words[1], int(words[2])))
         elif words[:1] == ["property"]:
-            kind = words[1]
-            if kind != "list" and kind not in PLY_TYPES:
-                raise ValueError(f"property type {quoted(kind)} is unknown")
-            elements[-1][2].append((words[-1], kind))
+            kinds = words[2:4] if words[1] == "list" else words[1:2]
+            if unknown := [kind for kind in kinds if kind not in PLY_TYPES]:
+                raise ValueError(f"property type {quoted(unknown[0])} is unknown")
+            letters = [PLY_TYPES[kind] for kind in kinds]
+            elements[-1].properties.append(_Property(words[-1], letters[-1], letters[0] if len(letters) > 1 else ""))
     if order is None:
         raise ValueError("the header has no 'format' line")
-    vertices = [properties for name, _, properties in elements if name == "vertex"]
-    if not vertices or not {"x", "y", "z"} <= {label for label, _ in vertices[0]}:
+    single = [one.name for one in elements[-1].properties if not one.length] if elements else []
+    if not elements or elements[-1].name != "vertex" or sorted(set(single) & set("xyz")) != ["x", "y", "z"]:
         raise ValueError("the header has no element 'vertex' with the properties x, y and z")
-    if any(not 0 <= count < 1 << 48 for _, count, _ in elements):
+    if any(not 0 <= element.count < 1 << 48 for element in elements):
         raise ValueError("an element has a negative count, or one that no file can hold")
     return order, elements
 
 
-def _ply_ascii(body: bytes, elements: list[_Element]) -> Array:
-    skip = sum(count for _, count, _ in elements[:-1])
-    _, count, properties = elements[-1]
-    columns = [[label for label, _ in properties].index(axis) for axis in "xyz"]
-    lines = body.count(b"\n") + (not body.endswith(b"\n") and bool(body))
+def _entries(data: bytes, place: int, element: _Element, order: str) -> tuple[int, Array]:
+    """Return where an element's binary entries end, and (n, 3) x, y and z of vertices; none of another element."""
+    axes = "xyz" if element.name == "vertex" else ""
+    if not element.count or not element.properties:
+        return place, np.empty((0, 3))
+    lengths = _lengths(data, place, element, order)
+    fields: list[tuple[str, str, tuple[int, ...]]] = []
+    for number, (one, length) in enumerate(zip(element.properties, lengths, strict=True)):
+        if one.length:
+            fields.append((f"length {number}", order + one.length, ()))
+        name = one.name if one.name in axes and not one.length else f"{one.name} {number}"
+        fields.append((name, order + one.kind, (length,) if one.length else ()))
+    layout = np.dtype(fields)
+    end = place + element.count * layout.itemsize
+    if end <= len(data):
+        found = np.frombuffer(data, dtype=layout, count=element.count, offset=place)
+        checked = [(f"length {number}", length) for number, length in enumerate(lengths) if length >= 0]
+        if all(np.all(found[name] == length) for name, length in checked):
+            return end, np.stack([found[axis].astype(np.float64) for axis in axes], -1) if axes else np.empty((0, 3))
+    elif all(length < 0 for length in lengths):
+        needed = element.count * layout.itemsize
+        raise ValueError(
+            f"{element.count} entries of {quoted(element.name)} need {needed} bytes, found {len(data) - place}"
+        )
+    points = []
+    for number in range(element.count):
+        entry: dict[str, float] = {}
+        for one in element.properties:
+            length, place = _length(data, place, one, order)
+            if one.name in axes and not one.length:
+                (entry[one.name],) = struct.unpack_from(order + one.kind, data, place)
+            place += max(length, 0 if one.length else 1) * struct.calcsize(order + one.kind)
+        if place > len(data):
+            raise ValueError(f"the file ends in entry {number} of {quoted(element.name)}, expected {element.count}")
+        if axes:
+            points.append([entry[axis] for axis in axes])
+    return place, np.array(points).reshape(-1, 3)
+
+
+def _lengths(data: bytes, place: int, element: _Element, order: str) -> list[int]:
+    """Lengths of the first entry's lists; -1 for what is a single number."""
+    found = []
+    for one in element.properties:
+        length, place = _length(data, place, one, order)
+        place += max(length, 0 if one.length else 1) * struct.calcsize(order + one.kind)
+        found.append(length)
+    return found
+
+
+def _length(data: bytes, place: int, one: _Property, order: str) -> tuple[int, int]:
+    """Return the length of a list, -1 for a single number, and where its numbers begin."""
+    if not one.length:
+        return -1, place
+    if place + struct.calcsize(order + one.length) > len(data):
+        raise ValueError(f"the file ends in the list {quoted(one.name)}")
+    (length,) = struct.unpack_from(order + one.length, data, place)
+    if length != int(length) or not 0 <= length <= len(data):
+        raise ValueError(f"the list {quoted(one.name)} has the length {length}, more than the file holds or none")
+    return int(length), place + struct.calcsize(order + one.length)
+
+
+def _ascii(body: bytes, elements: list[_Element]) -> Array:
+    skip, count = sum(element.count for element in elements[:-1]), elements[-1].count
+    lines = sum(1 for line in io.BytesIO(body) if not line.isspace())
     if lines < skip + count:
         raise ValueError(f"{quoted(count)} vertices are declared, found {max(lines - skip, 0)} lines")
+    check_count(count)
 
     def rows() -> Iterator[list[bytes]]:
-        for line in islice(io.BytesIO(body), skip, skip + count):
-            words = line.split(None, max(columns) + 1)
-            yield [words[column] for column in columns]
+        filled = (line for line in io.BytesIO(body) if not line.isspace())
+        for number, line in enumerate(islice(filled, skip, skip + count)):
+            words, place, entry = line.split(), 0, {}
+            for one in elements[-1].properties:
+                if one.length:
+                    place += int(words[place])
+                else:
+                    entry[one.name] = place
+                place += 1
+            if place != len(words):
+                raise ValueError(f"vertex {number} has {len(words)} numbers, expected {place} by the header")
+            yield [words[entry[axis]] for axis in "xyz"]
 
     return table(rows())

@@ -1,0 +1,109 @@
+"""Text files of points (.xyz, .txt, .csv, .asc, .pts): a point a line, in columns.
+
+A line of names says which columns are x, y and z; without one they are the first three. Numbers are parted by blanks,
+commas or semicolons, with a point or, where a comma does not part them, with a comma for decimals. A whole number alone
+on a line is the count of the lines behind it. A file that can be read in two ways is refused.
+"""
+
+import codecs
+import re
+from collections.abc import Callable, Iterator
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.files.plain import quoted
+from eitskin_sim.surface.words import table
+
+Array = npt.NDArray[np.float64]
+
+COMMENTS: Final = (b"#", b"//", b"%", b"!")
+"""What a line that holds no point may begin with."""
+
+NAME: Final = re.compile(rb"""["']?([A-Za-z_]\w*?)(?:[ _]?[\[(]?m?m[\])]?)?["']?""")
+"""A column's name, with its unit if it has one."""
+
+AXES: Final = {b"x", b"y", b"z"}
+
+COLOURED: Final = 6
+"""Columns of whole numbers that may be coordinates and colours, or three numbers with decimals behind commas."""
+
+
+def read_text(data: bytes) -> Array:
+    """Return the (n, 3) points of a file's bytes.
+
+    Raises:
+        ValueError: A line holds no point, or the file can be read in two ways.
+    """
+    for mark, encoding in ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16")):
+        if data.startswith(mark):
+            data = data.decode(encoding).encode()
+    lines = [
+        (number, line)
+        for number, line in enumerate(data.removeprefix(codecs.BOM_UTF8).splitlines(), 1)
+        if line and not line.isspace()
+    ]
+    names: list[bytes] = []
+    remarked: list[bytes] = []
+    while lines and (lines[0][1].lstrip().startswith(COMMENTS) or _names(lines[0][1])):
+        line = lines.pop(0)[1].lstrip()
+        if line.startswith(COMMENTS):
+            remarked = _names(line.lstrip(b"#/%! ")) or remarked
+        else:
+            names = _names(line)
+            if not set(names) >= AXES:
+                raise ValueError(
+                    f"the columns are named {line.decode('latin-1')[:60]!r}, expected x, y and z among them"
+                )
+    lines = [(number, line) for number, line in lines if not line.lstrip().startswith(COMMENTS)]
+    counts = [int(line) for _, line in lines if line.strip().isdigit()]
+    lines = [(number, line) for number, line in lines if not line.strip().isdigit()]
+    if counts and sum(counts) != len(lines):
+        raise ValueError(f"{sum(counts)} points are announced, found {len(lines)}")
+    split = _splitter([line for _, line in lines], named=bool(names))
+    width = len(split(lines[0][1])) if lines else 3
+    if names and len(names) != width:
+        raise ValueError(f"{width} numbers a line, expected {len(names)}, one for each named column")
+    if not names and set(remarked) >= AXES and len(remarked) == width:
+        names = remarked
+    columns = [names.index(axis) for axis in sorted(AXES)] if names else [0, 1, 2]
+
+    def rows() -> Iterator[list[bytes]]:
+        for number, line in lines:
+            words = split(line)
+            if len(words) != width or width < 3:
+                raise ValueError(f"line {number} has {len(words)} numbers, expected x y z, as many on every line")
+            yield [words[column] for column in columns]
+
+    found = table(rows())
+    if not names and len(found) > 2 and width > 3 and np.all(np.diff(found[:, 0]) == 1.0):
+        raise ValueError("the first column counts the lines: name the columns on line 1, such as 'id x y z'")
+    return found
+
+
+def _names(line: bytes) -> list[bytes]:
+    """The names of columns on a line, in small letters; none if it has a word that is no name."""
+    words = [word for word in re.split(rb"[,;\t]| +(?![\[(])", line.strip()) if word.strip()]
+    found = [NAME.fullmatch(word.strip()) for word in words]
+    names = [match[1].lower() for match in found if match]
+    return names if len(names) == len(words) >= 2 and not {b"nan", b"inf"} & set(names) else []
+
+
+def _splitter(lines: list[bytes], *, named: bool) -> Callable[[bytes], list[bytes]]:
+    """How all lines are cut into words that Python reads as numbers."""
+    comma = next((line for line in lines if b"," in line), None)
+    if comma is None:
+        return lambda line: line.replace(b";", b" ").split()
+    words = comma.replace(b";", b" ").split()
+    if len(words) >= 3 and all(re.fullmatch(rb"[^,]+(,[^,]+)?", word) for word in words):
+        if any(b"." in line for line in lines):
+            raise ValueError("the numbers have both commas and points: write decimals in one way")
+        return lambda line: line.replace(b",", b".").replace(b";", b" ").split()
+    first = [word.strip() for word in comma.split(b",")]
+    if len(first) == COLOURED and not named and not any(b"." in line for line in lines):
+        raise ValueError(
+            f"{quoted(comma.decode('latin-1').strip())} may be three numbers with decimals or six whole ones: write "
+            "decimals with a point, or part numbers by semicolons"
+        )
+    return lambda line: [word.strip() for word in line.split(b",")]
