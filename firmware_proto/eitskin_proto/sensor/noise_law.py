@@ -6,8 +6,9 @@ of n frames is kept as each row's standard deviation and a few components ::
     C = diag(own^2) + S S^T        sd^2 = own^2 + sum of squares of S's rows
 
 Components are the eigenvectors of the correlation matrix whose eigenvalues exceed what n frames of independent rows
-give by chance, (1 + sqrt(rows / n))^2. Sampling makes those eigenvalues too large; they are shrunk to the value that
-gives the observed one on average (the spiked model of Johnstone and Paul), and all else towards the diagonal.
+give by chance, (1 + sqrt(rows / n))^2 times the mean of all others. Sampling makes those eigenvalues too large; they
+are shrunk to the value that gives the observed one on average (the spiked model of Johnstone and Paul), and all else
+towards the diagonal.
 """
 
 from dataclasses import dataclass
@@ -23,6 +24,12 @@ MAX_COMPONENTS: Final = 12
 
 CHANCE_MARGIN: Final = 1.1
 """Times what chance gives on average: the largest eigenvalue of independent rows is above in one file of a hundred."""
+
+MIN_LEVEL: Final = 1e-9
+"""Of the eigenvalues that are not shared, where all of the noise is."""
+
+ROUNDS: Final = 10
+"""Of the search for components."""
 
 MIN_OWN_SHARE: Final = 0.05
 """Of a row's variance, that is its own."""
@@ -73,10 +80,18 @@ def shared_noise(covariance: Array, frames: int) -> Array:
     safe = np.where(sd > 0.0, sd, 1.0)
     size, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
     gamma = len(sd) / max(frames - 1, 1)
-    chosen = np.flatnonzero(size > CHANCE_MARGIN * (1.0 + np.sqrt(gamma)) ** 2)[-MAX_COMPONENTS:]
-    large = size[chosen] + 1.0 - gamma
-    true = (large + np.sqrt(np.maximum(large**2 - 4.0 * size[chosen], 0.0))) / 2.0
-    shared = vectors[:, chosen] * np.sqrt(np.maximum(true - 1.0, 0.0))
+    level, count = 1.0, 0
+    for _ in range(ROUNDS):  # of the level of what is not shared, which decides what is
+        more = np.count_nonzero(size > level * CHANCE_MARGIN * (1.0 + np.sqrt(gamma)) ** 2)
+        if more <= count or count == MAX_COMPONENTS:
+            break
+        count = min(int(more), MAX_COMPONENTS)
+        others = max(len(size) - count * (1.0 + gamma), len(size) / 4.0)  # components hold chance too
+        level = max(float(size[:-count].sum()) / others, MIN_LEVEL)
+    chosen = slice(len(size) - count, None)
+    large = size[chosen] / level + 1.0 - gamma
+    true = (large + np.sqrt(np.maximum(large**2 - 4.0 * size[chosen] / level, 0.0))) / 2.0
+    shared = vectors[:, chosen] * np.sqrt(level * np.maximum(true - 1.0, 0.0))
     share = np.maximum(np.sum(shared**2, axis=1) / (1.0 - MIN_OWN_SHARE), 1.0)
     return np.asarray(safe[:, None] * shared / np.sqrt(share)[:, None])
 
