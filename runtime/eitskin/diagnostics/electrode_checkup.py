@@ -31,6 +31,7 @@ from eitskin.reference.front_end import front_end_faults
 from eitskin.reference.normaliser import normaliser_of
 from eitskin_proto.files.arrays import read_npy
 from eitskin_proto.files.reading import FileError
+from eitskin_proto.sensor.noise_law import noise_law
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.table import N_ELECTRODES, N_FULL_ROWS, N_ROWS
 from eitskin_proto.sensor.wiring import read_wiring
@@ -181,7 +182,16 @@ def check_up(recording: Recording, consistency: Consistency, reference: Referenc
         "front_end": list(faults),
         "wiring": {"right": not wrong, "text": wiring.text, "rank_correlation": round(wiring.rank_correlation, 3)},
         "electrodes": found,
+        "noise": None if faults else _noise(recording.voltages),
     }
+
+
+def _noise(voltages: Array) -> list[str] | None:
+    """Return the noise law in lines; None where rows do not vary."""
+    try:
+        return noise_law(voltages).lines()
+    except ValueError:
+        return None
 
 
 def _against(recording: Recording, consistency: Consistency, reference: Reference | None) -> tuple[Array, Array]:
@@ -207,6 +217,7 @@ def lines(found: dict[str, Any]) -> list[str]:
             f"{one['to_do']}"
         )
     shown += [f"front end: {fault}" for fault in found["front_end"]]
+    shown += found["noise"] or []
     return shown
 
 

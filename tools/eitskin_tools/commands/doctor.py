@@ -26,6 +26,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="report the drift of a flat, untouched sheet since --reference, on --port or in --recorded frames",
     )
     parser.add_argument(
+        "--touch",
+        action="store_true",
+        help="measure by one press whether touches raise or lower conductance, on --port or in --recorded frames "
+        "(.npy: untouched in the first half, pressed in the second)",
+    )
+    parser.add_argument("--skin", metavar="FILE", help="--touch: description of the sheet (default: lab)")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="--touch: write --skin with the answer to this file")
+    parser.add_argument(
         "--recorded", type=Path, metavar="FILE", help="recorded frames: .npy of (n, 104) V, or the end of a .mcap"
     )
     parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="measuring time (default 2)")
@@ -40,8 +48,13 @@ def run(arguments: argparse.Namespace) -> int:
         return _make_keys(arguments)
     from eitskin.diagnostics import doctor
 
-    if arguments.drift and arguments.electrodes:
-        raise UsageError("use either --drift or --electrodes, not both at once")
+    if arguments.drift + arguments.electrodes + arguments.touch > 1:
+        raise UsageError("use one of --drift, --electrodes and --touch, not two at once")
+    if arguments.touch:
+        return _touch(arguments)
+    for name in ("skin", "out"):
+        if getattr(arguments, name) is not None:
+            raise UsageError(f"{flag(name)} needs --touch beside it")
     if arguments.electrodes:
         return _electrodes(arguments)
     if arguments.drift:
@@ -110,6 +123,56 @@ def _drift(arguments: argparse.Namespace) -> int:
         for line in drift_checkup.lines(found):
             say(line)
     return 0
+
+
+def _touch(arguments: argparse.Namespace) -> int:
+    """Print which way a press changes conductance, and return 0."""
+    from dataclasses import replace
+
+    from eitskin_proto.files.writing import write_bytes
+    from eitskin_proto.skin.toml import to_toml
+    from eitskin_sim.calibration.way import press_way
+    from eitskin_tools.command_line import kinds
+
+    _check_source(arguments, "--touch")
+    if arguments.out is not None:
+        if arguments.skin is None:
+            raise UsageError("--out needs --skin FILE, the description to write with the answer")
+        files.writable(arguments.out, kinds.SKIN)
+    skin = options.read_skin(arguments.skin or "lab")
+    found = press_way(*_press(arguments), skin)
+    x, y = found.xy_mm
+    if arguments.out is not None:
+        stated = replace(skin, touches=replace(skin.touches, kind=found.kind))
+        write_bytes(arguments.out, to_toml(stated).encode())
+    if arguments.json:
+        report = {"kind": found.kind, "log_ratio": found.log_ratio, "xy_mm": [x, y]}
+        print(json.dumps({**report, "out": None if arguments.out is None else str(arguments.out)}))
+        return 0
+    say(f"Touches {found.kind} conductance: the press was felt near ({x:.0f}, {y:.0f}) mm.")
+    if arguments.out is None:
+        say(f'Write into the skin\'s file, under [touches]:  kind = "{found.kind}"')
+    else:
+        say(f"Wrote {arguments.out}.")
+    return 0
+
+
+def _press(arguments: argparse.Namespace) -> tuple[Any, Any]:
+    """Return the voltages (n, 104) V of untouched frames and of pressed ones."""
+    from eitskin.diagnostics import electrode_checkup
+
+    if arguments.recorded is not None:
+        if arguments.recorded.suffix == ".mcap":
+            raise UsageError("--touch takes recorded frames as .npy, untouched in the first half; found a recording")
+        volts = electrode_checkup.load_recording(files.find(arguments.recorded, files.RECORDING)).voltages
+        return volts[: len(volts) // 2], volts[len(volts) // 2 :]
+    parts = []
+    for step in ("Leave the sheet untouched", "Press firmly, well inside the sheet, and hold"):
+        print(f"{step}; then press Enter.", file=sys.stderr, flush=True)
+        if not sys.stdin.readline():
+            raise UsageError("--touch on a port needs someone who presses: standard input has ended")
+        parts.append(_frames_and_reference(arguments)[0].voltages)
+    return parts[0], parts[1]
 
 
 def _check_source(arguments: argparse.Namespace, what: str) -> None:
