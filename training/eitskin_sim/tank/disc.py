@@ -38,8 +38,9 @@ class Disc:
     conductivity_S_per_m: float = 1.0
     electrodes_deg: tuple[float, ...] = EVEN_DEG
     """Middles of the 16 contacts, counter-clockwise from -135 degrees, where the square's corner (0, 0) lies."""
-    electrode_width_deg: float = 5.0
-    contact_impedance_ohm_m2: float = 1e-4
+    electrode_width_deg: float | tuple[float, ...] = 5.0
+    contact_impedance_ohm_m2: float | tuple[float, ...] = 1e-4
+    """Of all contacts, or of each."""
     map: DiscMap = field(init=False)
 
     def __post_init__(self) -> None:
@@ -53,7 +54,7 @@ class Disc:
     @property
     def electrodes(self) -> Electrodes:
         """The contacts on the rectangle's border, each of its own width there."""
-        middles, half = np.array(self.electrodes_deg), self.electrode_width_deg / 2
+        middles, half = np.array(self.electrodes_deg), np.array(self.electrode_width_deg) / 2
         start, stop = (self.map.rim_to_arc_mm(middles + side) for side in (-half, half))
         perimeter = 2.0 * sum(self.map.size_mm)
         sizes = np.remainder(stop - start, perimeter)
@@ -66,31 +67,47 @@ class Disc:
         )
 
 
-def assemble_disc(mesh: TensorMesh, disc: Disc) -> System:
+def assemble_disc(mesh: TensorMesh, disc: Disc, metric: Metric = flat_metric) -> System:
     """Return the system of a disc.
 
     Args:
         mesh: Of the rectangle, with lines at the ends of every contact (``disc.sheet``, ``disc.electrodes``).
         disc: What is solved.
+        metric: The first fundamental form of the bent disc at points (n, 2) mm from its middle.
 
     Raises:
         ValueError: The mesh does not cover the rectangle, or a contact's end is no line of it.
     """
     sheet, electrodes = disc.sheet, disc.electrodes
-    flat = assemble(mesh, sheet, electrodes, flat_metric)
+    turned = _turned(disc.map, metric)
+    inner = assemble(mesh, sheet, electrodes, turned)
     ones = np.ones((mesh.n_elements, 9))
-    contacts = contacts_of(mesh, sheet, electrodes, _rim_metric(disc.map), ones, place(sheet, electrodes))
-    return replace(flat, contacts=contacts)
+    contacts = contacts_of(mesh, sheet, electrodes, _rim_metric(disc.map, turned), ones, place(sheet, electrodes))
+    return replace(inner, contacts=contacts)
 
 
-def _rim_metric(disc: DiscMap) -> Metric:
-    """E, F, G at points of the border: the scale's square along it, its inverse across."""
+def _turned(disc: DiscMap, metric: Metric) -> Metric:
+    """E, F, G along the rectangle's own directions, of which the map turns lengths but leaves their ratios."""
+
+    def turned(xy_mm: Array) -> Array:
+        first, angle = metric(disc.to_disc(xy_mm)), disc.turn(xy_mm)
+        E, F, G = first.T
+        c, s = np.cos(angle), np.sin(angle)
+        along, across = c * c * E + 2.0 * c * s * F + s * s * G, s * s * E - 2.0 * c * s * F + c * c * G
+        return np.stack([along, c * s * (G - E) + (c * c - s * s) * F, across], axis=-1)
+
+    return turned
+
+
+def _rim_metric(disc: DiscMap, inner: Metric) -> Metric:
+    """E, F, G at points of the border: stretched by the scale along it, by its inverse across."""
     length = disc.size_mm[0]
 
     def metric(xy_mm: Array) -> Array:
+        E, _, G = inner(xy_mm).T
         square = np.maximum(disc.scale(xy_mm), 1e-9) ** 2
         upright = (xy_mm[:, 0] < 1e-9 * length) | (xy_mm[:, 0] > (1.0 - 1e-9) * length)
         along_x, along_y = np.where(upright, 1.0 / square, square), np.where(upright, square, 1.0 / square)
-        return np.stack([along_x, np.zeros(len(xy_mm)), along_y], axis=-1)
+        return np.stack([E * along_x, np.zeros(len(xy_mm)), G * along_y], axis=-1)
 
     return metric

@@ -72,6 +72,12 @@ class DiscMap:
         rate = 2.0 * abs(self._middle) * np.abs(slope) / np.abs(z + self._middle) ** 2
         return np.asarray(self.radius_mm * rate * 2.0 * ellipk(self.modulus) / self.size_mm[0])
 
+    def turn(self, xy_mm: npt.ArrayLike) -> Array:
+        """Return the (n,) angles in rad by which the map turns directions at the rectangle's points (n, 2)."""
+        lower, z, slope = self._plane(np.asarray(xy_mm, dtype=np.float64))
+        angle = np.angle(1j * self._middle * slope / (z + self._middle) ** 2)
+        return np.asarray(np.where(lower, angle, -angle))
+
     def rim_to_arc_mm(self, angle_deg: npt.ArrayLike) -> Array:
         """Return the (n,) mm along the rectangle's border, from its corner (0, 0), where angles (n,) of the rim lie."""
         turn = np.remainder(np.asarray(angle_deg, dtype=np.float64) + 180.0, 360.0) - 180.0

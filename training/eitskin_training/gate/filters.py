@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+Arrays = dict[str, npt.NDArray[np.generic]]
 
 FILTERS: Final = 128
 """Patterns of touches. Twice as many find a few in a hundred more, and cost twice as much a frame."""
@@ -30,6 +31,9 @@ K_MEANS_ROUNDS: Final = 6
 
 RESPONSE_OFFSET: Final = 0.25
 """a: as much of mean |w|, which is about 0.8 of a usual moment."""
+
+MIN_RATIO: Final = 0.05
+"""V / V0 is not taken for less before the logarithm: a row that noise drowns says nothing by its logarithm."""
 
 MIN_TOUCH_MEAN_LOG: Final = 1e-3
 """A touch of smaller mean |log(V touched / V untouched)| has no pattern to speak of."""
@@ -80,3 +84,34 @@ def layers(whitening: Array, filters: Array, limit: float) -> tuple[Array, Array
     first = np.concatenate([whitening, -whitening, whitening @ filters.T], axis=1)
     second = np.concatenate([np.full((2 * count, len(filters)), -limit / count), np.eye(len(filters))])
     return first, second, np.full(len(filters), -limit * RESPONSE_OFFSET)
+
+
+def in_form(mean: Array, w1: Array, b1: Array, w2: Array, b2: Array, w3: Array, b3: float) -> Arrays:
+    """Return the arrays of a network on logarithms, (r, h) first, with their mean."""
+    unused = np.zeros(len(mean))  # dV itself, which the runtime's features begin with: its logarithm says it all
+    arrays = {
+        "floor": np.asarray(MIN_RATIO),
+        "mean": np.concatenate([unused, mean]),
+        "scale": np.ones(2 * len(mean)),
+        "w1": np.concatenate([np.zeros_like(w1), w1]),
+        "b1": b1,
+        "w2": w2,
+        "b2": b2,
+        "w3": w3,
+        "b3": b3,
+    }
+    return {name: np.asarray(value, dtype=np.float32) for name, value in arrays.items()}
+
+
+def whitening_of(logarithms: Array, directions: Array | None = None) -> tuple[Array, Array]:
+    """Return the (r,) mean and the (r, k) matrix that gives logarithms of untouched sheets unit covariance.
+
+    Args:
+        logarithms: (n, r).
+        directions: (r, k) orthonormal ones, outside which nothing is looked at; None looks at all.
+    """
+    seen = logarithms if directions is None else logarithms @ directions
+    values, own = np.linalg.eigh(np.cov(seen.T))
+    # Without the addend a direction in which no noise reaches would be blown up; 1e-4 in log V is below any mesh's.
+    whitening = own / np.sqrt(values + 1e-8)
+    return logarithms.mean(axis=0), whitening if directions is None else directions @ whitening

@@ -45,9 +45,6 @@ HIDDEN: Final = (96, 32)
 IDLE_HIDDEN: Final = (64, 32)
 """Those of the gate for scans of a few drives."""
 
-MIN_RATIO: Final = 0.05
-"""V / V0 is not taken for less before the logarithm: a row that noise drowns says nothing by its logarithm."""
-
 FALSE_ALARM_RATE: Final = 0.003
 """Share of untouched frames that may trip the gate. A false alarm costs one inference, and a miss hides a touch."""
 
@@ -97,7 +94,7 @@ class Gate:
         return self.measures
 
 
-def gate_features(dv: npt.NDArray[np.floating], floor: float = MIN_RATIO) -> Array:
+def gate_features(dv: npt.NDArray[np.floating], floor: float = filters.MIN_RATIO) -> Array:
     """Return (n, 2 r) features of (n, r) dV, as the runtime forms them."""
     return np.concatenate([dv, np.log(np.maximum(1.0 + dv, floor))], axis=1, dtype=np.float64)
 
@@ -176,7 +173,7 @@ def _trained(
     rng: np.random.Generator,
 ) -> Arrays:
     """Return a gate's arrays but for its threshold, in the runtime's form."""
-    mean, whitening = _whitening(_logarithms(material.draw(FRAMES, rng, touched=0.0)[0], rows))
+    mean, whitening = filters.whitening_of(_logarithms(material.draw(FRAMES, rng, touched=0.0)[0], rows))
     layers = [nn.Linear(len(rows), hidden[0]), nn.Linear(hidden[0], hidden[1]), nn.Linear(hidden[1], 1)]
     network = nn.Sequential(layers[0], nn.ReLU(), layers[1], nn.ReLU(), layers[2])
     optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=1e-3)
@@ -191,7 +188,9 @@ def _trained(
         schedule.step()
     weights = [layer.weight.detach().numpy().T for layer in layers]
     biases = [layer.bias.detach().numpy() for layer in layers]
-    return _in_form(mean, whitening @ weights[0], biases[0], weights[1], biases[1], weights[2][:, 0], biases[2][0])
+    return filters.in_form(
+        mean, whitening @ weights[0], biases[0], weights[1], biases[1], weights[2][:, 0], biases[2][0]
+    )
 
 
 def _matched(
@@ -213,7 +212,7 @@ def _matched(
     touched = _logarithms(material.touched(small, FRAMES, rng), rows)
     best, found = -1.0, Arrays()
     for _ in range(COVARIANCES):
-        mean, whitening = _whitening(
+        mean, whitening = filters.whitening_of(
             _logarithms(material.draw(FRAMES, rng, touched=0.0)[0], rows), without_common(len(rows))
         )
         still, pressed = ((logarithms - mean) @ whitening for logarithms in (untouched, touched))
@@ -224,40 +223,9 @@ def _matched(
             if share > best:
                 best = share
                 first, second, bias = filters.layers(whitening, bank, limit)
-                found = _in_form(mean, first, np.zeros(first.shape[1]), second, bias, np.ones(len(bank)), 0.0)
+                found = filters.in_form(mean, first, np.zeros(first.shape[1]), second, bias, np.ones(len(bank)), 0.0)
     return found
 
 
 def _logarithms(dv: Array, rows: npt.NDArray[np.intp]) -> Array:
-    return np.log(np.maximum(1.0 + dv[:, rows], MIN_RATIO))
-
-
-def _in_form(mean: Array, w1: Array, b1: Array, w2: Array, b2: Array, w3: Array, b3: float) -> Arrays:
-    """Return the arrays of a network on logarithms, (r, h) first, with their mean."""
-    unused = np.zeros(len(mean))  # dV itself, which the runtime's features begin with: its logarithm says it all
-    arrays = {
-        "floor": np.asarray(MIN_RATIO),
-        "mean": np.concatenate([unused, mean]),
-        "scale": np.ones(2 * len(mean)),
-        "w1": np.concatenate([np.zeros_like(w1), w1]),
-        "b1": b1,
-        "w2": w2,
-        "b2": b2,
-        "w3": w3,
-        "b3": b3,
-    }
-    return {name: np.asarray(value, dtype=np.float32) for name, value in arrays.items()}
-
-
-def _whitening(logarithms: Array, directions: Array | None = None) -> tuple[Array, Array]:
-    """Return the (r,) mean and the (r, k) matrix that gives logarithms of untouched sheets unit covariance.
-
-    Args:
-        logarithms: (n, r).
-        directions: (r, k) orthonormal ones, outside which nothing is looked at; None looks at all.
-    """
-    seen = logarithms if directions is None else logarithms @ directions
-    values, own = np.linalg.eigh(np.cov(seen.T))
-    # Without the addend a direction in which no noise reaches would be blown up; 1e-4 in log V is below any mesh's.
-    whitening = own / np.sqrt(values + 1e-8)
-    return logarithms.mean(axis=0), whitening if directions is None else directions @ whitening
+    return np.log(np.maximum(1.0 + dv[:, rows], filters.MIN_RATIO))

@@ -13,7 +13,7 @@ nor device. Those for the threshold and for measuring are drawn from A and B alo
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +29,9 @@ from eitskin_sim.scene.nominal import flat_metric_of, nominal_electrodes, nomina
 from eitskin_sim.scene.parts import Bend
 from eitskin_training.gate.moments import COARSE_MM, drawn_moments, moments
 from eitskin_training.gate.touches import PROBE_SEED, Probe, probes, small_touches, wide_bends
-from eitskin_training.samples.batches import TrainingData
+
+if TYPE_CHECKING:
+    from eitskin_training.samples.batches import TrainingData
 
 TRAIN_SEED: Final = 701
 HELD_OUT_SEED: Final = 702
@@ -69,7 +71,7 @@ class Bends:
     devices: Skin | None = None
 
 
-def bends_of(data: TrainingData) -> Bends:
+def bends_of(data: "TrainingData") -> Bends:
     """Return the bends of a data set alone: trained ones teach, held-out ones choose and measure in turn."""
     logs = log_of_ratio(data.untouched, data.reference)
     held_out = np.concatenate(list(data.held_out.values())) if data.held_out else np.array([], dtype=np.intp)
@@ -79,7 +81,7 @@ def bends_of(data: TrainingData) -> Bends:
 
 
 def solved_bends(
-    data: TrainingData, train: int = 900, held_out: int = 100, touched_bends: int = 8, probed_bends: int = 3
+    data: "TrainingData", train: int = 900, held_out: int = 100, touched_bends: int = 8, probed_bends: int = 3
 ) -> Bends:
     """Return a data set's bends and many more, and touches.
 
