@@ -52,6 +52,9 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
 }
 """Modules by command; those that are not here need none."""
 
+PHYSICS: Final = ("scipy",)
+"""All that ``--physics`` needs."""
+
 OPTION_NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "plot": ("matplotlib",), "picture": ("matplotlib",), "scheduler": ("distributed",),
 }  # fmt: skip
@@ -72,7 +75,8 @@ def check(arguments: argparse.Namespace) -> None:
         MissingExtraError: Some are missing.
     """
     name = " ".join(str(part) for part in (arguments.command, getattr(arguments, "benchmark", None)) if part)
-    require(name, NEEDS.get(name, ()))
+    by_physics = getattr(arguments, "physics", False)
+    require(name, PHYSICS if by_physics else NEEDS.get(name, ()))
     for option, modules in OPTION_NEEDS.items():
         if getattr(arguments, option, None):
             require(f"--{option}", modules)

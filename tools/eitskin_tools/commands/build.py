@@ -1,6 +1,7 @@
 """``eitskin build SKIN.toml --out FILE.eitskin``: data, training, export and card of a bundle, in one command.
 
-It may be stopped at any time, by Ctrl-C or by force; the same command resumes.
+It may be stopped at any time, by Ctrl-C or by force; the same command resumes. With ``--physics`` it takes a minute and
+trains nothing.
 """
 
 import argparse
@@ -33,6 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="H",
         help="scale data and epochs to H hours on this machine (default: full length)",
     )
+    parser.add_argument(
+        "--physics", action="store_true", help="train no network: solvers and gate from the forward model, in a minute"
+    )
     add_making(parser)
 
 
@@ -56,6 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.hours is not None and not 0 < arguments.hours < 1e4:
         raise UsageError(f"--hours is {arguments.hours:g}, expected more than 0")
+    if arguments.physics:
+        return _build_physics(arguments)
     return make(recipe.load(arguments.recipe), arguments, arguments.hours)
 
 
@@ -136,4 +142,31 @@ def make(
     for line in card.lines_of(found):
         print(line)
     print(f"You may remove {work}.")
+    return 0
+
+
+def _build_physics(arguments: argparse.Namespace) -> int:
+    """Build without training, and report."""
+    from eitskin_tools.build import physics, steps
+    from eitskin_tools.command_line import files, kinds, options
+    from eitskin_tools.console.progress import Stages
+    from eitskin_tools.errors import UsageError
+    from eitskin_tools.evaluation import physics_card
+
+    given = [name for name in ("hours", "work", "threads") if getattr(arguments, name)]
+    if given:
+        raise UsageError(f"--{given[0]} does nothing with --physics: leave it out")
+    options.check_least(arguments, workers=1)
+    files.writable(arguments.out, kinds.BUNDLE)
+    skin = options.read_skin(arguments.recipe)
+    with Stages() as tell:
+        found = physics.build(skin, arguments.out, steps.processes(arguments.workers), tell)
+    if arguments.json:
+        print(json.dumps(found))
+        return 0
+    print(f"Done: {arguments.out}. {physics_card.summary(found['card'])}")
+    size_mb, touches = found["bytes"] / 1e6, found["touches"]
+    print(f"bundle {found['bundle']}, {size_mb:.1f} MB, {touches} touches, no network, {found['seconds']:.0f} s")
+    for line in physics_card.lines_of(found["card"]):
+        print(line)
     return 0

@@ -6,6 +6,7 @@
 import argparse
 import json
 from pathlib import Path
+from typing import Any
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,11 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Try the bundle part by part, and report."""
-    from eitskin_tools.build.steps import finish
+    from eitskin.model.bundle import load_bundle
     from eitskin_tools.command_line import files, kinds
     from eitskin_tools.console.progress import Stages
     from eitskin_tools.errors import UsageError
-    from eitskin_tools.evaluation import card
+    from eitskin_tools.evaluation import card, physics_card
 
     sizes = (arguments.deformations, arguments.each, arguments.draws)
     if min(sizes) < 1:
@@ -34,17 +35,26 @@ def run(arguments: argparse.Namespace) -> int:
     path = files.find(arguments.bundle, files.BUNDLE)
     if arguments.out is not None:
         files.writable(arguments.out, kinds.BUNDLE)
+    if not load_bundle(path, lazily=True).has_network:
+        whole = physics_card.card_of(path)
+        return _report(arguments, path, whole, [physics_card.summary(whole), *physics_card.lines_of(whole)])
     found = {}
     with Stages() as tell:
         for name in card.parts(path):
             tell(name)
             found[name] = card.part(name, path, *sizes)
     whole = card.whole(found, path)
+    return _report(arguments, path, whole, card.lines_of(whole))
+
+
+def _report(arguments: argparse.Namespace, path: Path, whole: dict[str, Any], lines: list[str]) -> int:
+    from eitskin_tools.build.steps import finish
+
     identity = None if arguments.out is None else finish(path, whole, arguments.out)
     if arguments.json:
         print(json.dumps({"bundle": identity, "path": str(arguments.out or path), "card": whole}))
         return 0
-    for line in card.lines_of(whole):
+    for line in lines:
         print(line)
     if identity is not None:
         print(f"{arguments.out}: bundle {identity}, with this card")

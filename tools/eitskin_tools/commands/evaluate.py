@@ -34,7 +34,6 @@ def run(arguments: argparse.Namespace) -> int:
     if not 0.0 <= arguments.shift_px <= 1.0:
         raise UsageError(f"--shift-px {arguments.shift_px:g}: expected from 0 to 1")
     check_snr(arguments.snr_db)
-    _check_classical(arguments, way)
     if arguments.at_rest < 0:
         raise UsageError(f"--at-rest {arguments.at_rest}: expected a number of frames")
     skin = options.chosen_skin(arguments)
@@ -48,6 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.seed * arguments.seeds,
     )
     request = Request(arguments.solver, arguments.reference, arguments.bundle, arguments.prediction, arguments.at_rest)
+    _check_classical(arguments, way, request)
     with ProgressBar(way, lines=False) as bar:
         arguments.progress = bar.show
         if way == "measured":
@@ -61,14 +61,14 @@ def run(arguments: argparse.Namespace) -> int:
         return _trial(arguments, request, conditions)
 
 
-def _check_classical(arguments: argparse.Namespace, way: str) -> None:
+def _check_classical(arguments: argparse.Namespace, way: str, request: Any) -> None:
     """Tell of a bundle that a classical solver does not read, and refuse a prediction; elsewhere its gate judges.
 
     A caller that goes through all solvers may name a bundle for each.
     """
-    from eitskin_sim.evaluation.harness import SOLVERS
+    from eitskin_tools.evaluation.solvers import is_deployed
 
-    if arguments.solver not in SOLVERS or way not in SIMULATED_SUBJECTS:
+    if way not in SIMULATED_SUBJECTS or is_deployed(request):
         return
     said = f"does nothing with --solver {arguments.solver}, which is made of the skin alone"
     if arguments.prediction != MODE_OPTIONS["prediction"].usual:
@@ -203,10 +203,9 @@ def _trial(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:
 def _tell_unknown(request: Any, groups: Any) -> None:
     """Say on stderr which touches of what is tried, (labels, touches), the bundle of a network does not know."""
     from eitskin_proto.skin.touch_kind import knows
-    from eitskin_sim.evaluation.harness import SOLVERS
-    from eitskin_tools.evaluation.solvers import bundle_for
+    from eitskin_tools.evaluation.solvers import bundle_for, is_deployed
 
-    for labels, touches in sorted(set(groups)) if request.name not in SOLVERS else ():
+    for labels, touches in sorted(set(groups)) if is_deployed(request) else ():
         bundle = bundle_for(request, labels, touches)
         if not knows(bundle.touch_kind, touches):
             known = f"{bundle.path} knows touches = {bundle.touch_kind}"

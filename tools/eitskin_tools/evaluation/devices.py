@@ -14,11 +14,11 @@ from eitskin_proto.files.plain import quoted
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.device_runs import Plan, Trial, drawn_trials, run_rows, sets_of_touches
-from eitskin_sim.evaluation.harness import SOLVERS, Conditions
+from eitskin_sim.evaluation.harness import Conditions
 from eitskin_sim.evaluation.mismatch import Row, lab_rows, load_rows, random_rows
 from eitskin_sim.scene.scene import SceneError, load_phantoms
 from eitskin_tools.command_line import files
-from eitskin_tools.evaluation.solvers import Named, Progress, Request, bundle_on, judge_of, named
+from eitskin_tools.evaluation.solvers import Named, Progress, Request, bundle_on, is_deployed, judge_of, named
 
 Array = npt.NDArray[np.float64]
 
@@ -161,7 +161,7 @@ def evaluate_devices(
                 mismatch.require(plan.meant)
         except SceneError as error:
             raise SceneError(f"mismatch {quoted(name)}: {error}") from error
-    reference = request.reference or ("predicted" if request.name in SOLVERS else "pre")
+    reference = request.reference or ("pre" if is_deployed(request) else "predicted")
     solvers: dict[str, Named] = {}
     judges, bundles = {}, {}
     followers: dict[str, DriftRemoved] = {}

@@ -20,14 +20,14 @@ from eitskin_proto.files.plain import plain
 from eitskin_proto.sensor.noise_law import noise_of, own_sd
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.evaluation.harness import SOLVERS, Case, Reference, Sheet
+from eitskin_sim.evaluation.harness import Case, Reference, Sheet
 from eitskin_sim.evaluation.metrics import correlation, localisation_error_mm
 from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
 from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_sim.verification.residual import Noise
 from eitskin_tools.evaluation.measured_file import UNTOUCHED, Measured
 from eitskin_tools.evaluation.printed import cell
-from eitskin_tools.evaluation.solvers import Progress, Request, bundle_on, judge_of, named
+from eitskin_tools.evaluation.solvers import Progress, Request, bundle_on, is_deployed, judge_of, named
 
 if TYPE_CHECKING:
     from eitskin_tools.evaluation.verified.solver import MapVerdict
@@ -75,7 +75,7 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
     if request.reference == "post" or request.prediction == "true":
         asked = "--reference post" if request.reference == "post" else "--prediction true"
         raise ValueError(f"{asked} needs the untouched voltages at every shape, which a measured file does not have")
-    classical = request.name in SOLVERS
+    classical = not is_deployed(request)
     reference: Reference = request.reference or ("predicted" if classical else "pre")
     kind, skin = touches_of(measured), measured.skin
     bundle = bundle_on(request, "area", kind, skin)

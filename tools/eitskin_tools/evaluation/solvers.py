@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.model.bundle import Bundle
+from eitskin.model.bundle import Bundle, load_bundle
 from eitskin.model.engine import HEADS
+from eitskin.model.engine import solvers as solvers_of
 from eitskin.model.gate import Gate
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.skin.made_for import check_made_for
@@ -116,13 +117,27 @@ def named(
         raise ValueError(f"reference {request.reference!r} is unknown; expected one of {', '.join(REFERENCES)}")
     if request.at_rest and request.name != VERIFIED:
         raise ValueError("--at-rest needs --solver verified")
-    if request.name in SOLVERS:
+    if request.name in SOLVERS and not is_deployed(request):
         return Named(Run(SOLVERS[request.name], request.reference or "post"))
     if request.name == VERIFIED:
         return _verified(request, labels, skin, touches, conditions or Conditions(), noise)
-    if request.name not in NETWORKS:
+    if request.name not in (*NETWORKS, *SOLVERS):
         raise ValueError(f"solver {request.name!r} is unknown; expected one of {', '.join(NAMES)}")
     return _network(request, labels, skin, touches)
+
+
+def is_deployed(request: Request) -> bool:
+    """Return whether a request means a solver of its bundle: a network, or the operators of a bundle without one.
+
+    Raises:
+        BundleError: The bundle cannot be read.
+    """
+    if request.name not in SOLVERS:
+        return True
+    if request.bundle is None:
+        return False
+    bundle = load_bundle(request.bundle, lazily=True)
+    return not bundle.has_network and request.name in solvers_of(bundle)
 
 
 def bundle_for(request: Request, labels: str, touch_kind: TouchKind = "raise") -> "Bundle":
@@ -137,7 +152,7 @@ def bundle_for(request: Request, labels: str, touch_kind: TouchKind = "raise") -
     Raises:
         BundleError: It cannot be read.
     """
-    from eitskin.model.bundle import default_path, load_bundle
+    from eitskin.model.bundle import default_path
 
     own = default_path(labels, touch_kind)
     return load_bundle(request.bundle or (own if own.exists() else default_path(labels)))

@@ -20,6 +20,9 @@ Array = npt.NDArray[np.float64]
 COMMON_SD: Final = 0.05
 """Standard deviation of the logarithm of the factor common to all rows: drift since the reference."""
 
+LEAST_NOISE: Final = 1e-3
+"""Of l: the model is no better."""
+
 DAMPING: Final = 100.0
 """Tikhonov's, where whitened noise is 1; best of 1 to 1000 on 32 phantoms at bends."""
 
@@ -27,16 +30,16 @@ SIGNS: Final[dict[TouchKind, float]] = {"raise": 1.0, "lower": -1.0, "both": 0.0
 """Of the change of conductance that solvers look for; 0 is either."""
 
 
-def whitening_of(untouched: Array, noise_sd: float) -> Array:
+def whitening_of(untouched: Array, noise_sd: Array) -> Array:
     """Return the (rows, rows) W.
 
     Args:
         untouched: (n, rows) l of untouched sheets, free of noise.
-        noise_sd: Of a row's l.
+        noise_sd: (rows,) standard deviation of l by noise.
     """
-    rows = untouched.shape[1]
     around = untouched.T @ untouched / len(untouched)  # about 0, where the flat sheet is
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(around + noise_sd**2 * np.eye(rows) + COMMON_SD**2)))
+    noise = np.diag(np.maximum(noise_sd, LEAST_NOISE) ** 2)
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(around + noise + COMMON_SD**2)))
 
 
 def l1_arrays(whitening: Array, jacobian: Array, touches: TouchKind) -> dict[str, Array]:

@@ -86,15 +86,19 @@ def assemble_disc(mesh: TensorMesh, disc: Disc, metric: Metric = flat_metric) ->
     return replace(inner, contacts=contacts)
 
 
+def turned_form(first: Array, angle: Array | float) -> Array:
+    """Return first fundamental forms (n, 3) along axes that are turned by angles in rad."""
+    E, F, G = first.T
+    c, s = np.cos(angle), np.sin(angle)
+    along, across = c * c * E + 2.0 * c * s * F + s * s * G, s * s * E - 2.0 * c * s * F + c * c * G
+    return np.stack([along, c * s * (G - E) + (c * c - s * s) * F, across], axis=-1)
+
+
 def _turned(disc: DiscMap, metric: Metric) -> Metric:
-    """E, F, G along the rectangle's own directions, of which the map turns lengths but leaves their ratios."""
+    """First fundamental form along the rectangle's axes, which the map turns."""
 
     def turned(xy_mm: Array) -> Array:
-        first, angle = metric(disc.to_disc(xy_mm)), disc.turn(xy_mm)
-        E, F, G = first.T
-        c, s = np.cos(angle), np.sin(angle)
-        along, across = c * c * E + 2.0 * c * s * F + s * s * G, s * s * E - 2.0 * c * s * F + c * c * G
-        return np.stack([along, c * s * (G - E) + (c * c - s * s) * F, across], axis=-1)
+        return turned_form(metric(disc.to_disc(xy_mm)), disc.turn(xy_mm))
 
     return turned
 

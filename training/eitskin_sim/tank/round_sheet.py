@@ -23,7 +23,7 @@ from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.nominal import nominal_sheet
 from eitskin_sim.scene.parts import Bend, Scene
-from eitskin_sim.tank.disc import Disc, assemble_disc
+from eitskin_sim.tank.disc import Disc, assemble_disc, turned_form
 
 Array = npt.NDArray[np.float64]
 
@@ -131,11 +131,8 @@ class RoundSheet:
     def _metric(self, bend: Bend) -> Callable[[Array], Array]:
         """First fundamental form at points (n, 2) mm from the middle of the turned disc, along its axes."""
         own = bend_metric(bend, nominal_sheet(self.square))
-        c, s = np.cos(np.deg2rad(self._turn_deg)), np.sin(np.deg2rad(self._turn_deg))
 
         def metric(disc_mm: Array) -> Array:
-            E, F, G = own(self._placed(disc_mm)).T
-            along, across = c * c * E + 2.0 * c * s * F + s * s * G, s * s * E - 2.0 * c * s * F + c * c * G
-            return np.stack([along, c * s * (G - E) + (c * c - s * s) * F, across], axis=-1)
+            return turned_form(own(self._placed(disc_mm)), np.deg2rad(self._turn_deg))
 
         return metric
