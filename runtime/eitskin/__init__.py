@@ -16,6 +16,7 @@ Begin with:
 * ``send_cloud``: how the sheet is bent now; until then it counts as flat.
 * ``request``: status, a new reference, excluded electrodes, stop.
 * ``Skin``: a skin read in this process, without ``eitskin run``.
+* ``reconstruct``: maps of voltages in an array.
 * ``NoFrame``, ``StaleFrame``: no frame came in time, or only an old one; both are ``TimeoutError``.
 
 Other failures of a skin, a file or a line raise a ``SkinError`` that says in one line what to do.
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
     from eitskin.messaging.streams.verified_subscription import VerifiedSubscription, subscribe_verified
     from eitskin.messaging.subscription import Subscription, subscribe
     from eitskin.model.bundle import Bundle, load_bundle
+    from eitskin.reconstruction import Reconstruction, reconstruct
     from eitskin.reference.captured import Reference
     from eitskin.robot.all_frames import RobotSubscription, SkinFrame, subscribe_all
     from eitskin.robot.config import Robot, RobotSkin, load_robot
@@ -104,6 +106,7 @@ __all__ = [
     "Pose",
     "ProtocolError",
     "Publisher",
+    "Reconstruction",
     "Reference",
     "Robot",
     "RobotError",
@@ -132,6 +135,7 @@ __all__ = [
     "load_robot",
     "make_keys",
     "pixel_centres_mm",
+    "reconstruct",
     "request",
     "robot_skins",
     "send_cloud",
@@ -153,6 +157,7 @@ _HOMES: Final = {
     "Frame": "eitskin.messaging.frame",
     "Pose": "eitskin.robot.pose",
     "Publisher": "eitskin.messaging.publish",
+    "Reconstruction": "eitskin.reconstruction",
     "Reference": "eitskin.reference.captured",
     "Robot": "eitskin.robot.config",
     "RobotSkin": "eitskin.robot.config",
@@ -175,6 +180,7 @@ _HOMES: Final = {
     "load_robot": "eitskin.robot.config",
     "make_keys": "eitskin.messaging.curve_keys",
     "pixel_centres_mm": "eitskin_proto.skin.cloud",
+    "reconstruct": "eitskin.reconstruction",
     "request": "eitskin.messaging.control_client",
     "robot_skins": "eitskin.robot.described",
     "send_cloud": "eitskin.messaging.control_client",
