@@ -10,6 +10,8 @@ from eitskin_proto.skin.toml import parse
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.tank.round_sheet import RoundSheet
 
+pytestmark = [pytest.mark.slow, pytest.mark.heavy, pytest.mark.process]
+
 ROUND = f"""
 format = "eitskin-skin"
 version = 1
