@@ -98,7 +98,7 @@ def shared_noise(covariance: Array, frames: int) -> Array:
 
 def own_sd(sd: Array, shared: Array) -> Array:
     """Return (rows,) the part of standard deviations (rows,) that rows do not share, by components (rows, k)."""
-    return np.sqrt(np.maximum(sd**2 - np.sum(shared**2, axis=1), 0.0))
+    return np.asarray(np.sqrt(np.maximum(sd**2 - np.sum(shared**2, axis=1), 0.0)))
 
 
 def noise_of(changes: Array) -> tuple[Array, Array]:

@@ -204,8 +204,8 @@ def _structured_share(read: Array, stated: Table) -> float:
 
 
 def _rank_correlation(one: Array, other: Array) -> float:
-    ranks = [np.argsort(np.argsort(values)).astype(np.float64) for values in (one, other)]
-    return float(np.corrcoef(*ranks)[0, 1])
+    first, second = (np.argsort(np.argsort(values)).astype(np.float64) for values in (one, other))
+    return float(np.corrcoef(first, second)[0, 1])
 
 
 def _sorted(table: Table) -> Table:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.noise_law import noise_of
 from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.solvers.operators import build_operators
 
 Array = npt.NDArray[np.float64]
@@ -45,7 +46,7 @@ class PressError(SkinError, ValueError):
 class PressWay:
     """What a press says."""
 
-    kind: str
+    kind: TouchKind
     """``lower`` or ``raise``, as in the skin's file."""
     log_ratio: float
     """Log likelihood of this kind over the other."""
@@ -74,7 +75,7 @@ def press_way(untouched_V: Array, pressed_V: Array, skin: Skin) -> PressWay:
     weighed = np.linalg.solve(covariance, touches)
     along, size = change @ weighed, np.einsum("rk,rk->k", touches, weighed)
     gain = along**2 / size
-    signs = {"raise": along > 0.0, "lower": along < 0.0}
+    signs: dict[TouchKind, npt.NDArray[np.bool_]] = {"raise": along > 0.0, "lower": along < 0.0}
     best = {kind: float(np.max(gain, where=there, initial=0.0)) for kind, there in signs.items()}
     kind = max(best, key=lambda one: best[one])
     if best[kind] < MIN_GAIN:
