@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         BudgetError,
         BundleError,
         CalibrationError,
+        Closed,
         CloudWarning,
         ControlError,
         EndpointError,
@@ -64,7 +65,7 @@ if TYPE_CHECKING:
     from eitskin.messaging.streams.subscription import StreamSubscription, subscribe_streams
     from eitskin.messaging.streams.verified import VerifiedFrame, VerifiedTouch
     from eitskin.messaging.streams.verified_subscription import VerifiedSubscription, subscribe_verified
-    from eitskin.messaging.subscription import Subscription, subscribe
+    from eitskin.messaging.subscription import Subscription, subscribe, subscribe_async
     from eitskin.model.bundle import Bundle, load_bundle
     from eitskin.reconstruction import Reconstruction, reconstruct
     from eitskin.reference.captured import Reference
@@ -86,6 +87,7 @@ __all__ = [
     "BundleError",
     "CalibrationError",
     "ClientKeys",
+    "Closed",
     "CloudInUse",
     "CloudWarning",
     "Conditions",
@@ -142,6 +144,7 @@ __all__ = [
     "serve",
     "subscribe",
     "subscribe_all",
+    "subscribe_async",
     "subscribe_streams",
     "subscribe_verified",
 ]
@@ -187,6 +190,7 @@ _HOMES: Final = {
     "serve": "eitskin.skin",
     "subscribe": "eitskin.messaging.subscription",
     "subscribe_all": "eitskin.robot.all_frames",
+    "subscribe_async": "eitskin.messaging.subscription",
     "subscribe_streams": "eitskin.messaging.streams.subscription",
     "subscribe_verified": "eitskin.messaging.streams.verified_subscription",
 }

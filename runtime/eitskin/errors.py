@@ -21,6 +21,7 @@
     ├── ControlError           the runtime refused a request
     ├── BudgetError            a latency budget that cannot be met
     ├── RobotError             a list of skins that cannot be used    (also ValueError)
+    ├── Closed                 the subscription was stopped or closed
     ├── NoFrame                no frame came in time                 (also TimeoutError)
     │   └── SilentSkin         from one of several skins, which it names
     └── StaleFrame             the newest frame is too old           (also TimeoutError)
@@ -36,6 +37,7 @@ __all__ = [
     "BadReference",
     "BudgetError",
     "BundleError",
+    "Closed",
     "CloudWarning",
     "ControlError",
     "EndpointError",
@@ -120,6 +122,10 @@ class BudgetError(SkinError):
 
 class RobotError(SkinError, ValueError):
     """A robot's list of skins cannot be used."""
+
+
+class Closed(SkinError):
+    """The subscription was stopped or closed, here or by another thread."""
 
 
 class NoFrame(SkinError, TimeoutError):

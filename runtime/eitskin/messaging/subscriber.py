@@ -11,8 +11,7 @@ import stat
 import time
 from collections.abc import Iterable
 from contextlib import suppress
-from types import TracebackType
-from typing import Any, Final, Generic, Self, TypeVar
+from typing import Any, Final
 
 import zmq
 
@@ -20,6 +19,7 @@ from eitskin.errors import EndpointError, FrameError, NoFrame
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import check_client_keys, default_publish
 from eitskin.messaging.reachability import explain_silence
+from eitskin.messaging.reader import LONGEST_WAIT_MS, Item, Reader
 
 Connection = tuple[int, int]
 """A connection as long as it lives: its descriptor and its inode. A number that is used again has another inode."""
@@ -38,14 +38,9 @@ PATIENCE_S: Final = 1.0
 """Silence after which it is looked whether the connection still lives; twice as long each time that did not help."""
 
 MOST_PATIENCE_S: Final = 16.0
-LONGEST_WAIT_MS: Final = 1000
-"""How long the socket waits at a time."""
-
-Item = TypeVar("Item")
-"""The items of a subscription."""
 
 
-class Subscriber(Generic[Item]):
+class Subscriber(Reader[Item]):
     """A connected socket that yields items; leave it with ``close`` or as a context manager.
 
     A subclass says what a message holds (:meth:`_item`).
@@ -82,6 +77,7 @@ class Subscriber(Generic[Item]):
             raise ValueError(f"mode {mode!r} does not exist; expected one of {', '.join(MODES)}")
         if timeout_s is not None and not timeout_s > 0:
             raise ValueError(f"timeout_s is {timeout_s}, expected more than 0")
+        super().__init__()
         self.endpoint = default_publish() if endpoint is None else endpoint
         check_client_keys(self.endpoint, keys)
         self.received = 0
@@ -104,8 +100,14 @@ class Subscriber(Generic[Item]):
         self._heard_ns = time.perf_counter_ns()
         """When the last message came."""
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self.socket: Any = self._context.socket(zmq.SUB)
-        """For waiting on several sockets."""
+        try:
+            self.socket: Any = self._context.socket(zmq.SUB)
+            """For waiting on several sockets."""
+        except zmq.ZMQError as error:  # too many open files
+            self._context.term()
+            raise EndpointError(
+                f"no socket for {self.endpoint}: {error.strerror}; close some, or allow more"
+            ) from error
         self.socket.setsockopt(zmq.LINGER, 0)
         self.socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_TAKEN)
         self.socket.setsockopt(zmq.RCVHWM, queue)
@@ -141,11 +143,12 @@ class Subscriber(Generic[Item]):
         """Return why nothing came, with advice."""
         return self.silence(waited_s)
 
-    def _next(self, timeout_s: float | None = None) -> Item:
+    def _wait(self, timeout_s: float | None) -> Item:
         """Return the next item, waiting for it.
 
         Raises:
             NoFrame: None came in time; the text says whether anybody is there, and what to do.
+            Closed: The subscription was stopped or closed.
         """
         if timeout_s is None:
             timeout_s = self._timeout_s if self.received else self._first_s
@@ -163,12 +166,14 @@ class Subscriber(Generic[Item]):
                 self.check_connection()
             if item is not None:
                 return item
+            self._check_stopped()
             left_s = end_s - time.perf_counter()
             if left_s <= 0:
                 raise NoFrame(f"{self._nothing} from {self.endpoint} within {timeout_s:g} s: {self._why(timeout_s)}")
 
     def waiting(self) -> Item | None:
         """Return the item that waits already; None if there is none."""
+        self._check_stopped()
         return self._taken(self._recv()) if self.waits else None
 
     def _taken(self, message: bytes) -> Item | None:
@@ -229,19 +234,7 @@ class Subscriber(Generic[Item]):
         self._heard_ns = time.perf_counter_ns()
         self._patience_s = min(2 * self._patience_s, MOST_PATIENCE_S)
 
-    def __iter__(self) -> Self:
-        return self
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Give the socket back; closing twice is fine."""
+    def _release(self) -> None:
         self.socket.close(0)
         self._context.term()
 

@@ -11,10 +11,11 @@ A subscription to an unused address ends: unless ``timeout_s`` says otherwise, t
 Later frames may take any time.
 """
 
+from collections.abc import AsyncGenerator
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Any, Final, Self
 
-from eitskin.errors import StaleFrame
+from eitskin.errors import Closed, StaleFrame
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.frame import (
     EVERY_FRAME,
@@ -92,6 +93,8 @@ class Subscription(Subscriber[Frame]):
                 except (eitskin.NoFrame, eitskin.StaleFrame):
                     ...  # stop the robot; the next call continues as soon as frames come
 
+    One thread may read while any other calls ``stop`` or ``close``; iteration then ends.
+
     Args:
         endpoint: Where the runtime publishes, ``ipc:///path`` or ``tcp://address:port``; None for the default of
             ``eitskin run``.
@@ -156,13 +159,15 @@ class Subscription(Subscriber[Frame]):
             NoFrame: No frame came in time; the text says whether a runtime is there, and what to do.
             StaleFrame: The frame is older than ``max_age_s``.
             MismatchError: A region is requested, and the maps are another skin's.
+            Closed: The subscription was stopped or closed.
         """
-        frame = self._next()
+        return self._next()
+
+    def _wait(self, timeout_s: float | None) -> Frame:
+        frame = super()._wait(timeout_s)
         if self._max_age_s is not None and (age_s := frame.age_s) > self._max_age_s:
             raise StaleFrame(f"the newest frame is {age_s:.3f} s old, expected at most {self._max_age_s:g} s")
         return frame
-
-    __next__ = next_frame
 
     def _taken(self, message: bytes) -> Frame | None:
         frame = super()._taken(message)
@@ -197,3 +202,28 @@ class Subscription(Subscriber[Frame]):
 
 subscribe = Subscription
 """Open a :class:`Subscription` with these arguments: ``for frame in eitskin.subscribe(): ...``."""
+
+
+async def subscribe_async(*args: Any, **options: Any) -> AsyncGenerator[Frame, None]:
+    """Yield frames to asyncio: ``async for frame in eitskin.subscribe_async(): ...``.
+
+    A thread waits for the frames, so other tasks run meanwhile. Cancel the task to end it; after a ``break`` use
+    ``contextlib.aclosing``, which closes the connection at once. Every other subscription can be awaited the same way:
+    ``await asyncio.to_thread(items.next_item)``.
+
+    Args:
+        args: As of :class:`Subscription`.
+        options: As of :class:`Subscription`.
+
+    Raises:
+        SkinError: As :class:`Subscription` and :meth:`Subscription.next_frame` do.
+    """
+    import asyncio  # noqa: PLC0415 -- it loads more than a subscriber needs
+
+    with Subscription(*args, **options) as frames:
+        while True:
+            try:
+                frame = await asyncio.to_thread(frames.next_frame)
+            except Closed:
+                return
+            yield frame

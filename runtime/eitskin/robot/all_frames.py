@@ -11,13 +11,14 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import zmq
 
 from eitskin.errors import RobotError, SilentSkin, StaleFrame
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.frame import Frame
+from eitskin.messaging.reader import LONGEST_WAIT_MS, Reader
 from eitskin.messaging.subscriber import FIRST_S
 from eitskin.messaging.subscription import Subscription
 from eitskin.robot.config import RobotSkin
@@ -25,7 +26,7 @@ from eitskin.robot.described import Source, robot_skins
 from eitskin.robot.pose import Pose
 from eitskin.touches.touch import Touch
 
-LOOK_MS = 1000
+LOOK_S = 1.0
 """How often a connection that may be dead is looked at."""
 
 
@@ -49,7 +50,7 @@ class SkinFrame:
         return tuple(self.pose.touch(touch) for touch in self.frame.touches)
 
 
-class RobotSubscription:
+class RobotSubscription(Reader[SkinFrame]):
     """Open subscriptions to all skins of a robot: iterate it, and close it with ``close`` or as a context manager.
 
     Args:
@@ -81,6 +82,7 @@ class RobotSubscription:
         maps: bool = True,
         keys: ClientKeys | Mapping[str, ClientKeys] | None = None,
     ) -> None:
+        super().__init__()
         self.skins: dict[str, RobotSkin] = {one.name: one for one in robot_skins(source)}
         """By name, in the robot's order."""
         for name, value in (("timeout_s", timeout_s), ("max_age_s", max_age_s)):
@@ -108,7 +110,7 @@ class RobotSubscription:
         now_s = time.monotonic()
         self._heard_s = dict.fromkeys(self.skins, now_s)
         self._due_s = dict.fromkeys(self.skins, now_s + self._first_s)
-        self._look_s = now_s + LOOK_MS / 1000
+        self._look_s = now_s + LOOK_S
 
     @property
     def received(self) -> dict[str, int]:
@@ -132,11 +134,16 @@ class RobotSubscription:
             SilentSkin: A skin has sent nothing for too long; its ``skin`` is the name. The next call continues with
                 the other skins, and raises again after the same time.
             StaleFrame: The frame is older than ``max_age_s``.
+            Closed: The subscription was stopped or closed.
         """
+        return self._next()
+
+    def _wait(self, timeout_s: float | None) -> SkinFrame:
         while True:
+            self._check_stopped()
             self._raise_if_silent()
             if not self._turns:
-                self._wait()
+                self._poll()
                 continue
             name = self._turns.popleft()
             if (frame := self._subscriptions[name].waiting()) is None:
@@ -149,12 +156,12 @@ class RobotSubscription:
                 )
             return SkinFrame(name, frame, self.skins[name].pose)
 
-    def _wait(self) -> None:
+    def _poll(self) -> None:
         left_ms = (min(self._due_s.values()) - time.monotonic()) * 1000
-        ready = self._poller.poll(int(max(0, min(left_ms + 1, LOOK_MS))))
+        ready = self._poller.poll(int(max(0, min(left_ms + 1, LONGEST_WAIT_MS))))
         self._turns.extend(self._by_socket[socket] for socket, _ in ready)
         if (now_s := time.monotonic()) >= self._look_s:
-            self._look_s = now_s + LOOK_MS / 1000
+            self._look_s = now_s + LOOK_S
             for name in self._subscriptions.keys() - self._turns:
                 self._subscriptions[name].check_connection()
 
@@ -172,19 +179,7 @@ class RobotSubscription:
             endpoint, why = self.skins[name].publish, self._subscriptions[name].silence(allowed_s)
             raise SilentSkin(name, f"no frame of skin {name} from {endpoint} within {allowed_s:g} s: {why}")
 
-    __next__ = next_frame
-
-    def __iter__(self) -> Self:
-        return self
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the sockets; a second call does nothing."""
+    def _release(self) -> None:
         for one in self._subscriptions.values():
             one.close()
 

@@ -82,11 +82,9 @@ class StreamSubscription(Subscriber[Item]):
 
         Raises:
             NoFrame: No message came in time; the text says whether a runtime is there, and what to do.
+            Closed: The subscription was stopped or closed.
         """
         return self._next(timeout_s)
-
-    def __next__(self) -> Item:
-        return self._next()
 
     def _item(self, message: bytes) -> Item | None:
         found = opened(message)

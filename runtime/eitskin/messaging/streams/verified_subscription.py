@@ -71,11 +71,9 @@ class VerifiedSubscription(Subscriber[VerifiedFrame]):
 
         Raises:
             NoFrame: No message came in time; the text says whether a runtime is there, and what to do.
+            Closed: The subscription was stopped or closed.
         """
         return self._next(timeout_s)
-
-    def __next__(self) -> VerifiedFrame:
-        return self._next()
 
     def _why(self, waited_s: float) -> str:
         if self._frames and not self.received:

@@ -1,0 +1,149 @@
+"""Subscriptions of every kind end quietly, whichever thread stops or closes them and whenever."""
+
+import asyncio
+import copy
+import errno
+import pickle
+import random
+import threading
+import time
+
+import pytest
+import zmq
+
+import eitskin
+from eitskin.errors import Closed, EndpointError
+
+from .publishing import send
+
+ROUNDS, AT_ONCE = 20, 10
+
+
+@pytest.fixture
+def published(publisher, packer):
+    """The endpoint of a publisher that sends frames from a thread."""
+    ended = threading.Event()
+
+    def publish():
+        number = 0
+        while not ended.wait(0.001):
+            send(publisher, packer, number := number + 1)
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    yield publisher.endpoint
+    ended.set()
+    thread.join()
+
+
+@pytest.fixture
+def kinds(published, tmp_path):
+    """{name: a function that opens a subscription}; frames come to the first and the last only."""
+    text = 'format = "eitskin-robot"\nversion = 1\n'
+    text += f'[[skins]]\nname = "left"\nport = "/dev/l"\npublish = "{published}"\n'
+    (tmp_path / "robot.toml").write_text(text)
+    return {
+        "frames": lambda: eitskin.subscribe(published),
+        "streams": lambda: eitskin.subscribe_streams(published),
+        "verified": lambda: eitskin.subscribe_verified(published),
+        "all": lambda: eitskin.subscribe_all(tmp_path / "robot.toml"),
+    }
+
+
+KINDS = ["frames", "streams", "verified", "all"]
+
+
+def test_two_hundred_closes_at_random_moments_end_iteration_and_nothing_else(kinds):
+    chance, wrong = random.Random(0), []
+
+    def read(items):
+        try:
+            for _ in items:
+                pass
+        except Exception as error:
+            wrong.append(error)
+
+    for _ in range(ROUNDS):
+        opened = [kinds[chance.choice(KINDS)]() for _ in range(AT_ONCE)]
+        threads = [threading.Thread(target=read, args=(items,)) for items in opened]
+        for thread in threads:
+            thread.start()
+        for items in opened:
+            time.sleep(chance.uniform(0, 0.01))
+            chance.choice([items.close, items.stop])()
+        for thread in threads:
+            thread.join(60)
+            assert not thread.is_alive()
+        for items in opened:
+            items.close()
+    assert not wrong
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_after_stop_or_close_the_root_of_the_error_is_skin_error(kinds, kind):
+    items = kinds[kind]()
+    wait = getattr(items, {"streams": "next_item", "verified": "next_verified"}.get(kind, "next_frame"))
+    items.stop()
+    assert list(items) == []
+    items.close()
+    items.close()
+    assert list(items) == []
+    with pytest.raises(eitskin.SkinError, match="stopped or closed") as caught:
+        wait()
+    assert caught.type is Closed
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_pickling_and_copying_are_refused_in_a_line(kinds, kind):
+    with kinds[kind]() as items:
+        for attempt in (pickle.dumps, copy.copy):
+            with pytest.raises(TypeError, match=r"connection of this process.* subscribe in the other one"):
+                attempt(items)
+
+
+def test_a_received_frame_can_be_pickled(published):
+    with eitskin.subscribe(published) as frames:
+        frame = frames.next_frame()
+    assert pickle.loads(pickle.dumps(frame)).number == frame.number
+
+
+def test_a_close_within_the_reading_thread_leaves_the_socket_to_it(kinds):
+    """As a signal handler does, while the read that it interrupts goes on."""
+    items = kinds["frames"]()
+    items._lock.acquire()
+    items.close()
+    assert not items.socket.closed
+    items._lock.release()
+    assert list(items) == []
+    assert items.socket.closed
+
+
+def test_asyncio_receives_frames_beside_other_tasks_and_ends_when_cancelled(published):
+    async def main():
+        numbers = []
+
+        async def receive():
+            async for frame in eitskin.subscribe_async(published, mode="all"):
+                numbers.append(frame.number)  # noqa: PERF401 -- the outer loop watches the list grow
+
+        task = asyncio.create_task(receive())
+        while len(numbers) < 5:
+            await asyncio.sleep(0.001)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        async for frame in eitskin.subscribe_async(published):
+            return numbers, frame
+
+    numbers, frame = asyncio.run(main())
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    assert frame.number > numbers[-1]
+
+
+def test_a_lack_of_sockets_is_an_endpoint_error(monkeypatch, published):
+    def fail(*_):
+        raise zmq.ZMQError(errno.EMFILE)
+
+    monkeypatch.setattr(zmq.Context, "socket", fail)
+    with pytest.raises(EndpointError, match="close some"):
+        eitskin.subscribe(published)
