@@ -162,3 +162,20 @@ def test_another_sheet_or_other_rows_are_refused(taught, tmp_path, capsys):
     assert "eitskin teach" in capsys.readouterr().err
     with pytest.raises(PressesError, match="name the skin"):
         teach(load_presses(narrower), PAPER, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--places", "list.txt"], "--places does nothing without --recording"),
+        (["--presses", "30"], "--presses does nothing without --port"),
+        (["--recording", "a.mcap"], "--recording needs --places"),
+        (["--port", "/dev/null", "--recording", "a.mcap", "--places", "list.txt"], "leave one out"),
+        (["--port", "/dev/null", "--presses", "5"], "expected at least 6"),
+        (["--port", "/dev/null", "--json"], "leave --json out"),
+        (["--false-alarms", "0"], "expected 0.0001 to 0.5"),
+    ],
+)
+def test_options_that_contradict_each_other_are_refused(tmp_path, capsys, options, said):
+    assert main(["teach", str(tmp_path / "p.npz"), "--out", str(tmp_path / "p.eitskin"), *options]) == 2
+    assert said in capsys.readouterr().err

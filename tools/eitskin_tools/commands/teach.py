@@ -1,18 +1,35 @@
-"""``eitskin teach FILE.npz --out B.eitskin``: a bundle that finds touches as recorded presses have shown them."""
+"""``eitskin teach FILE.npz --out B.eitskin``: a bundle that finds touches as recorded presses have shown them.
+
+With ``--port`` it first leads through the presses and writes them to FILE.npz; with ``--recording`` it takes them out
+of a recording.
+"""
 
 import argparse
 import json
 import os
 import sys
 from pathlib import Path
+from typing import Any, Final
 
 from eitskin_tools.command_line import files, kinds, options
+from eitskin_tools.command_line.options import flag
 from eitskin_tools.errors import UsageError
+
+NEEDS: Final = {
+    "baud": ("port",), "presses": ("port",), "page": ("port",), "places": ("recording",),
+    "frames": ("port", "recording"),
+}  # fmt: skip
+"""Options that do something only with one of others."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("presses", type=Path, metavar="FILE", help="recorded presses at known places (.npz)")
+    parser.add_argument(
+        "file",
+        type=Path,
+        metavar="FILE",
+        help="recorded presses at known places (.npz); file to write, if recorded now",
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="B.eitskin", help="the bundle to write")
     parser.add_argument("--skin", metavar="SKIN.toml", help="description of the sheet (default: its size alone)")
     parser.add_argument(
@@ -21,6 +38,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw where presses are placed well and badly")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    guided = parser.add_argument_group("record the presses")
+    guided.add_argument("--port", help="lead through presses now: serial port, usb:SERIAL or NAME:REST of the device")
+    guided.add_argument("--baud", type=int, metavar="N", help="bits per second of a UART (default: 2000000)")
+    guided.add_argument("--presses", type=int, metavar="N", help="places of the grid, about (default: 60)")
+    guided.add_argument("--page", type=int, metavar="PORT", help="show the next place on a page at this port")
+    guided.add_argument("--recording", type=Path, metavar="FILE.mcap", help="take the presses out of a recording")
+    guided.add_argument("--places", type=Path, metavar="LIST", help="--recording: x and y of each press, a line each")
+    guided.add_argument("--frames", type=int, metavar="N", help="frames of each press and before it (default: 20)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -37,8 +62,9 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_tools.teach.taught_bundle import write_taught
     from eitskin_tools.teach.teaching import teach
 
-    presses = load_presses(files.find(arguments.presses, files.PRESSES))
     skin = None if arguments.skin is None else options.read_skin(arguments.skin)
+    _record(arguments, options.chosen_skin(arguments))
+    presses = load_presses(files.find(arguments.file, files.PRESSES))
     line = StatusLine(sys.stderr)
     taught = teach(presses, skin, arguments.false_alarms, line.show)
     line.end()
@@ -54,3 +80,34 @@ def run(arguments: argparse.Namespace) -> int:
         after = "Wrote {}. Its changes have no known unit, so it works with 'eitskin evaluate --measured' alone ({})."
     print(after.format(arguments.out, arguments.out))
     return 0
+
+
+def _record(arguments: argparse.Namespace, skin: Any) -> None:
+    """Write the file of presses, if it is recorded now or taken out of a recording."""
+    given = [name for name in ("port", "recording") if getattr(arguments, name) is not None]
+    for name, needs in NEEDS.items():
+        if getattr(arguments, name) is not None and not set(needs) & set(given):
+            raise UsageError(f"{flag(name)} does nothing without {' or '.join(map(flag, needs))}: leave it out")
+    if not given:
+        return
+    if len(given) > 1:
+        raise UsageError("--port and --recording are two ways to the presses: leave one out")
+    if (arguments.recording is None) != (arguments.places is None):
+        raise UsageError("--recording needs --places, a list of x and y of each press in mm")
+    options.check_least(arguments, presses=6, frames=2)
+    files.writable(arguments.file, kinds.PRESSES)
+    from eitskin.acquisition.serial_port import DEFAULT_BAUD
+    from eitskin_tools.teach.live import lead_through, presses_of_recording
+
+    frames = arguments.frames or 20
+    if arguments.recording is not None:
+        presses_of_recording(arguments.recording, arguments.places, skin, frames, arguments.file)
+        return
+    if arguments.json:
+        raise UsageError(
+            "--port prints its instructions on standard output: leave --json out, then teach FILE again with it"
+        )
+    baud = arguments.baud or DEFAULT_BAUD
+    lead_through(
+        arguments.file, skin, arguments.port, baud, presses=arguments.presses or 60, frames=frames, page=arguments.page
+    )
