@@ -48,7 +48,8 @@ def run(arguments: argparse.Namespace) -> int:
     )
     request = Request(arguments.solver, arguments.reference, arguments.bundle, arguments.prediction, arguments.at_rest)
     _check_classical(arguments, way, request)
-    with ProgressBar(way, lines=False) as bar:
+    slow = way == "measured" and arguments.solver == "verified"
+    with ProgressBar(way, lines=slow) as bar:
         arguments.progress = bar.show
         if way == "measured":
             return _measured(arguments, request)
