@@ -50,13 +50,15 @@ class Untouched:
     measure: Array
 
 
-def touch_logs(jacobian: Array, skin: Skin, inside: Array, rng: np.random.Generator, count: int = TOUCHES) -> Array:
+def touch_logs(
+    jacobian: Array, skin: Skin, inside: npt.NDArray[np.bool_], rng: np.random.Generator, count: int = TOUCHES
+) -> Array:
     """Return (count, 104) first-order log(V touched / V untouched) of discs anywhere on the sheet.
 
     Args:
         jacobian: (104, pixels) relative change of each row with that of each pixel's conductivity.
         skin: Sizes and contrasts of its touches.
-        inside: (pixels,) share of each pixel that is on the sheet.
+        inside: (pixels,) which are on the sheet.
         rng: Draws them.
         count: How many.
     """
@@ -64,17 +66,19 @@ def touch_logs(jacobian: Array, skin: Skin, inside: Array, rng: np.random.Genera
     places = grid.pixel_centres_mm().reshape(-1, 2)
     chosen = rng.choice(len(places), size=count, p=inside / inside.sum())
     centres = places[chosen] + rng.uniform(-0.5, 0.5, (count, 2)) * grid.pixel_mm
-    radii = np.exp(rng.uniform(*np.log(touches.size_mm), count)) / 2
+    radii = _log_uniform(touches.size_mm, count, rng) / 2
     apart = np.linalg.norm(places - centres[:, None], axis=2)
     shares = np.clip((radii[:, None] - apart) / grid.pitch_mm + 0.5, 0.0, 1.0)
     raising = np.full(count, touches.higher) if touches.higher != touches.lower else rng.random(count) < 0.5
-    contrast = np.where(
-        raising,
-        np.exp(rng.uniform(*np.log(touches.raising_contrast), count)),
-        np.exp(rng.uniform(*np.log(touches.lowering_contrast), count)),
-    )
+    rises, falls = (_log_uniform(one, count, rng) for one in (touches.raising_contrast, touches.lowering_contrast))
+    contrast = np.where(raising, rises, falls)
     effective = 2.0 * (contrast - 1.0) / (contrast + 1.0)
     return np.asarray(effective[:, None] * (shares @ jacobian.T))
+
+
+def _log_uniform(bounds: tuple[float, float], count: int, rng: np.random.Generator) -> Array:
+    low, high = np.log(bounds).tolist()
+    return np.exp(rng.uniform(low, high, count))
 
 
 def physical_gate(
