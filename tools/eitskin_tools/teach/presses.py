@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.errors import SkinError
+from eitskin_proto.files.archive import BadArchiveError, members
 from eitskin_proto.files.arrays import Array, Arrays, numbers, read_npz, text
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.sensor.row_table import MAX_ROWS, RowTable, numbered
@@ -150,8 +151,16 @@ def check_teachable(presses: Presses) -> None:
 
 
 def is_presses(path: str | Path) -> bool:
-    """Return whether a file is one of presses, by its arrays."""
-    return Path(path).suffix == ".npz" and "xy_mm" in read_npz(path, LARGEST_FILE)
+    """Return whether a file is one of presses, by the names of its arrays.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    with Path(path).open("rb") as stream:
+        try:
+            return "xy_mm.npy" in members(stream)
+        except BadArchiveError:
+            return False
 
 
 def _presses(arrays: Arrays) -> Presses:
