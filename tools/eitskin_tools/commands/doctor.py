@@ -64,6 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"{flag(name)} needs --electrodes or --drift beside it")
     found = doctor.examine()
     if arguments.port:
+        from eitskin.acquisition.drivers.driver import driver_name
         from eitskin.acquisition.serial_port import DEFAULT_BAUD
 
         baud = arguments.baud or DEFAULT_BAUD
@@ -71,7 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
         found["verdict"] = device.pop("verdict")
         found["problems"] += device.pop("problems")
         found["device"] = device
-        found["configuration"] = _configuration(arguments.port, baud)
+        if not driver_name(arguments.port):  # a driver stores none
+            found["configuration"] = _configuration(arguments.port, baud)
     if arguments.json:
         print(json.dumps(found))
     else:
@@ -205,6 +207,7 @@ def _of_recording(arguments: argparse.Namespace, bundle: Any = None) -> tuple[An
     require("a recording", RECORDINGS)
     from eitskin.errors import BadReference
     from eitskin.health.electrodes import WINDOW
+    from eitskin_proto.wire.volts import step_of
     from eitskin_tools.recording.convert import table_of
     from eitskin_tools.recording.script import Script, for_skin, reference_of
 
@@ -221,7 +224,7 @@ def _of_recording(arguments: argparse.Namespace, bundle: Any = None) -> tuple[An
         )
     held = [step.reference for step in script.steps(begin_s) if step.reference is not None]
     reference = reference_of(script, held[-1] if held else script.reference())
-    return Recording(found.voltages_V, None, script.hello.volts_per_count), reference
+    return Recording(found.voltages_V, None, step_of(script.hello)), reference
 
 
 def _configuration(port: str, baud: int) -> dict[str, Any]:
