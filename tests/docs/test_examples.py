@@ -4,7 +4,7 @@ import socket
 import threading
 import time
 from contextlib import contextmanager, suppress
-from urllib.request import urlopen
+from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
@@ -129,7 +129,9 @@ def test_all_skins_are_felt_in_one_loop(example, robot):
 def test_all_skins_are_in_the_viewers_one_stream(start, robot):
     with start("-m", "eitskin_tools.cli", "view", "--config", robot, "--port", "0", "--no-open") as page:
         address = page.until("viewing forearm, hand of ").split()[-3]
-        with urlopen(f"{address}stream", timeout=120) as stream:
+        page_address, _, token = address.partition("#token=")
+        asked = Request(f"{page_address}stream", headers={"Authorization": f"Bearer {token}"})
+        with urlopen(asked, timeout=120) as stream:
             waiting, seen = b"", set()
             while seen < {("skin", "forearm"), ("skin", "hand"), ("frame", 0), ("frame", 1)}:
                 waiting += stream.read1(65536)

@@ -372,7 +372,8 @@ def readers(address: str, pages: int) -> Iterator[list[int]]:
     counts, lines, threads = [0] * pages, [], []
     for page in range(pages):
         connection = http.client.HTTPConnection(urlsplit(address).netloc, timeout=60)
-        connection.request("GET", "/stream")
+        token = urlsplit(address).fragment.removeprefix("token=")
+        connection.request("GET", "/stream", headers={"Authorization": f"Bearer {token}"})
         lines.append(connection.sock)  # the answer takes it over
         threads.append(threading.Thread(target=_read, args=(connection.getresponse(), counts, page), daemon=True))
         threads[-1].start()

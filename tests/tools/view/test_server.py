@@ -99,18 +99,26 @@ def test_any_other_method_is_refused_in_one_line(serve, method):
 def test_a_request_that_names_another_host_is_refused(serve):
     server = serve()
     port = server.port
-    for host in ("evil.example", f"evil.example:{port}", "127.0.0.1", f"127.0.0.1:{port + 1}", "", f"10.0.0.1:{port}"):
+    for host in ("evil.example", f"evil.example:{port}", "", f"10.0.0.1:{port}", f"proxy.example:{port}"):
         assert status(server, Host=host)[0] == 421, host
-    for host in (f"127.0.0.1:{port}", f"localhost:{port}", f"LOCALHOST:{port}", f"[::1]:{port}"):
+    for host in (
+        f"127.0.0.1:{port}",
+        f"localhost:{port}",
+        f"LOCALHOST:{port}",
+        f"[::1]:{port}",
+        "127.0.0.1",
+        "localhost:9000",
+    ):
         assert status(server, Host=host)[0] == 200, host
+    assert status(serve(allowed=["Proxy.example"]), Host="proxy.example:443")[0] == 200
 
 
 def test_beyond_loopback_a_name_of_a_site_is_refused_and_an_address_is_not():
-    assert host_allowed("192.168.1.7:80", "0.0.0.0", 80)
-    assert host_allowed("[fe80::1]:80", "::", 80)
-    assert host_allowed(f"{socket.gethostname()}:80", "0.0.0.0", 80)
-    assert not host_allowed("evil.example:80", "0.0.0.0", 80)
-    assert not host_allowed("192.168.1.7.evil.example:80", "0.0.0.0", 80)
+    assert host_allowed("192.168.1.7:80", "0.0.0.0")
+    assert host_allowed("[fe80::1]:80", "::")
+    assert host_allowed(f"{socket.gethostname()}:80", "0.0.0.0")
+    assert not host_allowed("evil.example:80", "0.0.0.0")
+    assert not host_allowed("192.168.1.7.evil.example:80", "0.0.0.0")
 
 
 def test_a_page_of_another_site_gets_nothing(serve):

@@ -39,9 +39,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--host",
         default="127.0.0.1",
         metavar="A",
-        help="address to serve on (127.0.0.1); one that other machines can reach requires a token",
+        help="address to serve on (127.0.0.1)",
     )
-    parser.add_argument("--token", action="store_true", help="require a token on this machine too")
+    parser.add_argument(
+        "--allow-host",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="answer requests to this host name too, such as a proxy's; may be repeated",
+    )
+    parser.add_argument("--token", action="store_true", help="the page always requires the token of its address")
     parser.add_argument(
         "--recordings", type=Path, metavar="DIR", help="folder for recordings made from the page (default: this one)"
     )
@@ -53,14 +60,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C and return 0."""
     _check(arguments)
-    from eitskin_tools.view.server import is_loopback, new_token
+    from eitskin_tools.view.server import new_token
 
-    token = new_token() if arguments.token or not is_loopback(arguments.host) else ""
     for number in endings():
         signal.signal(number, signal.default_int_handler)  # a script's "&" has it ignore Ctrl-C, which ends it
     with contextlib.ExitStack() as stack:
         stack.enter_context(contextlib.suppress(KeyboardInterrupt))
-        where = {"host": arguments.host, "port": arguments.port, "token": token}
+        where = {"host": arguments.host, "port": arguments.port, "token": new_token(), "allowed": arguments.allow_host}
         what, address = _recorded(arguments, where, stack) if arguments.file else _live(arguments, where, stack)
         say(f"viewing {what} at {address} until Ctrl-C")
         sys.stdout.flush()

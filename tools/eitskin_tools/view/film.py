@@ -7,7 +7,7 @@ import math
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -110,7 +110,9 @@ class FilmServer(PageServer):
         ValueError: It can be reached from other machines, and there is no token.
     """
 
-    def __init__(self, film: Film, *, host: str = "127.0.0.1", port: int = 0, token: str = "") -> None:
+    def __init__(
+        self, film: Film, *, host: str = "127.0.0.1", port: int = 0, token: str = "", allowed: Sequence[str] = ()
+    ) -> None:
         super().__init__()
         self._film = film
         about = {
@@ -119,7 +121,7 @@ class FilmServer(PageServer):
         }  # fmt: skip
         self.board.post("skin", skin_message(film.skin, 0, Pose(), about))
         self.board.post("status", status_message("live", film.ending))
-        self.serve(host, port, token, film=film)
+        self.serve(host, port, token, film=film, allowed=allowed)
 
     def __enter__(self) -> Self:
         overview = Overview(self._film.seconds, self._film.first_ns)

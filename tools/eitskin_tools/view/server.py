@@ -12,7 +12,7 @@ import ipaddress
 import secrets
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
@@ -52,6 +52,7 @@ class ViewServer(ThreadingHTTPServer):
         token: Required from a page, or empty.
         recorder: The :class:`~eitskin_tools.view.viewer.Recorder`; None if pages cannot record.
         film: The :class:`~eitskin_tools.view.film.Film` whose parts pages fetch; None for live skins.
+        allowed: Further host names that a request may state, such as a proxy's.
 
     Raises:
         PortUnavailable: The address cannot be bound.
@@ -71,12 +72,13 @@ class ViewServer(ThreadingHTTPServer):
         token: str = "",
         recorder: Any = None,
         film: Any = None,
+        allowed: Sequence[str] = (),
     ) -> None:
         if not token and not is_loopback(host):
             raise ValueError(f"{host} can be reached from other machines; expected a token")
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self.host, self.board, self.token = host, board, token
-        self.recorder, self.film = recorder, film
+        self.recorder, self.film, self.allowed = recorder, film, {name.lower() for name in allowed}
         self.pages = pages()
         self._room = threading.BoundedSemaphore(MAX_CONNECTIONS)
         try:
@@ -178,8 +180,9 @@ class _Request(BaseHTTPRequestHandler):
     def _trusted(self) -> bool:
         """Return whether to answer the request; refuse it if not."""
         host = self.headers.get("Host", "")
-        if not host_allowed(host, self.server.host, self.server.port):
-            self._refuse(HTTPStatus.MISDIRECTED_REQUEST, f"open {self.server.address.partition('#')[0]}")
+        if not host_allowed(host, self.server.host, self.server.allowed):
+            where = self.server.address.partition("#")[0]
+            self._refuse(HTTPStatus.MISDIRECTED_REQUEST, f"open {where}, or allow this host with --allow-host")
         elif self.headers.get("Sec-Fetch-Site", "") not in OWN_FETCH_SITES:
             self._refuse(HTTPStatus.FORBIDDEN, "only the page itself may ask for this")
         elif self.headers.get("Content-Length", "0") != "0" or "Transfer-Encoding" in self.headers:
@@ -284,17 +287,17 @@ def split_host(host: str) -> tuple[str, str]:
     return name, port
 
 
-def host_allowed(host: str, bound: str, port: int) -> bool:
-    """Return whether a Host header names this server.
+def host_allowed(host: str, bound: str, allowed: Collection[str] = ()) -> bool:
+    """Return whether a Host header names this server; its port is that of any tunnel or proxy in front.
 
     Args:
         host: The header.
         bound: Address of the server.
-        port: Port of the server.
+        allowed: Further names, in lower case.
     """
-    name, stated = split_host(host.strip().lower())
-    if stated != str(port):
-        return False
+    name, _ = split_host(host.strip().lower())
+    if name in allowed:
+        return True
     if is_loopback(bound):
         return name == "localhost" or is_loopback(name)
     own = socket.gethostname().lower()

@@ -24,6 +24,7 @@ class Viewer(PageServer):
         port: 0 for any that is free.
         token: Required from a page; empty only on loopback.
         recordings: Folder for recordings started on the page; None if the page cannot record.
+        allowed: Further host names that a request may state.
 
     Raises:
         PortUnavailable: The address cannot be bound.
@@ -39,6 +40,7 @@ class Viewer(PageServer):
         port: int = 0,
         token: str = "",
         recordings: Path | None = None,
+        allowed: Sequence[str] = (),
     ) -> None:
         super().__init__()
         rate_hz = refresh_hz(len(sources))
@@ -51,7 +53,7 @@ class Viewer(PageServer):
         for feed in self.feeds:
             self.stack.callback(feed.close)
         try:
-            self.serve(host, port, token, recorder=self._recorder)
+            self.serve(host, port, token, recorder=self._recorder, allowed=allowed)
         except BaseException:
             self._recorder.close()
             raise
