@@ -16,7 +16,7 @@ from eitskin_tools.command_line.options import flag
 from eitskin_tools.errors import UsageError
 
 NEEDS: Final = {
-    "baud": ("port",), "presses": ("port",), "page": ("port",), "places": ("recording",),
+    "baud": ("port",), "presses": ("port", "grid"), "page": ("port",), "places": ("recording",),
     "frames": ("port", "recording"),
 }  # fmt: skip
 """Options that do something only with one of others."""
@@ -42,6 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     guided.add_argument("--port", help="lead through presses now: serial port, usb:SERIAL or NAME:REST of the device")
     guided.add_argument("--baud", type=int, metavar="N", help="bits per second of a UART (default: 2000000)")
     guided.add_argument("--presses", type=int, metavar="N", help="places of the grid, about (default: 60)")
+    guided.add_argument(
+        "--grid", type=Path, metavar="FILE.svg", help="write the grid, to be printed at 100 %%, and stop"
+    )
     guided.add_argument("--page", type=int, metavar="PORT", help="show the next place on a page at this port")
     guided.add_argument("--recording", type=Path, metavar="FILE.mcap", help="take the presses out of a recording")
     guided.add_argument("--places", type=Path, metavar="LIST", help="--recording: x and y of each press, a line each")
@@ -64,6 +67,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     skin = None if arguments.skin is None else options.read_skin(arguments.skin)
     _record(arguments, options.chosen_skin(arguments))
+    if arguments.grid is not None:
+        return _write_grid(arguments, options.chosen_skin(arguments))
     presses = load_presses(files.find(arguments.file, files.PRESSES))
     line = StatusLine(sys.stderr)
     taught = teach(presses, skin, arguments.false_alarms, line.show)
@@ -84,17 +89,19 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _record(arguments: argparse.Namespace, skin: Any) -> None:
     """Write the file of presses, if it is recorded now or taken out of a recording."""
-    given = [name for name in ("port", "recording") if getattr(arguments, name) is not None]
+    given = [name for name in ("port", "recording", "grid") if getattr(arguments, name) is not None]
     for name, needs in NEEDS.items():
         if getattr(arguments, name) is not None and not set(needs) & set(given):
             raise UsageError(f"{flag(name)} does nothing without {' or '.join(map(flag, needs))}: leave it out")
     if not given:
         return
     if len(given) > 1:
-        raise UsageError("--port and --recording are two ways to the presses: leave one out")
+        raise UsageError(f"{' and '.join(map(flag, given))} do not go together: leave one out")
     if (arguments.recording is None) != (arguments.places is None):
         raise UsageError("--recording needs --places, a list of x and y of each press in mm")
     options.check_least(arguments, presses=6, frames=2)
+    if arguments.grid is not None:
+        return
     files.writable(arguments.file, kinds.PRESSES)
     from eitskin.acquisition.serial_port import DEFAULT_BAUD
     from eitskin_tools.teach.live import lead_through, presses_of_recording
@@ -111,3 +118,17 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
     lead_through(
         arguments.file, skin, arguments.port, baud, presses=arguments.presses or 60, frames=frames, page=arguments.page
     )
+
+
+def _write_grid(arguments: argparse.Namespace, skin: Any) -> int:
+    from eitskin_proto.files.writing import write_bytes
+    from eitskin_tools.teach.places import draw_grid, grid_places
+
+    length, width = skin.outline.size_mm
+    places = grid_places((length, width), skin.outline.kind, arguments.presses or 60)
+    write_bytes(arguments.grid, draw_grid((length, width), skin.outline.kind, places).encode())
+    print(
+        f"Wrote {arguments.grid}: {len(places)} places on {length:g} x {width:g} mm. Print it at 100 % and lay it "
+        f"under the sheet. Next: eitskin teach {arguments.file} --out {arguments.out} --port PORT"
+    )
+    return 0

@@ -76,7 +76,7 @@ def draw_grid(
         marks.append(f'<path d="M{x - 2:g} {y:g}h4M{x:g} {y - 2:g}v4" stroke="#888" stroke-width=".3"/>')
         marks.append(f'<text x="{x + 1:g}" y="{y - 1:g}" font-size="3" font-family="sans-serif">{place.name}</text>')
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{length:g}mm" height="{width:g}mm" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{length + 2:g}mm" height="{width + 2:g}mm" '
         f'viewBox="-1 -1 {length + 2:g} {width + 2:g}">'
         f'{border} fill="#fff" stroke="#000" stroke-width=".3"/>{"".join(marks)}</svg>\n'
     )
