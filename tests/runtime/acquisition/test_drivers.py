@@ -94,11 +94,16 @@ def test_a_sciospec_device_is_set_up_by_its_answers_and_gives_its_rows():
 
 def test_sciopy_reads_the_same_fake():
     sciopy = pytest.importorskip("sciopy", reason="sciopy is not installed")
-    with FakeSciospec(at_rest) as device:
+    with FakeSciospec(lambda number: untouched()) as device:
         theirs = sciopy.EIT_16_32_64_128(16)
         theirs.connect_device_FS(device.port, timeout=1)
-        theirs.SoftwareReset()
-        assert device.commands[0] == b"\xa1\x00\xa1"
+        theirs.setup = sciopy.EitMeasurementSetup(
+            burst_count=3, n_el=16, exc_freq=20e3, framerate=40, amplitude=1e-3, inj_skip=0, gain=1, adc_range=1
+        )
+        theirs.cMessageParser.set_measurement_setup(theirs.setup)
+        potentials = np.array(theirs.StartStopMeasurement(timeout=1, return_as="pot_mat"))[0]
+    found = np.abs(potentials[K, M] - potentials[K, (M + 1) % 16])
+    np.testing.assert_allclose(found, untouched(), rtol=5e-3)  # float32 of potentials a hundred times the smallest row
 
 
 def scans(line, count):
