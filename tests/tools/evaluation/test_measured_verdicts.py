@@ -30,7 +30,7 @@ def command(tmp_path, monkeypatch):
         return np.zeros((30, 45))
 
     verified = Named(Run(solve, "pre"), verified=SimpleNamespace(checked=checked))
-    monkeypatch.setattr(measuring, "named", lambda *_: verified)
+    monkeypatch.setattr(measuring, "named", lambda *_, **__: verified)
     flat = flat_voltages()
     kinds = np.array(["single", "single", "untouched"])
     np.savez(tmp_path / "measured.npz", reference_V=flat, voltages_V=np.tile(flat, (3, 1)), kind=kinds)
