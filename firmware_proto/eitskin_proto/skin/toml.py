@@ -7,10 +7,11 @@
     name = "paper"
     [outline] [layer] [electrodes] [front_end] [map] [deformations] [touches] [may_be_off]
 
-A table or key that is left out has the paper's value. Keys and bounds are those of :mod:`eitskin_proto.skin.parts`.
+A table or key that is left out has the paper's value; electrodes without places are spread evenly along the border of
+another outline. Keys and bounds are those of :mod:`eitskin_proto.skin.parts`.
 """
 
-from dataclasses import Field, fields
+from dataclasses import Field, fields, replace
 from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
@@ -43,6 +44,9 @@ SPREADS: Final[tuple[Law, ...]] = tuple(law for law in LAWS if law != "exact")
 """Keys of a quantity that is not known exactly."""
 
 MOST_SPREAD: Final = 1e6
+
+MOST_GAP: Final = 2.5
+"""A gap between electrodes of more than this many times the second largest is where they do not go round."""
 
 A_LINE: Final = 8
 """Numbers of a list on one line."""
@@ -82,11 +86,33 @@ def parse(text: str) -> Skin:
     tables = {name: content.table(name, f"[{name}]") for name in TABLES}
     content.close()
     tables["touches"] = _with_kind(tables["touches"])
+    placed = "arc_length_mm" in tables["electrodes"]
     parts: dict[str, Any] = {name: _part(kind, tables[name]) for name, kind in TABLES.items()}
+    if not placed and parts["outline"] != Outline():
+        parts["electrodes"] = _spread(parts["electrodes"], parts["outline"].perimeter_mm)
     skin = Skin(**{**texts, "name": texts["name"] or "unnamed"}, **parts)
+    _check_round(skin)
     if not skin.calibrated_from:  # a calibrated value has the uncertainty of its calibration
         check_reach(skin)
     return skin
+
+
+def _spread(ring: Ring, perimeter_mm: float) -> Ring:
+    """Return the paper's electrodes, moved evenly along another border."""
+    own = ring.arc_length_mm.nominal(N_ELECTRODES) * (perimeter_mm / Outline().perimeter_mm)
+    return replace(ring, arc_length_mm=replace(ring.arc_length_mm, value=tuple(own.tolist())))
+
+
+def _check_round(skin: Skin) -> None:
+    """Refuse electrodes that end before the border does, as those of a smaller sheet would."""
+    gaps = (np.roll(skin.arc_length_mm, -1) - skin.arc_length_mm) % skin.outline.perimeter_mm
+    second, largest = np.sort(gaps)[-2:]
+    if largest > MOST_GAP * second:
+        k = int(gaps.argmax())
+        raise ValueError(
+            f"[electrodes] arc_length_mm leaves {largest:.4g} of {skin.outline.perimeter_mm:.4g} mm free behind "
+            f"electrode {k}, expected electrodes all round: leave arc_length_mm out to spread them evenly"
+        )
 
 
 def to_toml(skin: Skin) -> str:

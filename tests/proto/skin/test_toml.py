@@ -1,5 +1,6 @@
 """A skin's file: what is written is read back, and what is wrong is named with what was meant."""
 
+import numpy as np
 import pytest
 
 from eitskin_proto.skin.skin import PAPER
@@ -107,3 +108,16 @@ def test_what_can_be_is_read_and_what_calibration_found_is_as_uncertain_as_it_wa
     ):
         parse(HEAD + text)
     parse(HEAD + 'calibrated_from = "feed"\n[layer]\nthickness_mm = {value = 2, normal = 1}')
+
+
+@pytest.mark.parametrize("size", ["[220.0, 90.0]", "[160.0, 110.0]", "[60.0, 50.0]"])
+def test_electrodes_without_places_are_spread_evenly_along_another_border(size):
+    skin = parse(HEAD + f"[electrodes]\nsize_mm = 2.0\n[outline]\nsize_mm = {size}\n")
+    gaps = np.diff(skin.arc_length_mm, append=skin.arc_length_mm[0] + skin.outline.perimeter_mm)
+    assert np.allclose(gaps, skin.outline.perimeter_mm / 16)
+
+
+def test_electrodes_that_end_before_the_border_does_are_refused():
+    arcs = [12.5 + 31.25 * k for k in range(16)]
+    with pytest.raises(ValueError, match=r"leaves 151.2 of 620 mm free behind electrode 15.*all round"):
+        parse(HEAD + f"[outline]\nsize_mm = [220.0, 90.0]\n[electrodes]\narc_length_mm = {arcs}\n")

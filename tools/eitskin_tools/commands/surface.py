@@ -17,6 +17,9 @@ from eitskin_tools.console.terminal import say
 MM: Final = {"mm": 1.0, "m": 1000.0}
 """Millimetres of a unit."""
 
+STALE_S: Final = 3600.0
+"""A file of points that is older than this may show another shape than the sheet has now."""
+
 DEFAULT = "default"
 """What ``--send`` without an endpoint means."""
 
@@ -32,7 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--unit",
         choices=tuple(MM),
         default="mm",
-        help="of the points and of --corner (default: %(default)s); ROS and depth cameras write m",
+        help="of the points, --corner, --crop, --depth and D of --plane (default: %(default)s); ROS and depth cameras "
+        "write m",
     )
     parser.add_argument("--out", required=True, metavar="CLOUD.npz", help="file to write the cloud to")
     parser.add_argument(
@@ -42,6 +46,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("X", "Y", "Z"),
         help="a point near the sheet's corner (0, 0), in the points' own frame; it decides between the four ways "
         "in which a rectangle fits. Without it the scanner's coordinates decide: the way that needs the smallest turn",
+    )
+    parser.add_argument(
+        "--rim",
+        nargs="+",
+        type=float,
+        metavar="MM",
+        help="width of what the scan shows beyond the conductive layer: one number, or two, at both ends of the longer "
+        "sides and along them; 0 says that there is none, so that a longer sheet is a stretched one",
+    )
+    parser.add_argument(
+        "--crop", nargs=6, type=float, metavar=("X0", "X1", "Y0", "Y1", "Z0", "Z1"), help="use only points in this box"
+    )
+    parser.add_argument("--depth", nargs=2, type=float, metavar=("NEAR", "FAR"), help="use only points with z from, to")
+    parser.add_argument(
+        "--plane",
+        nargs=4,
+        type=float,
+        metavar=("A", "B", "C", "D"),
+        help="use only points with A x + B y + C z > D, such as those above a table",
     )
     parser.add_argument(
         "--predict",
@@ -66,16 +89,27 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_sim.surface.point_files import read_points
 
     skin = options.chosen_skin(arguments)
-    points = MM[arguments.unit] * read_points(files.find(arguments.file, files.POINTS))
+    if arguments.rim is not None and (
+        len(arguments.rim) > 2 or not 0.0 <= min(arguments.rim) <= max(arguments.rim) < 50
+    ):
+        raise ValueError(f"--rim is {arguments.rim}, expected one or two widths from 0 to 50 mm")
+    rim_mm = None if arguments.rim is None else (arguments.rim[0], arguments.rim[-1])
+    source = files.find(arguments.file, files.POINTS)
+    points = MM[arguments.unit] * _cut(read_points(source), arguments)
     corner = None if arguments.corner is None else tuple(MM[arguments.unit] * place for place in arguments.corner)
     files.writable(arguments.out, kinds.CLOUD)
     start = time.perf_counter()
     try:
-        result = organise(points, corner, skin.grid)
+        result = organise(points, corner, skin.grid, rim_mm)
         elapsed_ms = 1e3 * (time.perf_counter() - start)
         check_sheet(result.cloud_mm, skin)
     except (PointCloudError, ValueError) as error:
         raise PointCloudError(f"{arguments.file}: {error}") from error
+    old_s = time.time() - source.stat().st_mtime
+    if arguments.send is not None and old_s > STALE_S and arguments.file != "sample":
+        say(f"eitskin surface: {source} is {old_s / 3600:.1f} h old; scan again if the sheet has moved", error=True)
+    for doubt in result.doubts:
+        say(f"eitskin surface: {doubt}", error=True)
     predicted, predict_ms = None, None
     if arguments.predict:
         from eitskin_sim.surface.predict import flat_voltages, predict
@@ -85,9 +119,9 @@ def run(arguments: argparse.Namespace) -> int:
         predict_ms = 1e3 * (time.perf_counter() - start)
         if result.prediction_rms > DOUBTFUL_RMS:
             print(
-                f"eitskin surface: the sheet's outline is only known to {result.outline_sigma_mm:.2f} mm, so V_pred is "
+                f"eitskin surface: the sheet's outline is not known well enough: V_pred is "
                 f"likely off by {100 * result.prediction_rms:.1f} %, more than {100 * DOUBTFUL_RMS:g} %; it may make "
-                "maps worse: measure more densely, or leave out --predict",
+                "maps worse: measure more densely, state --rim, or leave out --predict",
                 file=sys.stderr,
             )
     save_cloud(arguments.out, result, predicted, skin)
@@ -111,6 +145,23 @@ def run(arguments: argparse.Namespace) -> int:
             file=sys.stderr,
         )
     return 0
+
+
+def _cut(points: Any, arguments: argparse.Namespace) -> Any:
+    """Return the points within the box, the depths and beyond the plane that the arguments name."""
+    import numpy as np
+
+    inside = np.ones(len(points), dtype=np.bool_)
+    if arguments.crop is not None:
+        box = np.array(arguments.crop)
+        inside &= np.all((points >= box[::2]) & (points <= box[1::2]), axis=1)
+    if arguments.depth is not None:
+        inside &= (points[:, 2] >= arguments.depth[0]) & (points[:, 2] <= arguments.depth[1])
+    if arguments.plane is not None:
+        inside &= points @ np.array(arguments.plane[:3]) > arguments.plane[3]
+    if not inside.any():
+        raise ValueError(f"{arguments.file}: --crop, --depth and --plane leave no point: widen them")
+    return points[inside]
 
 
 def _sent(endpoint: str, path: str) -> int:
@@ -158,6 +209,7 @@ def _report(
         "outline_sigma_mm": result.outline_sigma_mm,
         "prediction_rms": result.prediction_rms,
         "largest_hole_mm": result.largest_hole_mm,
+        "doubts": list(result.doubts),
         "corner": result.corner,
         "rotation": result.rotation.tolist(),
         "translation_mm": result.translation_mm.tolist(),

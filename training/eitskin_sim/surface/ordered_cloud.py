@@ -26,6 +26,7 @@ from eitskin_proto.skin.cloud_file import Surface, save_surface
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.surface.outline import find_outline, largest_hole_mm
+from eitskin_sim.surface.pieces import keep_sheet
 from eitskin_sim.surface.smooth_surface import by_arc_length, fit_surface, nodes_of, side_lengths_mm
 from eitskin_sim.surface.unroll import unroll
 
@@ -61,6 +62,13 @@ DOUBTFUL_RMS: Final = 0.02
 the sample scene's maps worse than none."""
 
 
+LARGER: Final = 1.03
+"""Sides longer than this multiple of the flat sheet's may end in a rim or in clamps."""
+
+RMS_PER_EXCESS_MM: Final = 0.02
+"""Error of V_pred for each millimetre that the sides are off the flat sheet's, where that may be no stretch."""
+
+
 class PointCloudError(SkinError):
     """Points that do not show the sheet."""
 
@@ -92,6 +100,8 @@ class OrderedCloud:
     """(3, 3) that turns the points' frame into the cloud's."""
     translation_mm: Array
     """(3,) added after the rotation."""
+    doubts: tuple[str, ...] = ()
+    """What the scan may show beside the sheet, and what to do about it."""
 
     def surface(self, predicted: tuple[Array, Array] | None = None) -> Surface:
         """Return the surface to store, or to send to a runtime: the cloud, and the measured places of its points.
@@ -103,20 +113,28 @@ class OrderedCloud:
         return Surface(self.cloud_mm, predicted_V, flat_V, self.rotation, self.translation_mm)
 
 
-def organise(points_mm: npt.ArrayLike, corner_mm: npt.ArrayLike | None = None, grid: Grid = PAPER.grid) -> OrderedCloud:
+def organise(
+    points_mm: npt.ArrayLike,
+    corner_mm: npt.ArrayLike | None = None,
+    grid: Grid = PAPER.grid,
+    rim_mm: tuple[float, float] | None = None,
+) -> OrderedCloud:
     """Return the ordered cloud of raw points.
 
     Args:
         points_mm: (n, 3) unordered points, in any pose.
         corner_mm: (3,) near the sheet's corner (0, 0), in the points' frame, such as its place in the previous scan.
         grid: The skin's grid: size of the sheet and pixels of the cloud.
+        rim_mm: Width to cut off at both ends of the longer sides, and along them; None: not known, so sides of another
+            length than the flat sheet's make V_pred doubtful.
 
     Raises:
-        PointCloudError: Too few points, not the sheet, too large a hole, or a corner hint that fits two corners.
+        PointCloudError: Two sheets, too few points, not the sheet, too large a hole, or a corner hint that fits two
+            corners.
     """
     points = _check_points(points_mm, grid)
     try:
-        return _organise(points, corner_mm, grid)
+        return _organise(points, corner_mm, grid, rim_mm)
     except (np.linalg.LinAlgError, QhullError) as error:
         raise PointCloudError(
             f"the {len(points)} points lie on a line or crowd at a few places, so they show no surface: expected "
@@ -124,7 +142,9 @@ def organise(points_mm: npt.ArrayLike, corner_mm: npt.ArrayLike | None = None, g
         ) from error
 
 
-def _organise(points: Array, corner_mm: npt.ArrayLike | None, grid: Grid) -> OrderedCloud:
+def _organise(
+    points: Array, corner_mm: npt.ArrayLike | None, grid: Grid, rim_mm: tuple[float, float] | None
+) -> OrderedCloud:
     flat_mm = max(grid.size_mm), min(grid.size_mm)  # as the chart has it: the longer side first
     try:
         chart = unroll(points, flat_mm)
@@ -133,7 +153,10 @@ def _organise(points: Array, corner_mm: npt.ArrayLike | None, grid: Grid) -> Ord
         raise
     except ValueError as error:
         raise PointCloudError(f"the points do not show the sheet: {error}") from error
+    if rim_mm is not None:
+        outline = outline.without_rim(rim_mm)
     _check_size(outline.size_mm, flat_mm)
+    excess = np.subtract(outline.size_mm, flat_mm) if rim_mm is None else np.zeros(2)
     square = outline.to_square(chart.uv_mm)
     hole = largest_hole_mm(square, outline.size_mm)
     if hole > LARGEST_HOLE_MM + HOLE_SLACK_MM:
@@ -152,7 +175,11 @@ def _organise(points: Array, corner_mm: npt.ArrayLike | None, grid: Grid) -> Ord
         cloud_mm=align_cloud(raw, grid),
         size_mm=side_lengths_mm(ordered),
         outline_sigma_mm=float(np.hypot(outline.sigma_mm, outline.shift_mm)),
-        prediction_rms=float(np.hypot(RMS_PER_MM * outline.sigma_mm, RMS_PER_SHIFT_MM * outline.shift_mm)),
+        prediction_rms=float(
+            np.linalg.norm(
+                [RMS_PER_MM * outline.sigma_mm, RMS_PER_SHIFT_MM * outline.shift_mm, *RMS_PER_EXCESS_MM * excess]
+            )
+        ),
         noise_mm=chart.noise_mm,
         points=len(points),
         outliers=chart.outliers + int((~on_sheet).sum()),
@@ -160,6 +187,17 @@ def _organise(points: Array, corner_mm: npt.ArrayLike | None, grid: Grid) -> Ord
         corner=corner,
         rotation=rotation,
         translation_mm=translation,
+        doubts=_doubts(outline.size_mm, flat_mm) if rim_mm is None else (),
+    )
+
+
+def _doubts(size_mm: tuple[float, float], flat_mm: tuple[float, float]) -> tuple[str, ...]:
+    if all(found <= LARGER * flat for found, flat in zip(size_mm, flat_mm, strict=True)):
+        return ()
+    return (
+        f"the scan is {size_mm[0]:.1f} x {size_mm[1]:.1f} mm, the skin {flat_mm[0]:g} x {flat_mm[1]:g} mm: it may show "
+        "a rim or clamps, or the sheet is stretched; cut a rim off with --rim MM or clamps with --crop, or say --rim 0 "
+        "if it is stretched",
     )
 
 
@@ -195,9 +233,15 @@ def _check_points(points_mm: npt.ArrayLike, grid: Grid) -> Array:
     finite = np.isfinite(points)
     if not finite.all():  # row by row takes 2 ms more
         points = points[finite.all(axis=1)]
-    if len(points) > most:
-        # By chance: every second or third point of a regular grid would leave out whole rows.
-        points = points[np.random.default_rng(0).choice(len(points), most, replace=False, shuffle=False)]
+    unseen = ~points.any(axis=1)  # cameras write zeros for what they do not see
+    if np.count_nonzero(unseen) > 1:
+        points = points[~unseen]
+    flat_mm = max(grid.size_mm), min(grid.size_mm)
+    try:
+        points = keep_sheet(points, flat_mm, lambda piece: _size(_thinned(piece, most), flat_mm))
+    except ValueError as error:
+        raise PointCloudError(str(error)) from error
+    points = _thinned(points, most)
     if len(points) < least:
         raise PointCloudError(
             f"found {len(points)} finite points, expected at least {least}: measure the sheet more densely"
@@ -210,6 +254,22 @@ def _check_points(points_mm: npt.ArrayLike, grid: Grid) -> Array:
             "save them in millimetres, or give --unit m if they are in metres"
         )
     return points
+
+
+def _thinned(points: Array, most: int) -> Array:
+    if len(points) <= most:
+        return points
+    # By chance: every second or third point of a regular grid would leave out whole rows.
+    return points[np.random.default_rng(0).choice(len(points), most, replace=False, shuffle=False)]
+
+
+def _size(points: Array, flat_mm: tuple[float, float]) -> tuple[float, float]:
+    """The two sides of a piece of the scan."""
+    try:
+        chart = unroll(points, flat_mm)
+        return find_outline(chart.uv_mm, chart.noise_mm, flat_mm).size_mm
+    except (np.linalg.LinAlgError, QhullError) as error:
+        raise ValueError(str(error)) from error
 
 
 def _check_size(size_mm: tuple[float, float], flat_mm: tuple[float, float]) -> None:

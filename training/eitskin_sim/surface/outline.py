@@ -12,7 +12,7 @@ rides over notches. ::
           +------------------ u
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -63,6 +63,15 @@ class Outline:
     """Root mean square of what the sides' places are uncertain by, from place to place."""
     shift_mm: float
     """The same of whole sides: a regular grid shows only roughly where the border is."""
+
+    def without_rim(self, rim_mm: tuple[float, float]) -> "Outline":
+        """Return the outline without a rim of this width at both ends of the longer sides, and along them."""
+        inwards = np.eye(DEGREE + 1)[0]
+        left, right, bottom, top = (
+            side - sign * rim_mm[across] * inwards for side, (across, _, sign) in zip(self.sides, _SIDES, strict=True)
+        )
+        sides = (left, right, bottom, top)
+        return replace(self, sides=sides, size_mm=_spans(list(sides)))
 
     def to_square(self, uv_mm: Array) -> Array:
         """Return (2, n) places a, b in the unit square of chart points (2, n)."""

@@ -95,7 +95,7 @@ def unroll(points_mm: Array, size_mm: tuple[float, float]) -> Chart:
         cell_mm *= float(np.sqrt(WANTED_POINTS_PER_CUBE / count.mean()))
         cube, count = _bin(axes, cell_mm)
     centroid = np.stack([np.bincount(cube, weights=axis) for axis in axes], axis=-1) / count[:, None]
-    solid = count >= max(2.0, SPARSE_CUBE * float(np.median(count[cube])))
+    solid = count >= max(2.0, SPARSE_CUBE * float(np.median(count[count > 1.0])) if (count > 1.0).any() else 0.0)
     keep = _largest_piece(centroid, solid, REACH_CELLS * cell_mm)
     if len(keep) < MIN_CELLS:
         raise ValueError(

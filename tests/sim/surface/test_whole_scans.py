@@ -1,0 +1,73 @@
+"""Scans that show more than the sheet: the sheet is chosen by its size, and what may be no sheet is said or refused."""
+
+import json
+
+import numpy as np
+import pytest
+
+from eitskin_sim.scene.bend import surface
+from eitskin_sim.scene.scene import Bend, Sheet
+from eitskin_sim.surface.ordered_cloud import DOUBTFUL_RMS, PointCloudError, organise
+from eitskin_tools import cli
+
+CORNER = (7.5, 0.0, 28.0)
+
+
+def scan(ends_mm=0.0, along_mm=0.0, seed=0):
+    """Points of a sheet bent by a quarter turn, and of what surrounds it."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform((-ends_mm, -along_mm), (150 + ends_mm, 100 + along_mm), (9_000, 2))
+    return np.asarray(surface(Bend(angle_deg=90), Sheet(), xy)) + rng.normal(0, 0.05, (len(xy), 3))
+
+
+def patch(points):
+    return np.repeat(points[np.linalg.norm(points - points[0], axis=1) < 10.0], 60, axis=0)
+
+
+RNG = np.random.default_rng(1)
+BESIDE = {
+    "unseen pixels": lambda own: np.zeros((9_500, 3)),
+    "a crowd": lambda own: RNG.normal(300.0, 0.5, (20_000, 3)),
+    "a wall": lambda own: np.append(RNG.uniform(-300, 300, (300_000, 2)), np.full((300_000, 1), -200.0), axis=1),
+    "a patch seen twice": patch,
+}
+
+
+@pytest.mark.parametrize("beside", BESIDE.values(), ids=BESIDE)
+def test_the_sheet_is_chosen_by_its_size_whatever_has_more_points(beside):
+    own = scan()
+    alone, found = organise(own, CORNER), organise(np.concatenate([own, beside(own)]), CORNER)
+    assert np.sqrt(np.mean((found.cloud_mm - alone.cloud_mm) ** 2)) < 0.1
+    assert found.size_mm == pytest.approx((150.0, 100.0), abs=0.5)
+
+
+def test_two_sheets_are_refused_with_size_and_place_of_each():
+    own = scan()
+    with pytest.raises(PointCloudError, match=r"2 surfaces that may be the sheet: .* about \(75, 250, .*--crop"):
+        organise(np.concatenate([own, own + np.array([0.0, 200.0, 0.0])]), CORNER)
+
+
+@pytest.mark.parametrize(("ends_mm", "along_mm"), [(5.0, 5.0), (8.0, 0.0), (2.5, 0.0)])
+def test_a_rim_or_clamps_are_said_and_doubted_and_cut_off_where_their_width_is_stated(ends_mm, along_mm):
+    whole = organise(scan(ends_mm, along_mm), CORNER)
+    assert len(whole.doubts) == 1
+    assert whole.prediction_rms > DOUBTFUL_RMS
+    cut = organise(scan(ends_mm, along_mm), CORNER, rim_mm=(ends_mm, along_mm))
+    assert cut.size_mm == pytest.approx((150.0, 100.0), abs=0.5)
+    assert (cut.doubts, cut.prediction_rms > DOUBTFUL_RMS) == ((), False)
+
+
+def test_a_box_depths_and_a_plane_cut_the_second_sheet_off(tmp_path, capsys):
+    own = scan()
+    np.save(tmp_path / "two.npy", np.concatenate([own, own + np.array([0.0, 200.0, 100.0])]))
+    command = ["surface", str(tmp_path / "two.npy"), "--out", str(tmp_path / "cloud.npz"), "--corner", "7.5", "0", "28"]
+    assert cli.main(command) == 1
+    capsys.readouterr()
+    box = ["--crop", "-50", "200", "-50", "150", "-100", "200"]
+    for cut in (box, ["--depth", "-100", "70"], ["--plane", "0", "-1", "0", "-150"]):
+        assert cli.main([*command, *cut, "--json"]) == 0, cut
+        report = json.loads(capsys.readouterr().out)
+        assert report["size_mm"] == pytest.approx([150.0, 100.0], abs=0.5)
+        assert report["doubts"] == []
+    assert cli.main([*command, "--depth", "900", "901"]) == 1
+    assert "leave no point" in capsys.readouterr().err
