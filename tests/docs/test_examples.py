@@ -9,13 +9,13 @@ from urllib.request import Request, urlopen
 import numpy as np
 import pytest
 
-from eitskin.acquisition.serial_port import SerialPort
-from eitskin.errors import TransportError
 from eitskin.messaging.publish import Publisher
 from eitskin.messaging.streams.verified import VerifiedTouch, pack_head, pack_verdict
 from eitskin_proto.skin.cloud import align_cloud
 from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.bend import surface
+from eitskin_sim.scene.parts import Scene
 from eitskin_sim.scene.scene import load_scene
 from eitskin_tools.view.messages import packed, unpacked
 
@@ -147,42 +147,42 @@ def test_a_skin_is_read_within_one_process(example, skin):
         assert "lost" in program.until(" frames, ")
 
 
-def test_a_line_of_ones_own_carries_a_skin_over_tcp(example, skin):
-    with skin() as port, bridged(port) as number, example("own_transport.py", "127.0.0.1", number) as program:
-        assert "over TCP" in program.until("frame ")
+def test_a_driver_of_ones_own_reads_lines_over_tcp(example):
+    with printing() as number, example("own_driver.py", f"127.0.0.1:{number}") as program:
+        assert "highest pixel 0.00" in program.until("over TCP")
 
 
 @contextmanager
-def bridged(port):
-    """A serial-to-network adapter: carries bytes both ways, and gives its TCP port."""
-    line = SerialPort(port)
+def printing():
+    """A device that sends the flat sheet's 208 voltages, with noise of 50 dB, to whom connects; gives its TCP port."""
+    flat_V = 1e-3 * solve_scene(Scene(element_size_mm=4.0)).voltages208
     listener = socket.create_server(("127.0.0.1", 0))
-    threads = []
+    over = threading.Event()
 
-    def to_line(peer):
-        with suppress(OSError, TransportError):
-            while data := peer.recv(4096):
-                line.write(data)
-        line.cancel()
-
-    def to_peer():
+    def send():
+        noise = np.random.default_rng(0)
         with suppress(OSError):
             peer, _ = listener.accept()
-            back = threading.Thread(target=to_line, args=(peer,))
-            back.start()
             with peer:
-                with suppress(OSError, TransportError):
-                    while back.is_alive():
-                        peer.sendall(line.read(1.0))
-                back.join()
+                while not over.wait(0.02):
+                    volts = flat_V * (1.0 + 0.003 * noise.normal(size=208))
+                    peer.sendall(" ".join(f"{one:.9f}" for one in volts).encode() + b"\n")
 
-    threads.append(threading.Thread(target=to_peer))
-    threads[0].start()
+    thread = threading.Thread(target=send)
+    thread.start()
     try:
         yield listener.getsockname()[1]
     finally:
+        over.set()
         with suppress(OSError):
             listener.shutdown(socket.SHUT_RDWR)
         listener.close()
-        threads[0].join()
-        line.close()
+        thread.join()
+
+
+def test_presses_are_simulated_with_an_untouched_reading_before_each(example, tmp_path):
+    with example("simulate_presses.py", EXAMPLES / "press.json", tmp_path / "presses.npz", 2) as program:
+        program.ends()
+    with np.load(tmp_path / "presses.npz") as found:
+        assert np.isnan(found["xy_mm"][:, 0]).tolist() == [True, False, True, False]
+        assert 0.01 < np.log(found["voltages_V"][1] / found["voltages_V"][0]).std() < 0.3
