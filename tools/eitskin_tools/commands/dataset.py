@@ -53,8 +53,8 @@ def add_arguments(parser: Parser) -> None:
         "--devices",
         choices=("ideal", "random", "offset"),
         default="ideal",
-        help="ideal, the nominal sheet; random, sheets with a lab's errors; or offset, the same read with an offset "
-        "up to several times the signal (default ideal)",
+        help="ideal, the nominal sheet; random, with a lab's errors; offset, read with a large offset too (default "
+        "ideal)",
     )
     parser.add_argument(
         "--skin",
