@@ -126,9 +126,11 @@ def _write_grid(arguments: argparse.Namespace, skin: Any) -> int:
 
     length, width = skin.outline.size_mm
     places = grid_places((length, width), skin.outline.kind, arguments.presses or 60)
+    words = [str(arguments.file), "--out", str(arguments.out)]
+    words += [] if arguments.skin is None else ["--skin", str(arguments.skin)]
     write_bytes(arguments.grid, draw_grid((length, width), skin.outline.kind, places).encode())
     print(
         f"Wrote {arguments.grid}: {len(places)} places on {length:g} x {width:g} mm. Print it at 100 % and lay it "
-        f"under the sheet. Next: eitskin teach {arguments.file} --out {arguments.out} --port PORT"
+        f"under the sheet. Next: {' '.join(['eitskin teach', *words])} --port PORT"
     )
     return 0

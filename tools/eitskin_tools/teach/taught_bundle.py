@@ -34,6 +34,7 @@ def write_taught(path: Path, taught: Taught, presses: Presses, *, tikhonov: bool
         "labels": "area",
         "touches": taught.report["touches"],
         "rows": presses.table.rows,
+        "gate": {"false_alarm_rate": taught.report["false_alarms"]},
         "metrics": {"taught": taught.report},
     }
     if presses.table.electrodes is not None:
