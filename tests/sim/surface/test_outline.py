@@ -24,6 +24,9 @@ FLAT = Bend()
 UNSTRETCHED = Bend(angle_deg=90, axis_deg=10)
 STRETCHED = Bend(angle_deg=120, axis_deg=20, stretch_along=1.1)
 
+NO_RIM = (0.0, 0.0)
+"""The scan shows the sheet alone, so what is longer is stretched."""
+
 
 def in_a_pose(bend, xy, noise_mm, rng):
     """Points of flat places in a random pose, and the corner (0, 0) among them."""
@@ -102,7 +105,10 @@ def test_known_size_tells_how_far_the_border_is_beyond_a_grids_last_row(kind, be
 
 def test_grid_of_a_stretched_sheet_says_how_unsure_its_border_is():
     rng = np.random.default_rng(7)
-    sparse, dense = (organise(*in_a_pose(STRETCHED, grid("middles", spacing, rng), 0.1, rng)) for spacing in (2.0, 1.0))
+    sparse, dense = (
+        organise(*in_a_pose(STRETCHED, grid("middles", spacing, rng), 0.1, rng), rim_mm=NO_RIM)
+        for spacing in (2.0, 1.0)
+    )
     assert sparse.outline_sigma_mm == pytest.approx(0.5, abs=0.1)
     assert sparse.prediction_rms > DOUBTFUL_RMS > dense.prediction_rms
 
@@ -125,7 +131,7 @@ def test_doubt_grows_with_spacing_and_noise_and_is_that_of_the_draws():
 
     def doubt(spacing, noise):
         rng = np.random.default_rng(1)
-        return organise(*in_a_pose(bend, even_places(bend, spacing, rng), noise, rng)).prediction_rms
+        return organise(*in_a_pose(bend, even_places(bend, spacing, rng), noise, rng), rim_mm=NO_RIM).prediction_rms
 
     assert doubt(1.0, 0.1) == pytest.approx(0.0075, rel=0.3)
     assert doubt(0.7, 0.1) < doubt(1.0, 0.1) < doubt(1.0, 0.3) < DOUBTFUL_RMS < doubt(3.0, 0.3)
@@ -191,6 +197,7 @@ def test_command_warns_where_the_prediction_is_likely_worse_than_none(tmp_path, 
     points, corner = in_a_pose(STRETCHED, even_places(STRETCHED, spacing, rng), noise, rng)
     np.save(tmp_path / "points.npy", points)
     words = ["surface", str(tmp_path / "points.npy"), "--out", str(tmp_path / "cloud.npz"), "--predict", "--json"]
+    words += ["--rim", "0"]
     assert cli.main([*words, "--corner", *(f"{value:.3f}" for value in corner)]) == 0
     output = capsys.readouterr()
     report = json.loads(output.out)
