@@ -27,12 +27,10 @@ places_mm = random.uniform((12.0, 12.0), (size_mm[0] - 12.0, size_mm[1] - 12.0),
 
 untouched = solve_scene(replace(scene, touches=())).voltages
 volts, xy_mm = [], []
-for number, (x, y) in enumerate(places_mm, 1):
-    print(f"\rpress {number} of {len(places_mm)}", end="", file=sys.stderr)
+for x, y in places_mm:
     pressed = replace(touch, shapes=(Disc(float(x), float(y), touch.shapes[0].radius_mm),))
     volts += [untouched, solve_scene(replace(scene, touches=(pressed,))).voltages]
     xy_mm += [(np.nan, np.nan), (x, y)]
-print(file=sys.stderr)
 n = len(volts)
 drift = np.cumsum(DRIFT * random.standard_normal((n, 1)), axis=0)
 np.savez(
@@ -42,3 +40,4 @@ np.savez(
     size_mm=np.array(size_mm),
     outline=np.array("rectangle"),
 )
+print(f"wrote {sys.argv[2]}: {len(places_mm)} presses")
