@@ -109,6 +109,7 @@ def test_an_offset_larger_than_most_rows_is_found(recorded, device):
     assert np.allclose(found.arc_length_mm, device.electrodes.arc_length_mm, atol=1.0)
 
 
+@pytest.mark.slow
 def test_rows_of_no_sheet_end_in_time_with_electrodes_on_the_border(recorded, capsys):
     with np.load(recorded / "r.npz") as file:
         volts = np.random.default_rng(1).permutation(file["reference_V"][ROW_IN_FULL])
