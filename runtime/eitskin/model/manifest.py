@@ -7,6 +7,7 @@ from eitskin.errors import BundleError, MismatchError
 from eitskin_proto.fields import Fields
 from eitskin_proto.files.plain import quoted, stated
 from eitskin_proto.files.reading import FileError, parse_json
+from eitskin_proto.sensor.row_table import MAX_ROWS
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.touch_kind import touch_kind_of
 
@@ -26,9 +27,6 @@ GENTLE: Final = "gentle"
 """Its name of one that draws touches which the bundle's own hardly shows (:mod:`eitskin.model.gentle`)."""
 
 MOST_FILES: Final = 32
-MOST_ROWS: Final = 1024
-"""Of a frame."""
-
 LARGEST_WIDTH: Final = 65536
 """Of a network's first layer."""
 
@@ -82,7 +80,7 @@ def _check_fields(manifest: dict[str, Any]) -> None:
             fields.table(name)
     files = fields.table("files")
     networks = [name for name in ("head", *EXTRA_NETWORKS) if fields.value(name, None) is not None]
-    fields.whole("rows", N_ROWS, low=1, high=MOST_ROWS)
+    fields.whole("rows", N_ROWS, low=1, high=MAX_ROWS)
     if not 0 < len(files) <= MOST_FILES:
         raise fields.wrong("files", f"1 to {MOST_FILES} files")
     for name in files:

@@ -10,16 +10,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from eitskin_proto.files.arrays import numbers, read_npz, save_arrays
+from eitskin_proto.files.arrays import save_arrays
 from eitskin_proto.files.writing import replacing
 from eitskin_tools.guided import ANSWERS, MAX_RESIDUAL, Array, Dialogue, FrameWindow, Guide, GuideError, step_noise
 from eitskin_tools.teach.places import Place
+from eitskin_tools.teach.presses import load_presses
 
 MIN_PRESS: Final = 5e-4
 """Rms of a row's relative change: presses of some sheets change half of the rows by 0.002 and less."""
-
-LARGEST_FILE: Final = 1 << 30
-"""Bytes of a file of presses."""
 
 SAME_PLACE_MM: Final = 0.06
 """Places are rounded to a tenth."""
@@ -35,7 +33,7 @@ class PressRecorder:
 
     Raises:
         GuideError: The file holds presses at other places.
-        FileError: It is no file of presses.
+        SkinError: It is no file of presses.
         OSError: It cannot be read.
     """
 
@@ -47,8 +45,8 @@ class PressRecorder:
             self._resume()
 
     def _resume(self) -> None:
-        arrays = read_npz(self._path, LARGEST_FILE)
-        volts, xy = numbers(arrays, "voltages_V", (None, None)), np.asarray(arrays["xy_mm"], dtype=np.float64)
+        before = load_presses(self._path)
+        volts, xy = before.readings, before.xy_mm
         for index in np.flatnonzero(~np.isnan(xy[:, 0])):
             x, y = xy[index]
             near = [one for one in self._places if np.hypot(one.x_mm - x, one.y_mm - y) < SAME_PLACE_MM]
@@ -86,7 +84,7 @@ class PressGuide(Guide):
         recorder: Takes them, and knows what is left.
         frames: (rows,) V each, for as long as the device streams.
         talk: The person.
-        shown: Told of the place to press next; None once all are done.
+        shown: Called with the next place to press, and with None after the last.
         count: Frames that a reading is the mean of.
     """
 

@@ -21,6 +21,7 @@ from typing import Final, Literal, cast
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.model.taught import SMALLEST_RATIO
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.archive import BadArchiveError, members
 from eitskin_proto.files.arrays import Array, Arrays, numbers, read_npz, text
@@ -35,9 +36,6 @@ FEWEST: Final = 6
 
 LEAST_SPREAD_MM: Final = 5.0
 """By which their places must differ along either axis."""
-
-SMALLEST_RATIO: Final = 1e-6
-"""V / V_untouched is not taken for less before the logarithm, as at run time."""
 
 SIZES_MM: Final = (50.0, 400.0)
 """Of a sheet that a skin can describe."""
