@@ -40,7 +40,7 @@ def reconstruct(
     The frames are taken in their order, as those of a stream: the gate remembers untouched ones.
 
     Args:
-        voltages: (n, rows) or (rows,) V.
+        voltages: (n, rows) or (rows,) V; each frame is judged by itself.
         reference: (rows,) V of the untouched sheet, by the same device.
         bundle: A bundle, its file, or a shipped one's name; None takes ``free``.
         cloud: (3, rows of the map, columns) mm, the shape of the sheet; None for the flat sheet. Networks use it.
@@ -82,6 +82,7 @@ def reconstruct(
             why = "have no signal" if normaliser.silent else "are too far from the reference to be of one sheet"
             raise ValueError(f"voltages of frame {number} {why}; leave the frame out")
         if gate is not None:
+            gate.reset()  # the frames of an array may be of any times
             touched[number] = gate.touched()
         if touched[number]:
             engine.infer()

@@ -8,6 +8,7 @@ import zipfile
 import numpy as np
 import pytest
 
+import eitskin
 from eitskin.model.bundle import load_bundle
 from eitskin.model.geometry import GeometryGraph
 from eitskin.model.taught import TaughtFinder
@@ -83,3 +84,12 @@ def test_a_touch_is_listed_with_its_errors_where_the_map_shows_it(taught, hello,
     assert np.hypot(found[0] - touch.centre_mm[0], found[1] - touch.centre_mm[1]) < 4.0
     two = listed(21, response([(30.0, 50.0)])[0] + response([(120.0, 50.0)])[0])
     assert sorted(round(one.centre_mm[0], -1) for one in two) == [30.0, 120.0]
+
+
+def test_frames_of_an_array_are_judged_each_by_itself(taught, counts):
+    places = np.array([(30.0, 50.0), (120.0, 40.0), (75.0, 80.0), (60.0, 20.0)])
+    volts = counts * 1e-9 * np.exp(1e-3 * response(places) @ MIX.T)
+    found = eitskin.reconstruct(volts, counts * 1e-9, taught)
+    peaks = taught.skin.grid.pixel_centres_mm().reshape(-1, 2)[found.map.reshape(len(places), -1).argmax(axis=1)]
+    assert found.touched.all()
+    assert np.hypot(*(peaks - places).T).max() < 4.0
