@@ -22,7 +22,7 @@ def exact(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_one_way_in_which_a_sheet_differs_is_weighed_against_noise() -> None:
     """The scalar rule: with S = m'm / n^2, a share S / (1 + S) is believed and 1 / (1 + S) of its variance is left."""
     way = np.random.default_rng(1).standard_normal((ROWS, 1))
-    noise = np.full(ROWS, 0.5)
+    noise = 0.25 * np.eye(ROWS)
     found = at_rest(NONE, 0.8 * way[:, 0], NONE, way, NONE, noise)
     share = float((way**2).sum()) / 0.25
     assert found.beside == pytest.approx(0.8 * share / (1.0 + share) * way[:, 0])
@@ -33,11 +33,12 @@ def test_one_way_in_which_a_sheet_differs_is_weighed_against_noise() -> None:
 @pytest.mark.usefixtures("exact")
 def test_what_is_left_is_how_far_what_is_found_is_from_the_truth() -> None:
     rng = np.random.default_rng(2)
-    ways, noise, floor = rng.standard_normal((ROWS, 6)), np.full(ROWS, 0.3), np.full(ROWS, 0.1)
+    ways, noise, floor = rng.standard_normal((ROWS, 6)), 0.3, np.full(ROWS, 0.1)
     off = []
     for _ in range(400):
         truth = ways @ rng.standard_normal(6) + floor * rng.standard_normal(ROWS)
-        found = at_rest(NONE, truth + noise * rng.standard_normal(ROWS), NONE, ways, floor, noise)
+        read = truth + noise * rng.standard_normal(ROWS)
+        found = at_rest(NONE, read, NONE, ways, floor, noise**2 * np.eye(ROWS))
         if found.scale == 1.0:
             left = found.columns @ found.columns.T + 1e-12 * np.eye(ROWS)
             rest = truth - found.beside
@@ -47,7 +48,7 @@ def test_what_is_left_is_how_far_what_is_found_is_from_the_truth() -> None:
 
 def test_more_than_was_thought_widens_what_is_left_and_a_touch_leaves_some_unknown() -> None:
     rng = np.random.default_rng(3)
-    ways, noise = rng.standard_normal((ROWS, 4)), np.full(ROWS, 0.01)
+    ways, noise = rng.standard_normal((ROWS, 4)), 1e-4 * np.eye(ROWS)
     usual = at_rest(NONE, ways @ np.ones(4), NONE, ways, np.full(ROWS, 0.05), noise)
     odd = at_rest(NONE, ways @ np.ones(4) + rng.standard_normal(ROWS), NONE, ways, np.full(ROWS, 0.05), noise)
     assert usual.scale == 1.0

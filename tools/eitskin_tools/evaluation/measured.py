@@ -11,32 +11,27 @@ which replaces the reference and shifts both inputs of a network.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.files.plain import plain
-from eitskin_proto.sensor.noise_law import noise_of, own_sd
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.harness import Case, Reference, Sheet
 from eitskin_sim.evaluation.metrics import correlation, localisation_error_mm
 from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
 from eitskin_sim.surface.predict import flat_voltages, predict
-from eitskin_sim.verification.residual import Noise
 from eitskin_tools.evaluation.measured_file import UNTOUCHED, Measured
 from eitskin_tools.evaluation.printed import cell
 from eitskin_tools.evaluation.solvers import Progress, Request, bundle_on, is_deployed, judge_of, named
+from eitskin_tools.evaluation.verified.untouched_samples import MIN_SAMPLES, UntouchedSamples
 
 if TYPE_CHECKING:
     from eitskin_tools.evaluation.verified.solver import MapVerdict
 
 Array = npt.NDArray[np.float64]
-
-
-MIN_UNTOUCHED: Final = 8
-"""Untouched samples from which noise is taken; with fewer it is N2 of 50 dB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,25 +77,31 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
     labels: Literal["units", "area"] = "units" if bundle is not None and bundle.labels == "units" else "area"
     path = None if bundle is None else bundle.path
     flat = _flat_reference(measured)
-    noise = measured_noise(measured, flat)
+    is_untouched = np.array(measured.kinds) == UNTOUCHED
+    rest = UntouchedSamples.of(measured.voltages_V / flat - 1.0, measured.cloud_index, is_untouched)
+    noise = None if rest is None else rest.noise
     solver = named(Request(request.name, reference, path, request.prediction), labels, skin, kind, noise=noise)
     judge = judge_of(bundle)
     sheets: dict[int, Sheet] = {}
     last = {int(scan): number for number, scan in enumerate(measured.cloud_index)}
-    untouched = np.array(measured.kinds) == UNTOUCHED
     scores = []
     for number, (volts, scan) in enumerate(zip(measured.voltages_V, measured.cloud_index.tolist(), strict=True)):
         if scan not in sheets:
             sheets[scan] = _sheet(measured, scan)
-            rest = measured.voltages_V[untouched & (measured.cloud_index == scan)]
-            if solver.verified is not None and len(rest) >= MIN_UNTOUCHED:
-                solver.verified.use_untouched(rest.mean(axis=0), len(rest))
+            at_rest = measured.voltages_V[is_untouched & (measured.cloud_index == scan)]
+            if solver.verified is not None and len(at_rest) >= MIN_SAMPLES:
+                solver.verified.use_untouched(at_rest.mean(axis=0), len(at_rest))
         sheet = sheets[scan]
         held = sheet.predicted() * flat / flat_voltages(skin) if reference == "predicted" else flat
         case = Case(volts, held, flat, sheet, labels, lowering=kind == "lower")
         truth = None if measured.truth is None else measured.truth[number]
         own = _score(solver.run.solver(case), truth, measured.kinds[number], judge(volts, flat), skin)
-        scores.append(own if solver.verified is None else replace(own, checked=solver.verified.checked[-1]))
+        if solver.verified is not None:
+            checked = solver.verified.checked[-1]
+            if rest is not None and not (checked.not_verified or checked.verdict.touches):
+                checked = replace(checked, verdict=rest.verdict(number) or checked.verdict)
+            own = replace(own, checked=checked)
+        scores.append(own)
         if last[scan] == number:
             del sheets[scan]
         if progress is not None:
@@ -118,25 +119,6 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
             kind: summary([one for one in scores if one.kind == kind]) for kind in dict.fromkeys(measured.kinds)
         },
     }
-
-
-def measured_noise(measured: Measured, flat_V: Array) -> Noise | None:
-    """Return the noise of dV that the untouched samples show, with what rows share; None of too few of one shape.
-
-    Args:
-        measured: The samples.
-        flat_V: (104,) V that they are compared with.
-    """
-    untouched = np.array(measured.kinds) == UNTOUCHED
-    apart = []
-    for scan in np.unique(measured.cloud_index[untouched]):
-        own = measured.voltages_V[untouched & (measured.cloud_index == scan)] / flat_V - 1.0
-        if len(own) > 1:
-            apart.append((own - own.mean(axis=0)) * np.sqrt(len(own) / (len(own) - 1.0)))
-    if sum(map(len, apart)) < MIN_UNTOUCHED:
-        return None
-    sd, shared = noise_of(np.concatenate(apart))
-    return Noise("measured", measured=own_sd(sd, shared), shared=shared if shared.size else None)
 
 
 def touches_of(measured: Measured) -> TouchKind:

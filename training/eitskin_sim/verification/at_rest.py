@@ -42,13 +42,13 @@ def at_rest(change: Array, beside: Array, expected: Array, columns: Array, floor
         expected: (rows,) expected residual dV.
         columns: (rows, m) errors of the model in dV, of one standard deviation each.
         floor: (rows,) additional standard deviation of each row's error.
-        noise: (rows,) standard deviation of the measurement.
+        noise: (rows, rows) covariance of the measurement.
     """
     unseen = columns @ columns.T
     own, rest = unseen + np.diag(np.square(floor)), beside - expected
-    whole = own + np.diag(np.square(noise))
+    whole = own + noise
     variance = max(1.0, float(rest @ np.linalg.solve(whole, rest)) / len(rest))
-    own, whole = variance * own, variance * own + np.diag(np.square(noise))
+    own, whole = variance * own, variance * own + noise
     gain = np.linalg.solve(whole, own).T
     found = expected + gain @ rest
     by_touch = c.MODEL_ERROR_SHARE_OF_TOUCH**2 * variance * unseen + np.diag(np.square(c.ROW_ERROR_BY_TOUCH * found))

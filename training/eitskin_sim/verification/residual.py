@@ -85,6 +85,11 @@ class Noise:
             return np.asarray(level * float(np.sqrt(np.nanmean(np.square(volts)))) / np.abs(reference))
         return np.zeros(len(change))
 
+    def covariance(self, change: Array, reference: Array) -> Array:
+        """Return (rows, rows) the covariance of dV, never singular; arguments as of :meth:`sd`."""
+        shared = np.zeros((len(change), 0)) if self.shared is None else self.shared
+        return np.asarray(np.diag(np.square(self.sd(change, reference)) + c.MIN_SD_OF_DV**2) + shared @ shared.T)
+
 
 class Whitener:
     """Turns residuals of one frame into numbers that scatter by 1, independently, if the model is right.

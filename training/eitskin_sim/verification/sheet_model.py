@@ -198,10 +198,7 @@ class SheetModel:
                 break
             model = other
         columns, floor = model._columns() * ratio[:, None], c.MESH_ERROR * (1.0 + change)
-        sd = noise.sd(change, reference)
-        if noise.shared is not None:
-            sd = np.hypot(sd, np.linalg.norm(noise.shared, axis=1))
-        rest = at_rest(change, beside, expected, columns, floor, sd)
+        rest = at_rest(change, beside, expected, columns, floor, noise.covariance(change, reference))
         return replace(model, rest=rest) if rest.scale <= c.MAX_EXCESS_AT_REST else None
 
     @property
