@@ -1,12 +1,14 @@
 """The viewer's subscriber: it takes the newest, lists its touches, and rests while nobody looks on."""
 
 import socket
+import time
 
 import pytest
 
 import eitskin
 from eitskin.messaging.frame import FIRST_BYTE, patient_topics
 from eitskin_proto.skin.skin import PAPER
+from eitskin_tools.view import feed as feed_module
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.feed import Feed
 from eitskin_tools.view.messages import unpacked
@@ -87,6 +89,18 @@ def test_silence_is_told_with_its_reason(endpoint):
     feed.close()
     assert head["state"] == "silent"
     assert "eitskin run" in head["text"]
+
+
+def test_a_feed_ends_at_once_while_no_frame_arrives(endpoint, monkeypatch):
+    monkeypatch.setattr(feed_module, "SILENCE_S", 600.0)
+    board = Board()
+    feed = Feed(Source(PAPER, endpoint), board)
+    with Runtime(endpoint, Scene(disc(50.0, 40.0))), board.page():
+        feed.start()
+        heads(board, "frame", 1)
+    begin_s = time.monotonic()
+    feed.close()
+    assert time.monotonic() - begin_s < 60.0
 
 
 def test_an_endpoint_that_is_none_is_refused_at_once():

@@ -165,23 +165,25 @@ def test_a_head_that_is_too_long_or_never_ends_is_left(serve, monkeypatch):
         assert line.recv(1) == b""
 
 
-def test_more_connections_than_there_may_be_are_sent_away_and_room_comes_back(serve, monkeypatch):
-    monkeypatch.setattr(server_module, "MAX_CONNECTIONS", 2)
-    server = serve()
-    lines = [socket.create_connection(("127.0.0.1", server.port), 60) for _ in range(2)]
-    for line in lines:  # each is taken: it answers
-        line.sendall(f"GET /favicon.svg HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n".encode())
-        assert line.recv(12) == b"HTTP/1.1 200"
-    with socket.create_connection(("127.0.0.1", server.port), 60) as third:
-        assert third.recv(1) == b""
-    for line in lines:
+def test_clients_that_never_finish_a_request_shut_out_neither_a_page_nor_a_new_one(serve, monkeypatch):
+    monkeypatch.setattr(server_module, "MAX_CONNECTIONS", 4)
+    server = serve("t")
+    stream, connection = ask(server, "/stream", Authorization="Bearer t")
+    dripping = [socket.create_connection(("127.0.0.1", server.port), 60) for _ in range(20)]
+    for line in dripping[-2:]:
+        line.sendall(b"GET / HT")
+    assert status(server)[0] == 200
+    assert dripping[0].recv(1) == b"", "the oldest of them is closed"
+    server.board.post("skin", packed({"kind": "skin"}))
+    assert next(chunks(stream))[0] == {"kind": "skin"}, "a page with the token stays"
+    with socket.create_connection(("127.0.0.1", server.port), 60, ("127.0.0.2", 0)) as other:  # another client
+        more = [socket.create_connection(("127.0.0.1", server.port), 60) for _ in range(20)]
+        assert status(server)[0] == 200
+        other.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n".encode())
+        assert other.recv(12) == b"HTTP/1.1 200"
+    for line in [*dripping, *more]:
         line.close()
-    while True:
-        try:
-            if status(server)[0] == 200:
-                break
-        except (OSError, http.client.HTTPException):
-            continue
+    connection.close()
 
 
 def chunks(answer):

@@ -17,7 +17,7 @@ from eitskin_tools.processes.signals import endings
 PORT = 8416
 """Default."""
 
-POLL_S = 1.0
+POLL_S = 0.2
 """Longest delay of Ctrl-C."""
 
 

@@ -1,14 +1,13 @@
-"""The viewer's own subscriber: takes the newest frame, 30 times a second at most, and only while somebody looks on.
+"""The viewer's own subscriber: takes the newest frame, 30 times a second at most, and only while a page is open.
 
-Frames in between are dropped by libzmq and never decoded; surfaces and what happened come by streams of their own
-(:mod:`eitskin_tools.view.feed`), and touches are listed here (:mod:`eitskin_tools.view.feed`): what the frame
-loop has to do does not depend on who looks on.
+libzmq drops the frames in between, which are never decoded. Surfaces and events come by streams of their own, and
+touches are listed here, so that a page gives the frame loop no work.
 """
 
+import math
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Final
 
@@ -16,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 import eitskin
-from eitskin.errors import NoFrame
+from eitskin.errors import Closed, NoFrame
 from eitskin.messaging.frame import Frame
 from eitskin.touches.surface import Surface
 from eitskin.touches.touch import LAYOUT, unpack_touches
@@ -74,6 +73,7 @@ class Feed:
         with eitskin.subscribe(source.endpoint, keys=source.keys) as tried:
             self.endpoint = tried.endpoint
         self._left = threading.Event()
+        self._subscribed: tuple[Any, ...] = ()
         self._thread = threading.Thread(target=self._run, name=f"view-feed-{of}", daemon=True)
         self.taken = 0
         """Frames posted so far."""
@@ -82,10 +82,16 @@ class Feed:
         """Start; frames are posted once a page is open."""
         self._thread.start()
 
-    def close(self) -> None:
-        """End the thread."""
+    def stop(self) -> None:
+        """Have the thread end within 0.1 s."""
         self._left.set()
         self._board.close()
+        for one in self._subscribed:
+            one.stop()
+
+    def close(self) -> None:
+        """End the thread."""
+        self.stop()
         if self._thread.is_alive():
             self._thread.join()
 
@@ -95,33 +101,59 @@ class Feed:
                 self._follow()
 
     def _follow(self) -> None:
-        """Post frames until no page is open."""
-        touches = TouchLister(self._source.skin.grid)
+        """Post frames and streams until no page is open."""
+        touches, keys = TouchLister(self._source.skin.grid), self._source.keys
         with (
-            eitskin.subscribe(self.endpoint, timeout_s=SILENCE_S, patient=True, keys=self._source.keys) as frames,
-            Streams(self.endpoint, self._source, self._board, self._of, touches),
+            eitskin.subscribe(self.endpoint, timeout_s=SILENCE_S, patient=True, keys=keys) as frames,
+            eitskin.subscribe_streams(
+                self.endpoint, wire=False, clouds=True, state=True, timeout_s=math.inf, keys=keys
+            ) as items,
         ):
-            status_s, rhythm = 0.0, Rhythm()
-            due_s = seen_s = time.monotonic()
-            while not self._left.is_set():
-                due_s = max(due_s + self._every_s, time.monotonic())
-                try:
-                    frame = touches.listed(frames.next_frame())
-                except NoFrame as error:
-                    self._post_status("silent", str(error))
-                else:
-                    rhythm.add(frame.number, frame.host_ns["read"])
-                    self._board.post("frame", frame_message(frame, self._of, self._source.pose), self._of)
-                    self.taken += 1
-                    if due_s - status_s >= STATUS_S:
-                        status_s = due_s
-                        self._post_status("live", self._mismatch(frame.map.shape))
-                now_s = time.monotonic()
-                if self._board.pages:
-                    seen_s = now_s
-                elif now_s - seen_s > IDLE_S:
-                    return
-                self._left.wait(rhythm.pause_s(max(0.0, due_s - now_s)))
+            self._subscribed = (frames, items)
+            streams = threading.Thread(target=self._post_streams, args=(items, touches), daemon=True)
+            streams.start()
+            try:
+                self._post_frames(frames, touches)
+            except Closed:
+                pass
+            finally:
+                items.stop()
+                streams.join()
+
+    def _post_frames(self, frames: Any, touches: "TouchLister") -> None:
+        status_s, rhythm = 0.0, Rhythm()
+        due_s = seen_s = time.monotonic()
+        while not self._left.is_set():
+            due_s = max(due_s + self._every_s, time.monotonic())
+            try:
+                frame = touches.listed(frames.next_frame())
+            except NoFrame as error:
+                self._post_status("silent", str(error))
+            else:
+                rhythm.add(frame.number, frame.host_ns["read"])
+                self._board.post("frame", frame_message(frame, self._of, self._source.pose), self._of)
+                self.taken += 1
+                if due_s - status_s >= STATUS_S:
+                    status_s = due_s
+                    self._post_status("live", self._mismatch(frame.map.shape))
+            now_s = time.monotonic()
+            if self._board.pages:
+                seen_s = now_s
+            elif now_s - seen_s > IDLE_S:
+                return
+            self._left.wait(rhythm.pause_s(max(0.0, due_s - now_s)))
+
+    def _post_streams(self, items: Any, touches: "TouchLister") -> None:
+        """Post clouds and states until the subscription is stopped."""
+        posted = None
+        for item in items:
+            if isinstance(item, eitskin.SkinState):
+                self._board.post("state", state_message(item, self._of), self._of)
+            elif posted != (which := (item.run, item.revision)):  # a cloud is sent again every second
+                posted = which
+                touches.set_surface(item.run, item.revision, item.cloud)
+                message = surface_message(item.revision, item.cloud, item.run, self._of, self._source.pose)
+                self._board.post("surface", message, self._of)
 
     def _mismatch(self, shape: tuple[int, ...]) -> str:
         """Return how the map differs from the sheet that is drawn, or ""."""
@@ -181,49 +213,3 @@ class TouchLister:
         if known is None and frame.cloud:
             found = replace(found, touches=tuple(replace(one, normal=UNKNOWN_NORMAL) for one in found.touches))
         return replace(frame, touch_list=found)
-
-
-class Streams:
-    """Posts clouds and states of a runtime while it is entered.
-
-    Args:
-        endpoint: Where the runtime publishes.
-        source: The runtime.
-        board: Where to post.
-        of: Number of the skin.
-        touches: Receives the surfaces.
-    """
-
-    def __init__(self, endpoint: str, source: Source, board: Board, of: int, touches: TouchLister) -> None:
-        self._endpoint, self._source, self._board, self._of, self._touches = endpoint, source, board, of, touches
-        self._posted = ("", -1)
-        self._left = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=f"view-streams-{of}", daemon=True)
-
-    def _run(self) -> None:
-        while not self._left.is_set():  # connect again if another program had answered
-            with (
-                suppress(NoFrame),
-                eitskin.subscribe_streams(
-                    self._endpoint, wire=False, clouds=True, state=True, timeout_s=2.0, keys=self._source.keys
-                ) as items,
-            ):
-                while not self._left.is_set():
-                    self._post(items.next_item())
-
-    def _post(self, item: object) -> None:
-        if isinstance(item, eitskin.CloudInUse):
-            if self._posted != (which := (item.run, item.revision)):  # it is sent again every second
-                self._posted = which
-                self._touches.set_surface(item.run, item.revision, item.cloud)
-                message = surface_message(item.revision, item.cloud, item.run, self._of, self._source.pose)
-                self._board.post("surface", message, self._of)
-        elif isinstance(item, eitskin.SkinState):
-            self._board.post("state", state_message(item, self._of), self._of)
-
-    def __enter__(self) -> None:
-        self._thread.start()
-
-    def __exit__(self, *_: object) -> None:
-        self._left.set()
-        self._thread.join()

@@ -1,8 +1,9 @@
 """The server of the page: the standard library's, with everything bounded.
 
-A request names a listed path and has no body. At most ``MAX_CONNECTIONS`` are open at a time; one that neither sends
-nor reads for ``STALL_S`` is closed. ``/stream`` is one answer without end, in chunks, each with the newest message of
-each kind; a line reports a page that does not read it. ``/part/N`` is one second of a recording.
+A request names a listed path and has no body. At most ``MAX_CONNECTIONS`` are open at a time. A further one replaces
+the oldest of the client that has the most without the token, so that no client shuts out another. A connection that
+neither sends nor reads for ``STALL_S`` is closed. ``/stream`` is one answer without end, in chunks, each with the
+newest message of each kind; a line reports a page that does not read it. ``/part/N`` is one second of a recording.
 """
 
 import contextlib
@@ -12,6 +13,7 @@ import ipaddress
 import secrets
 import socket
 import threading
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -80,7 +82,9 @@ class ViewServer(ThreadingHTTPServer):
         self.host, self.board, self.token = host, board, token
         self.recorder, self.film, self.allowed = recorder, film, {name.lower() for name in allowed}
         self.pages = pages()
-        self._room = threading.BoundedSemaphore(MAX_CONNECTIONS)
+        self._lock = threading.Lock()
+        self._open: dict[Any, str] = {}
+        """Open connections, the oldest first, with the client's address; "" once they have shown the token."""
         try:
             super().__init__((host, port), _Request)
         except OSError as error:
@@ -100,18 +104,39 @@ class ViewServer(ThreadingHTTPServer):
         self.server_name, self.server_port = self.host, self.server_address[1]
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Accept a connection, or close it if there are too many."""
-        if not self._room.acquire(blocking=False):
+        """Accept a connection, and close another one if there are too many."""
+        with self._lock:
+            room = len(self._open) < MAX_CONNECTIONS or self._close_one()
+            if room:
+                self._open[request] = client_address[0]
+        if room:
+            super().process_request(request, client_address)
+        else:
             self.shutdown_request(request)
-            return
-        super().process_request(request, client_address)
 
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Serve a connection to its end."""
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            self._room.release()
+    def _close_one(self) -> bool:
+        """Close the oldest connection of the client that has the most without the token; return whether one has any."""
+        clients = Counter(client for client in self._open.values() if client)
+        if not clients:
+            return False
+        ((most, _),) = clients.most_common(1)
+        oldest = next(request for request, client in self._open.items() if client == most)
+        del self._open[oldest]
+        with contextlib.suppress(OSError):  # its client closed it
+            oldest.shutdown(socket.SHUT_RDWR)
+        return True
+
+    def trust(self, request: Any) -> None:
+        """Keep a connection that has shown the token."""
+        with self._lock:
+            if request in self._open:
+                self._open[request] = ""
+
+    def shutdown_request(self, request: Any) -> None:
+        """Forget a connection that ends."""
+        with self._lock:
+            self._open.pop(request, None)
+        super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Print nothing: a page that closes is no error."""
@@ -210,6 +235,7 @@ class _Request(BaseHTTPRequestHandler):
     def _token_missing(self) -> bool:
         """Return whether the page lacks the token, and refuse the request if so."""
         if token_given(self.headers.get("Authorization", ""), self.server.token):
+            self.server.trust(self.connection)
             return False
         self._refuse(HTTPStatus.UNAUTHORIZED, "open the address that 'eitskin view' printed: it contains the token")
         return True
@@ -396,7 +422,7 @@ class PageServer:
         self.server = ViewServer(host, port, self.board, token, **more)
         self.address = self.server.address
         """The address to open in a browser."""
-        self._thread = threading.Thread(target=self.server.serve_forever, name="view-server", daemon=True)
+        self._thread = threading.Thread(target=self.server.serve_forever, args=(0.1,), name="view-server", daemon=True)
 
     def __enter__(self) -> Self:
         self._thread.start()

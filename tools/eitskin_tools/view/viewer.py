@@ -52,6 +52,8 @@ class Viewer(PageServer):
         self.stack.callback(self._recorder.close)
         for feed in self.feeds:
             self.stack.callback(feed.close)
+        for feed in self.feeds:
+            self.stack.callback(feed.stop)  # all at once, before the first is waited for
         try:
             self.serve(host, port, token, recorder=self._recorder, allowed=allowed)
         except BaseException:
