@@ -207,9 +207,18 @@ def _find(serial_number: str, backend: Any) -> Any:
 
 
 def _claim(device: Any) -> tuple[int, Any, Any]:
-    """Return interface number, IN and OUT endpoint of the vendor-specific interface, claimed for us alone."""
-    device.set_configuration()
-    for interface in device.get_active_configuration():
+    """Return interface number, IN and OUT endpoint of the vendor-specific interface, claimed for us alone.
+
+    An active configuration stays: another driver may hold another interface of the device, such as its serial port.
+    """
+    try:
+        configuration = device.get_active_configuration()
+    except usb.core.USBError as error:
+        if error.errno is not None:
+            raise
+        device.set_configuration()  # none is active
+        configuration = device.get_active_configuration()
+    for interface in configuration:
         ends = {usb.util.endpoint_direction(end.bEndpointAddress): end for end in interface if _is_bulk(end)}
         if interface.bInterfaceClass == VENDOR_CLASS and len(ends) == 2:
             usb.util.claim_interface(device, interface.bInterfaceNumber)

@@ -22,6 +22,7 @@ class Played(usb.backend.IBackend):
 
     def __init__(self, *serials, interface_class=0xFF):
         self.serials, self.interface_class = list(serials), interface_class
+        self.configuration = 1
         self.to_host, self.to_device = bytearray(), bytearray()
         self.fails, self.open_fails, self.claimed, self.halts, self.asked = [], None, set(), 0, []
 
@@ -65,13 +66,16 @@ class Played(usb.backend.IBackend):
         pass
 
     def get_configuration(self, handle):
-        return 1
+        return self.configuration
 
     def set_configuration(self, handle, value):
-        if self.open_fails:
-            raise usb.core.USBError("refused", errno=self.open_fails)
+        if self.configuration:  # as Linux says while a driver holds another interface
+            raise usb.core.USBError("busy", errno=errno.EBUSY)
+        self.configuration = value
 
     def claim_interface(self, handle, intf):
+        if self.open_fails:
+            raise usb.core.USBError("refused", errno=self.open_fails)
         self.claimed.add(intf)
 
     def release_interface(self, handle, intf):
@@ -124,6 +128,14 @@ def test_a_device_is_found_by_its_serial_number_and_only_if_it_is_unambiguous():
         UsbPort("usb:SKIN-3", backend)
     with pytest.raises(PortMissing, match="no USB device 1209:0001: plug it in"):
         UsbPort("usb:", Played())
+
+
+@pytest.mark.parametrize("active", [1, 0])
+def test_only_a_device_without_an_active_configuration_is_configured(active):
+    backend = Played("SKIN-1")
+    backend.configuration = active
+    UsbPort("usb:", backend).close()
+    assert backend.configuration == 1
 
 
 @pytest.mark.parametrize(
@@ -183,7 +195,8 @@ def test_a_name_says_which_kind_of_line_it_is(monkeypatch):
 
 def test_the_udev_rule_names_the_ids_that_are_looked_for():
     rule = (Path(usb_port.__file__).parent / "60-eitskin.rules").read_text()
-    assert f'ATTR{{idVendor}}=="{VENDOR_ID:04x}", ATTR{{idProduct}}=="{PRODUCT_ID:04x}"' in rule
+    ours = f'ATTR{{idVendor}}=="{VENDOR_ID:04x}", ATTR{{idProduct}}=="{PRODUCT_ID:04x}"'
+    assert f'{ours}, ENV{{ID_MM_DEVICE_IGNORE}}="1"' in rule
     assert "60-eitskin.rules /etc/udev/rules.d/" in usb_port.RULE
 
 

@@ -193,7 +193,7 @@ class VerifierFeed:
         self._setup_for = pipeline.buffers.geometry, reference
         if reference is None:
             return
-        flat, step_V = reference.flat(), pipeline.normaliser.volts_per_count
+        flat, step_V = reference.flat(), pipeline.step_V
         given = None if pipeline.buffers.geometry is None else pipeline.buffers.geometry.given
         skin = pipeline.skin
         cloud = skin.grid.flat_cloud_mm() if given is None or given.cloud is None else given.cloud

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from eitskin.model.bundle import Bundle
 from eitskin.reference.captured import Reference
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.wire.volts import step_of
 from eitskin_sim.evaluation.harness import Case, Run, Sheet
 from eitskin_tools.evaluation.verified.solver import VerifiedNetwork, noise_shown
 from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES, UntouchedBaseline
@@ -71,7 +72,7 @@ class VerifiedSolver:
     def _begin(self, reference: Reference) -> None:
         """Begin with another surface or reference."""
         self._verified = self._at_rest_V = None
-        step_V = self._script.hello.volts_per_count
+        step_V = step_of(self._script.hello)
         self._baseline.start(reference.voltages_V, reference.spread_V, reference.frames, step_V)
 
     def _missing(self, reference: Reference) -> npt.NDArray[np.bool_]:
@@ -129,7 +130,7 @@ class VerifiedSolver:
 
     def _of(self, reference: Reference) -> VerifiedNetwork:
         """Return the solver of a reference's frames."""
-        bundle, step_V = self._bundle, self._script.hello.volts_per_count
+        bundle, step_V = self._bundle, step_of(self._script.hello)
         spread_V = np.hypot(reference.spread_V, step_V / math.sqrt(12.0))
         noise = noise_shown(reference.voltages_V, spread_V, reference.shared_V)
         network = Run(lambda case: self._image, "pre")
