@@ -86,8 +86,7 @@ class ReferenceBuilder:
         if self._unfit >= max(self.frames, MOST_UNFIT):
             raise BadReference(
                 f"{self._unfit} frames could not be used for the reference, the last one because {why}: check the "
-                "front end, its supply and its wires, and the current and the gain of the configuration ('eitskin "
-                "flash')"
+                "front end, its supply, wires, current and gain; behind a driver, state the converter's step"
             )
 
     def finish(self, hello: Hello, checks: ReferenceChecks | None = None, *, force: bool = False) -> Reference:

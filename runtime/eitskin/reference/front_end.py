@@ -132,9 +132,10 @@ def _alike(
 ) -> str:
     """Return whether rows share counts as no sheet's do; ``values`` are the counts once more, as numbers."""
     chance, same, most, which, total = 0.0, 0, 0, 0.0, len(counts)
+    crowded = max(1.0, total / N_ROWS)  # 208 rows are 104 read both ways
     for value in [value for value, times in Counter(values).items() if value and times > 1]:
         group = np.flatnonzero(counts == value)
-        many = _different(group, reference, symmetric)
+        many = _different(group, reference, symmetric * math.ceil(crowded))
         if len(group) >= 0.75 * total:
             chance = -math.inf
         elif many < 2:
@@ -143,7 +144,7 @@ def _alike(
             most, which = len(group), value
         same += len(group)
         size = abs(float(value))
-        chance += min(0.0, math.log(size) + many * math.log(MAX_DENSITY / size) - math.lgamma(many + 1.0))
+        chance += min(0.0, math.log(size) + many * math.log(MAX_DENSITY * crowded / size) - math.lgamma(many + 1.0))
     if chance >= MIN_LOG_CHANCE:
         return ""
     return f"{same} of {total} rows share counts, {most} of them {which:g}"

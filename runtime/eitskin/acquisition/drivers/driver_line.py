@@ -53,7 +53,7 @@ def hello_of(driver: Driver) -> DriverHello:
     table, full_V = driver.table, driver.full_scale_V or LARGEST_V
     step_V = driver.step_V or (full_V if driver.full_scale_V else 1.0) / FINEST_SHARE
     electrodes = b"" if table.electrodes is None else table.electrodes.tobytes()
-    settings = {**driver.settings, "table": table.id, "step_V": step_V, "full_scale_V": full_V}
+    settings = {**driver.settings, "table": table.id}
     try:
         found = DriverHello(
             firmware_version=(0, 0, 0), hardware_id=DRIVER_ID, serial_number=driver.serial_number,
