@@ -11,7 +11,7 @@ from eitskin.model.bundle import Bundle, load_bundle
 from eitskin.model.engine import default_solver, engines
 from eitskin.model.gate import RememberingGate
 from eitskin.model.geometry import GeometryGraph
-from eitskin.model.taught import TaughtField
+from eitskin.model.taught import field_of
 from eitskin.reference.normaliser import Normaliser
 from eitskin_proto.sensor.row_table import RowTable, row_map, table_of, usual_table
 
@@ -67,8 +67,9 @@ def reconstruct(
     else:
         mapped.apply(untouched, frame)
     normaliser.use_reference(frame)
-    taught, gates = loaded.taught_arrays(), loaded.gate_arrays()
-    field = None if taught is None else TaughtField(taught, loaded.skin.grid)
+    gates, field = loaded.gate_arrays(), field_of(loaded)
+    if field is not None:
+        field.use_reference(frame)
     gate = field or (None if gates is None else RememberingGate(gates, loaded.rows))
     buffers = Buffers(loaded, None if gate is None else gate.change)
     if loaded.has_network or cloud is not None:

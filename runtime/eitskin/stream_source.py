@@ -65,6 +65,7 @@ def status_of(device: Device, pipeline: Pipeline, loop: FrameLoop) -> dict[str, 
         "reference_utc": found.captured_utc if found else "",
         "weak_rows": found.weak.tolist() if found else [],
         "electrodes": [] if health is None else list(health.electrodes.texts),
+        "shape": "" if pipeline.field is None else pipeline.field.shape,
         "drift": {} if health is None else health.drift.summary(),
         "verifier": loop.verifier_status(),
     }

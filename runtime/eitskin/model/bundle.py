@@ -5,7 +5,7 @@
     NAME.eitskin (ZIP)
       manifest.json     format, version, ids, labels, touches, recipe, seeds, metrics, sha256 of every file
       skin.toml         which skin it is for (optional; without it, the paper's, whose sizes are below)
-      taught.npz        touches learned from presses (optional)
+      taught.npz        touches learned from presses, taught_2.npz ... in further shapes of the sheet (optional)
       geometry.onnx     cloud (1, 3, 30, 45) -> bias (1, H)                   runs when a cloud arrives
       head.onnx         dv (1, 104) [, log_predicted (1, 104)], bias (1, H) -> map (1, 1350)   runs a frame
       head_int8.onnx    the same, dynamic int8 (optional)
@@ -47,7 +47,10 @@ from eitskin_proto.skin.skin import Skin as SkinDescription
 from eitskin_proto.skin.touch_kind import TOUCH_KINDS, TouchKind, touch_kind_of
 
 TAUGHT_FILE: Final = "taught.npz"
-"""Touches learned from presses (:mod:`eitskin.model.taught`)."""
+"""Touches learned from presses (:mod:`eitskin.model.taught`), in the first shape of the sheet."""
+
+MOST_SHAPES: Final = 9
+"""Shapes in which a sheet is taught, at most."""
 
 L1_FILE: Final = "l1.npz"
 """Operators of the sparse solver (:mod:`eitskin.model.sparse`)."""
@@ -78,6 +81,11 @@ LARGEST_ARRAYS: Final = 16 << 20
 """Bytes of all arrays of a gate, or of the statistics of healthy frames."""
 
 EXPORT_HINT: Final = "make it again with 'eitskin export'"
+
+
+def taught_file(number: int) -> str:
+    """Return the file of a taught shape, counted from 0."""
+    return f"taught_{number + 1}.npz" if number else TAUGHT_FILE
 
 
 def graphs_of(name: str) -> tuple[str, str]:
@@ -207,9 +215,10 @@ class Bundle:
         """Return the touch gate's arrays, or None for a bundle without a gate."""
         return self._archive("gate.npz")
 
-    def taught_arrays(self) -> dict[str, npt.NDArray[np.generic]] | None:
-        """Return what was learned from presses, or None for a bundle that was not taught."""
-        return self._archive(TAUGHT_FILE)
+    def taught_arrays(self) -> list[dict[str, npt.NDArray[np.generic]]]:
+        """Return what was learned from presses in each shape of the sheet; empty for a bundle that was not taught."""
+        names = [taught_file(number) for number in range(MOST_SHAPES)]
+        return [arrays for name in names if (arrays := self._archive(name)) is not None]
 
     def l1_arrays(self) -> dict[str, npt.NDArray[np.generic]] | None:
         """Return the operators of the sparse solver, or None for a bundle without it."""

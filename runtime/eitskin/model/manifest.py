@@ -78,6 +78,7 @@ def _check_fields(manifest: dict[str, Any]) -> None:
     for name in ("gate", "metrics", "recipe", *EXTRA_NETWORKS):
         if fields.value(name, None) is not None:
             fields.table(name)
+    fields.texts("shapes", None)
     files = fields.table("files")
     networks = [name for name in ("head", *EXTRA_NETWORKS) if fields.value(name, None) is not None]
     fields.whole("rows", N_ROWS, low=1, high=MAX_ROWS)

@@ -1,36 +1,30 @@
-"""Finds touches by what a sheet was taught: how its voltages answer to a press at each place.
+"""Finds touches by what a sheet was taught, in one shape or several: the shape, the averages and the drift.
 
-``eitskin teach`` learns from recorded presses the *response field*, from a place to the rows' log(V / V_untouched). A
-matrix projects the rows onto the few directions in which presses differ from noise; there the noise of a press is the
-identity. A press of amplitude s at the place x then reads ::
+``eitskin teach`` learns from recorded presses the *response field* (:mod:`eitskin.model.response_field`), one for each
+shape in which the sheet was pressed, and the level of its untouched rows. At run time ::
 
-    z = s f(x) + noise              f(x) known with variance v(x), s about 1 with the sd ``amplitude_sd``
-    chi2(x) = sum w (z - s f)^2 + ((s - 1) / amplitude_sd)^2                    w = 1 / (1 + v), s the best
-    log p(z | x) = -(freedom + q) / 2 log(freedom + chi2) - 1/2 log det         Student's t: an odd frame says less
+    change = log(V / V_reference) = level of the shape - level of the reference + drift + touch + noise
 
-The *gate* compares the mean of p(z | x) over the sheet with the probability of an untouched frame, whose covariance was
-measured. The *map* is the posterior of the place. For several touches the strongest is subtracted, and the rest is
-searched again.
+The *shape* is the one whose level is nearest. Presses, drift and noise count as noise of that distance, so a press is
+not taken for a bend. V_pred is one more candidate: with it the shape is the reference's, and the level predicted. If
+none of them is near, the shape is unknown.
 
 Two means are kept of frames. While the sheet is still, frames are averaged. While it is untouched, the *baseline*
 follows it, so drift does not look like a touch; it stays while the sheet is touched, however long.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError
-from eitskin.model.denormals import flushed
+from eitskin.model.bundle import Bundle
+from eitskin.model.response_field import HINT, ResponseField, TaughtTouch, finite
 from eitskin.touches.moments import Found
 from eitskin_proto.skin.grid import Grid
-
-MOST_DIRECTIONS: Final = 64
-"""q, the columns of the projection."""
 
 MOST_AVERAGED: Final = 50
 """Frames of a still sheet that are averaged; older ones fade."""
@@ -41,6 +35,9 @@ RESTART: Final = 4.0
 NOISE_STEP: Final = 0.05
 """Share by which the estimate of the frames' noise moves with each frame, towards the median of what is seen."""
 
+FIRST_STEPS: Final = 4
+"""Steps between frames of which the smallest is the first estimate: one of them may be a press."""
+
 FOLLOW_FRAMES: Final = 32
 """The baseline follows after so many untouched frames."""
 
@@ -50,127 +47,108 @@ FOLLOW_SHARE: Final = 0.5
 RELEASED: Final = 0.02
 """A still frame with less than this share of the touch's largest squared response is the untouched sheet again."""
 
-SMALLEST_AMPLITUDE: Final = 0.1
-"""Of a touch, where 1 is the usual one."""
-
-MOST_TOUCHES: Final = 8
-"""Touches that are searched for in a frame."""
-
-ROUNDS: Final = 3
-"""How often each touch is placed again after another one was found."""
-
-FINE: Final = 5
-"""Points along each axis of a pixel, between which the likelihood is interpolated round its peak."""
-
 SMALLEST_RATIO: Final = 1e-6
 """V / V0 is not taken for less before the logarithm."""
 
-SMALLEST_POSTERIOR: Final = 1e-6
-"""Of its peak; less is 0 in the map."""
+PREDICTED: Final = "predicted"
+"""The shape of a frame whose untouched level V_pred explains better than any that was taught."""
 
-LOG_SMALLEST: Final = -60.0
-"""Likelihoods are cut off here below their peak, where float32 is still exact."""
+UNKNOWN: Final = "unknown"
+"""The shape of a frame whose level is like none of them."""
 
-LARGEST: Final = 1e12
-"""No array of taught.npz has a larger value."""
-
-HINT: Final = "teach it again with 'eitskin teach'"
-
-
-@dataclass(frozen=True, slots=True)
-class TaughtTouch:
-    """A touch of a frame."""
-
-    x_mm: float
-    y_mm: float
-    """Mean of the posterior of its place, from the sheet's corner."""
-    sd_x_mm: float
-    sd_y_mm: float
-    """Its standard deviations."""
-    amplitude: float
-    """Its strength; 1 is the mean of the presses that were taught."""
-    log_likelihood_ratio: float
-    """Logarithm of its likelihood over that of no further touch."""
+Arrays = Mapping[str, npt.NDArray[np.generic]]
 
 
 class TaughtField:
     """Judges frames and places touches: fill ``change``, call :meth:`touched`, then ask for the map or the touches.
 
     Args:
-        arrays: Of taught.npz: project (rows, q), field and variance (pixels, q), inside (pixels,), untouched (q, q),
-            amplitude_sd, freedom, threshold, spread, logarithm of one value each.
+        shapes: Arrays of taught.npz for each shape (:class:`~eitskin.model.response_field.ResponseField`), and: level
+            (rows,) log |V| of its untouched sheet, 0 where a row has none. The first has white (rows, r), in which
+            presses, drift and noise have unit variance, and reach, the largest squared length of a press there.
         grid: Of the skin's map.
+        names: Of the shapes.
 
     Raises:
         BundleError: An array is missing, has a wrong shape, is not finite or out of range.
     """
 
-    def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]], grid: Grid) -> None:
-        project = _finite(arrays, "project", (None, None))
-        self.rows, q = project.shape
+    def __init__(self, shapes: Sequence[Arrays], grid: Grid, names: Sequence[str] = ()) -> None:
+        self._fields = [ResponseField(one, grid) for one in shapes]
+        self.rows = rows = self._fields[0].rows
         """n, of a frame."""
-        if not 1 <= q <= MOST_DIRECTIONS:
-            raise BundleError(f"taught.npz: project has {q} columns, expected 1 to {MOST_DIRECTIONS}; {HINT}")
-        pixels = grid.n_pixels
-        field, variance = (_finite(arrays, name, (pixels, q)) for name in ("field", "variance"))
-        inside, untouched = _finite(arrays, "inside", (pixels,)), _finite(arrays, "untouched", (q, q))
-        sd, freedom, spread = (_positive(arrays, name) for name in ("amplitude_sd", "freedom", "spread"))
-        if variance.min() < 0.0 or not inside.any():
-            raise BundleError(f"taught.npz: variance is negative, or no pixel is inside; {HINT}")
-        sizes = np.linalg.eigvalsh(untouched)
-        if sizes[0] <= 0.0:
-            raise BundleError(f"taught.npz: untouched is no covariance; {HINT}")
-        weight, prior = 1.0 / (1.0 + variance), sd**-2
-        norm = (field * field * weight).sum(axis=1) + prior
-        self._q, self._freedom, self._spread, self._grid = q, freedom, spread, grid
-        self._project, self._field = _single(project), _single(field)
-        self._weight, self._tilt = _single(weight.T), _single((field * weight).T)  # (q, pixels)
-        self._norm, self._prior = _single(norm), prior
-        self._inside = inside != 0
-        offset = 0.5 * np.log(weight).sum(axis=1) - 0.5 * np.log(norm / prior) - math.log(np.count_nonzero(inside))
-        self._offset = np.where(self._inside, offset, -1e30).astype(np.float32)
-        self._precision = _single(np.linalg.inv(untouched))
-        self._untouched = -0.5 * float(np.log(sizes).sum())
-        self._logarithm = bool(_one(arrays, "logarithm"))
-        columns = grid.shape[1]
-        self._around = np.add.outer([-columns, 0, columns], [-1, 0, 1]).ravel()
-        self._block = np.zeros(9, dtype=np.intp)
-        self._found = np.zeros((MOST_TOUCHES, q), dtype=np.float32)
-        self._logs, self._responses = np.zeros(9, dtype=np.float32), np.zeros((9, q), dtype=np.float32)
-        steps = (np.arange(3 * FINE) + 0.5) / FINE - 1.5
-        self._lagrange = _single(np.kron(_quadratic(steps), _quadratic(steps)))
-        beyond = np.abs(steps) > 1.0
-        self._most = np.where(beyond | beyond[:, None], 0.0, np.inf).ravel()
-        self._fine_mm = np.stack([one.ravel() for one in np.meshgrid(steps, steps)]) * np.array(grid.pixel_mm)[:, None]
-        self._places_mm = np.concatenate([grid.pixel_centres_mm().reshape(-1, 2).T, self._fine_mm], axis=1)
-        self._squared_mm, self._moment = np.zeros_like(self._places_mm), np.zeros(2)
-        self._p = np.zeros(pixels + len(self._lagrange))
-        """Posterior of the pixels, and of the points round the peak that take the place of 3 x 3 of them."""
-        self.change = np.zeros(self.rows, dtype=np.float32)
+        self.logarithmic = self._fields[0].logarithmic
+        """Whether it was taught logarithms of V / V_untouched, not changes of another unit."""
+        if any((one.rows, one.logarithmic) != (rows, self.logarithmic) for one in self._fields):
+            raise BundleError(f"taught.npz: shapes differ in their rows or their unit; {HINT}")
+        numbered = [str(number + 1) for number in range(len(shapes))]
+        self._names = (*(names if len(names) == len(shapes) else numbered), PREDICTED)
+        self._white: npt.NDArray[np.float32] | None = None
+        if "white" in shapes[0]:
+            self._white = finite(shapes[0], "white", (rows, None)).astype(np.float32)
+            self._levels = np.stack([finite(one, "level", (rows,)) for one in shapes])
+            self._reach = float(finite(shapes[0], "reach", ()))
+        elif len(shapes) > 1:
+            raise BundleError(f"taught.npz has no array 'white' by which shapes are distinguished; {HINT}")
+        self._offsets = np.zeros((len(shapes) + 1, rows), np.float32)
+        """Levels against the reference's; the last one is predicted."""
+        r = 0 if self._white is None else self._white.shape[1]
+        self._centres, self._apart = np.zeros((2, len(shapes) + 1, r), np.float32)
+        self._at, self._distances = np.zeros(r, np.float32), np.zeros(len(shapes) + 1, np.float32)
+        self.change = np.zeros(rows, np.float32)
         """(rows,) dV against the reference, to be filled before :meth:`touched`."""
-        self._logarithms = np.zeros(self.rows, dtype=np.float32)
-        self._raw, self._mean, self._baseline, self._rest, self._squares, self._step = np.zeros((6, q), np.float32)
-        self._likelihood, self._amplitude, self._chi2, self._posterior = np.zeros((4, pixels), dtype=np.float32)
-        self.usual_threshold = self.threshold = _one(arrays, "threshold")
-        """The logit above which a frame counts as touched."""
+        self._values, self._last, self._mean, self._rest, self._baseline = np.zeros((5, rows), np.float32)
         self.logit = 0.0
         """Log of how much likelier than untouched the last frame is."""
+        self.threshold = 0.0
+        """The logit above which a frame counts as touched."""
+        self._home = 0
+        self.use_reference(np.zeros(rows))
         self.reset()
+
+    @property
+    def shape(self) -> str:
+        """The name of the shape in which the sheet is, or ``predicted``, or ``unknown``."""
+        return UNKNOWN if self._unlike else self._names[self._shape]
+
+    def use_reference(self, voltages_V: npt.NDArray[np.float64]) -> None:
+        """Find the shape in which the reference was taken, from which the levels of the others are counted.
+
+        Args:
+            voltages_V: (rows,), 0 where a row carries no information.
+        """
+        self._use(self._home)
+        if self._white is None:
+            return
+        known = (voltages_V != 0.0) & (self._levels != 0.0).all(axis=0)
+        if known.any():
+            apart = np.where(known, self._levels - np.log(np.abs(np.where(known, voltages_V, 1.0))), 0.0)
+            apart -= np.where(known, np.median(apart[:, known], axis=1, keepdims=True), 0.0)  # another current
+            self._home = int(((apart @ self._white) ** 2).sum(axis=1).argmin())
+        self._offsets[:-1] = np.where(known, self._levels - self._levels[self._home], 0.0)
+        self.use_prediction(self._offsets[self._home])
+        self._use(self._home)
+
+    def use_prediction(self, log_predicted: npt.NDArray[np.float32]) -> None:
+        """Take the level that the forward model predicts, (rows,) log(V_pred / V_reference); zeros for none."""
+        self._offsets[-1] = log_predicted
+        if self._white is not None:
+            np.matmul(self._offsets, self._white, out=self._centres)
 
     def reset(self) -> None:
         """Restart: the reference is the untouched sheet."""
         self._baseline[:] = 0.0
-        self._averaged = 0
+        self._averaged = self._steps = 0
         self._noise = math.inf
         self._peak = 0.0
         self._held = 0
+        self._use(self._home)
 
     def touched(self) -> bool:
         """Return whether the sheet is touched, by ``change`` and the frames before it."""
         self._read()
         self._average()
-        self.logit = self.judge(self._mean)
-        size = float(self._mean.dot(self._mean))
+        size = self._judge()
         if self.logit > self.threshold:
             self._held = 0
             self._peak = max(self._peak, size)
@@ -188,8 +166,9 @@ class TaughtField:
         """Judge ``change`` by itself against the reference, with no frame before it, and return the logit."""
         self._baseline[:] = 0.0
         self._read()
-        self._mean[:] = self._raw
-        self.logit = self.judge(self._mean)
+        self._mean[:] = self._values
+        self._averaged = FOLLOW_FRAMES
+        self._judge()
         return self.logit
 
     def fill_map(self, out: npt.NDArray[np.float32]) -> None:
@@ -198,173 +177,83 @@ class TaughtField:
         Args:
             out: (pixels,)
         """
-        np.subtract(self._posterior, np.float32(SMALLEST_POSTERIOR), out=out)
-        np.maximum(out, np.float32(0.0), out=out)
+        self._field.fill_map(out)
 
     def touches(self) -> list[TaughtTouch]:
-        """Return the touches of the last frame that was judged, the strongest first; empty if it is untouched.
-
-        When a touch is added, each of them is placed again in what the others leave.
-        """
-        found: list[TaughtTouch] = []
-        logit = self.logit
-        np.copyto(self._rest, self._mean)
-        while logit > self.threshold and len(found) < MOST_TOUCHES:
-            found.append(self._subtract(len(found), logit))
-            for number in [*range(len(found))] * (ROUNDS if len(found) > 1 else 0):
-                np.add(self._rest, self._found[number], out=self._rest)
-                found[number] = self._subtract(number, self.judge(self._rest))
-            logit = self.judge(self._rest)
-        if found:
-            self.judge(self._mean)  # the map is that of the whole frame
-        return found
+        """Return the touches of the last frame that was judged, the strongest first; empty if it is untouched."""
+        return self._field.touches(self.logit, self.threshold)
 
     def strongest(self) -> TaughtTouch:
         """Return the likeliest place of one touch in the last frame that was judged, touched or not."""
-        np.copyto(self._rest, self._mean)
-        return self._subtract(0, self.logit)
+        return self._field.strongest(self.logit)
+
+    def _use(self, shape: int) -> None:
+        self._shape, self._unlike = shape, False
+        self._field = self._fields[self._home if shape == len(self._fields) else shape]
+        self.threshold = self._field.threshold
 
     def _read(self) -> None:
-        """Project the rows of a frame, less the baseline."""
-        values = self.change
-        if self._logarithm:
-            values = self._logarithms
-            np.maximum(self.change, np.float32(SMALLEST_RATIO - 1.0), out=values)
-            np.log1p(values, out=values)
-        np.matmul(values, self._project, out=self._raw)
-        np.subtract(self._raw, self._baseline, out=self._raw)
+        """Take the rows of a frame."""
+        if self.logarithmic:
+            np.maximum(self.change, np.float32(SMALLEST_RATIO - 1.0), out=self._values)
+            np.log1p(self._values, out=self._values)
+        else:
+            np.copyto(self._values, self.change)
 
     def _average(self) -> None:
         """Take the frame into the mean, or begin another one where it differs by more than noise."""
-        np.subtract(self._raw, self._mean, out=self._step)
-        distance = float(self._step.dot(self._step))
-        usual = self._noise * (1.0 + 1.0 / max(self._averaged, 1))
         if self._averaged:
-            if self._noise == math.inf:
-                self._noise = 0.5 * distance
-            else:
-                self._noise *= 1.0 + NOISE_STEP if distance > usual else 1.0 - NOISE_STEP
-        if self._averaged == 0 or distance > RESTART * usual:
-            self._mean[:] = self._raw
+            np.subtract(self._values, self._last, out=self._rest)
+            step = 0.5 * self._field.load(self._rest)
+            if self._steps >= FIRST_STEPS:
+                self._noise *= 1.0 + NOISE_STEP if step > self._noise else 1.0 - NOISE_STEP
+            elif step > 0.0:
+                self._steps += 1
+                self._noise = min(self._noise, step)
+        np.copyto(self._last, self._values)
+        np.subtract(self._values, self._mean, out=self._rest)
+        usual = self._noise * (1.0 + 1.0 / max(self._averaged, 1))
+        if self._averaged == 0 or self._field.load(self._rest) > RESTART * usual:
+            self._mean[:] = self._values
             self._averaged = 1
             return
         self._averaged = min(self._averaged + 1, MOST_AVERAGED)
-        np.multiply(self._step, np.float32(1.0 / self._averaged), out=self._step)
-        np.add(self._mean, self._step, out=self._mean)
+        np.multiply(self._rest, np.float32(1.0 / self._averaged), out=self._rest)
+        np.add(self._mean, self._rest, out=self._mean)
+
+    def _judge(self) -> float:
+        """Choose the shape, judge the mean in it, and return the squared length of what is left of the mean."""
+        np.subtract(self._mean, self._baseline, out=self._rest)
+        if self._white is not None:
+            np.matmul(self._rest, self._white, out=self._at)
+            np.subtract(self._centres, self._at, out=self._apart)
+            np.einsum("ij,ij->i", self._apart, self._apart, out=self._distances)
+            shape = int(self._distances.argmin())
+            if shape != self._shape:
+                self._use(shape)
+                self._peak = 0.0
+            if self._averaged >= FOLLOW_FRAMES:  # the noise of a few frames is larger than that of a reading
+                self._unlike = float(self._distances[shape]) > self._reach
+        np.subtract(self._rest, self._offsets[self._shape], out=self._rest)
+        size = self._field.load(self._rest)
+        self.logit = self._field.judge(self._field.z)
+        return size
 
     def _follow(self, share: float) -> None:
-        """Let the baseline go a part of the way to the mean of untouched frames."""
-        np.multiply(self._mean, np.float32(share), out=self._step)
-        np.add(self._baseline, self._step, out=self._baseline)
-        np.subtract(self._mean, self._step, out=self._mean)
+        """Let the baseline go a part of the way to the mean of untouched frames, which is in ``rest``."""
+        np.multiply(self._rest, np.float32(share), out=self._rest)
+        np.add(self._baseline, self._rest, out=self._baseline)
         self._held = 0
 
-    def judge(self, z: npt.NDArray[np.float32]) -> float:
-        """Fill the likelihood of a touch at each place, and return the log of its mean over that of none.
 
-        Args:
-            z: (q,)
-        """
-        likelihood, chi2, amplitude, work = self._likelihood, self._chi2, self._amplitude, self._posterior
-        np.multiply(z, z, out=self._squares)
-        np.matmul(z, self._tilt, out=chi2)
-        np.add(chi2, np.float32(self._prior), out=chi2)  # normal equations of s: chi2 = norm s
-        np.divide(chi2, self._norm, out=amplitude)
-        np.maximum(amplitude, np.float32(SMALLEST_AMPLITUDE), out=amplitude)
-        np.multiply(chi2, np.float32(-2.0), out=chi2)
-        np.multiply(self._norm, amplitude, out=work)
-        np.add(chi2, work, out=chi2)
-        np.multiply(chi2, amplitude, out=chi2)
-        np.matmul(self._squares, self._weight, out=work)
-        np.add(chi2, work, out=chi2)
-        np.add(chi2, np.float32(self._prior + self._freedom), out=chi2)
-        np.log(chi2, out=likelihood)
-        exponent = -0.5 * (self._freedom + self._q)
-        np.multiply(likelihood, np.float32(exponent), out=likelihood)
-        np.add(likelihood, self._offset, out=likelihood)
-        best = float(likelihood.max())
-        np.subtract(likelihood, np.float32(best), out=self._posterior)
-        np.maximum(self._posterior, np.float32(LOG_SMALLEST), out=self._posterior)
-        np.exp(self._posterior, out=self._posterior)
-        touched = best + math.log(float(np.add.reduce(self._posterior)))
-        np.matmul(self._precision, z, out=self._squares)
-        size = max(0.0, float(self._squares.dot(z)))
-        return float(touched - exponent * math.log(self._freedom + size) - self._untouched)
+def field_of(bundle: Bundle) -> TaughtField | None:
+    """Return what a bundle was taught, or None.
 
-    def _subtract(self, number: int, logit: float) -> TaughtTouch:
-        """Return the likeliest touch in ``rest``, which was judged last, and subtract it there as the touch ``number``.
-
-        Round the peak the likelihood is interpolated by a paraboloid through 3 x 3 pixels, because the posterior can
-        be narrower than a pixel.
-        """
-        rows, columns = self._grid.shape
-        peak = int(self._likelihood.argmax())
-        row, column = (min(max(at, 1), n - 2) for at, n in zip(divmod(peak, columns), (rows, columns), strict=True))
-        centre = row * columns + column
-        np.add(self._around, centre, out=self._block)
-        np.take(self._likelihood, self._block, out=self._logs)
-        np.subtract(self._logs, self._likelihood[peak], out=self._logs)
-        np.maximum(self._logs, np.float32(LOG_SMALLEST), out=self._logs)  # off the sheet, or as good as
-        fine, pixels = self._p[-len(self._lagrange) :], self._p[: -len(self._lagrange)]
-        np.matmul(self._lagrange, self._logs, out=fine)
-        np.minimum(fine, self._most, out=fine)  # a parabola may run away beyond its points
-        best = int(fine.argmax())
-        np.exp(fine, out=fine)
-        np.multiply(fine, 1.0 / FINE**2, out=fine)
-        np.copyto(pixels, self._posterior)
-        pixels[self._block] = 0.0
-        np.add(self._fine_mm, self._places_mm[:, centre, None], out=self._places_mm[:, -len(fine) :])
-        total = float(np.add.reduce(self._p))
-        mean = np.matmul(self._places_mm, self._p, out=self._moment) / total
-        x_mm, y_mm = (float(one) for one in mean)
-        np.subtract(self._places_mm, mean[:, None], out=self._squared_mm)
-        np.multiply(self._squared_mm, self._squared_mm, out=self._squared_mm)
-        np.matmul(self._squared_mm, self._p, out=self._moment)
-        sd_x, sd_y = (self._spread * math.sqrt(float(one) / total) for one in self._moment)
-        amplitude = float(self._amplitude[peak])
-        np.take(self._field, self._block, axis=0, out=self._responses)
-        response = self._found[number]
-        np.matmul(self._lagrange[best], self._responses, out=response)
-        np.multiply(response, np.float32(amplitude), out=response)
-        np.subtract(self._rest, response, out=self._rest)
-        return TaughtTouch(x_mm, y_mm, sd_x, sd_y, amplitude, logit)
-
-
-def _quadratic(steps: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return (n, 3) weights of the values at -1, 0 and 1 in the parabola through them, at some places."""
-    return np.stack([steps * (steps - 1.0) / 2.0, 1.0 - steps**2, steps * (steps + 1.0) / 2.0], axis=1)
-
-
-def _finite(
-    arrays: Mapping[str, npt.NDArray[np.generic]], name: str, shape: tuple[int | None, ...]
-) -> npt.NDArray[np.float64]:
-    if name not in arrays:
-        raise BundleError(f"taught.npz has no array {name!r}; {HINT}")
-    found = arrays[name]
-    fits = len(found.shape) == len(shape) and all(
-        want in (None, have) for have, want in zip(found.shape, shape, strict=True)
-    )
-    if not fits or found.dtype.kind not in "fiub":
-        raise BundleError(f"taught.npz: {name} is {found.dtype} of shape {found.shape}, expected {shape}; {HINT}")
-    values = np.asarray(found, dtype=np.float64)
-    if not np.isfinite(values).all() or np.abs(values).max(initial=0.0) > LARGEST:
-        raise BundleError(f"taught.npz: {name} has values that are not finite or above {LARGEST:g}; {HINT}")
-    return values
-
-
-def _one(arrays: Mapping[str, npt.NDArray[np.generic]], name: str) -> float:
-    return float(_finite(arrays, name, ()))
-
-
-def _positive(arrays: Mapping[str, npt.NDArray[np.generic]], name: str) -> float:
-    found = _one(arrays, name)
-    if found <= 0.0:
-        raise BundleError(f"taught.npz: {name} is {found:g}, expected more than 0; {HINT}")
-    return found
-
-
-def _single(values: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
-    return np.ascontiguousarray(flushed(np.asarray(values, dtype=np.float64)), dtype=np.float32)
+    Raises:
+        BundleError: An array is missing, has a wrong shape, is not finite or out of range.
+    """
+    shapes = bundle.taught_arrays()
+    return TaughtField(shapes, bundle.skin.grid, bundle.manifest.get("shapes", ())) if shapes else None
 
 
 class TaughtFinder:

@@ -30,7 +30,7 @@ from eitskin.model.bundle import Bundle
 from eitskin.model.denormals import flushed
 from eitskin.model.gate import RememberingGate
 from eitskin.model.geometry import Geometry
-from eitskin.model.taught import TaughtField
+from eitskin.model.taught import TaughtField, field_of
 from eitskin.pipeline.idle import IdleGate
 from eitskin.pipeline.intake import Intake
 from eitskin.pipeline.map_source import MapSource
@@ -217,11 +217,12 @@ class GeometryInUse:
 
     Args:
         buffers: Of the pipeline.
+        field: What the sheet was taught, which takes predictions too; None without.
         fills: As in :func:`prediction_against`.
     """
 
-    def __init__(self, buffers: Buffers, *, fills: bool) -> None:
-        self._buffers, self._fills = buffers, fills
+    def __init__(self, buffers: Buffers, field: TaughtField | None, *, fills: bool) -> None:
+        self._buffers, self._field, self._fills = buffers, field, fills
         self._reference: Reference | None = None
 
     def use_reference(self, reference: Reference) -> None:
@@ -233,6 +234,8 @@ class GeometryInUse:
     def use_geometry(self, geometry: Geometry) -> None:
         """Use another geometry."""
         self._buffers.use_geometry(self._held(geometry))
+        if self._field is not None:
+            self._field.use_prediction(self._buffers.log_predicted[0])
 
     def _held(self, geometry: Geometry) -> Geometry:
         """Return the same object where that changes nothing, or where no sheet is like that: then it stays as it is."""
@@ -293,8 +296,7 @@ class Pipeline:
         """The one in use."""
         grid = bundle.skin.grid
         arrays = bundle.gate_arrays()
-        taught = bundle.taught_arrays()
-        self.field = None if taught is None else TaughtField(taught, grid)
+        self.field, self._shape = field_of(bundle), ""
         """What the sheet was taught, which is its gate too; None for a bundle that was not."""
         self.gate = self.field or (None if arrays is None else RememberingGate(arrays))
         self.audit = GateAudit(audit_pixels(arrays, grid.n_pixels), grid.n_pixels)
@@ -303,7 +305,7 @@ class Pipeline:
         self.decisions = FrameDecisions() if decisions is None else decisions
         """Of the frame to come, as far as they are given."""
         self.buffers = Buffers(bundle, None if self.gate is None else self.gate.change)
-        self._prediction = GeometryInUse(self.buffers, fills=health is not None)
+        self._prediction = GeometryInUse(self.buffers, self.field, fills=health is not None)
         self._change = self.buffers.change[0]
         self.record = FrameRecord(memoryview(self.buffers.map[0]).cast("B"))
         """The frame in hand; the next one overwrites it."""
@@ -348,6 +350,10 @@ class Pipeline:
         """
         step_V, flat = self.step_V, reference.flat()
         self.normaliser.use_reference(flat.voltages_V, flat.weak)
+        if self.field is not None:
+            known_V = flat.voltages_V.copy()
+            known_V[flat.weak] = 0.0
+            self.field.use_reference(known_V)
         self._reset_gates()
         self.front_end.use_reference(reference, step_V)
         if self.health is not None:
@@ -448,6 +454,9 @@ class Pipeline:
         record.touched = True  # without a gate every frame is computed
         if gate is not None:
             record.touched, record.gate_logit = gate.touched(), gate.logit
+        if self.field is not None and self.field.shape != self._shape:
+            self._shape = self.field.shape
+            record.events += (f"shape:{self._shape}",)
         if decided.touched is not None:
             record.touched = decided.touched
         if health is not None:

@@ -39,7 +39,7 @@ def frame(field, place_mm=None, amplitude=1.0, noise=1.0, drift=0.0):
 
 
 def test_places_and_their_stated_errors_agree_with_the_truth():
-    field, places = TaughtField(arrays(), GRID), RANDOM.uniform((20, 20), (130, 80), (300, 2))
+    field, places = TaughtField([arrays()], GRID), RANDOM.uniform((20, 20), (130, 80), (300, 2))
     errors = []
     for place in places:
         frame(field, place, amplitude=RANDOM.uniform(0.6, 1.4))
@@ -51,7 +51,7 @@ def test_places_and_their_stated_errors_agree_with_the_truth():
 
 
 def test_untouched_frames_are_untouched_and_the_map_peaks_at_the_touch():
-    field, out = TaughtField(arrays(), GRID), np.zeros(GRID.n_pixels, dtype=np.float32)
+    field, out = TaughtField([arrays()], GRID), np.zeros(GRID.n_pixels, dtype=np.float32)
     for _ in range(200):
         frame(field)
         assert not field.touched()
@@ -66,7 +66,7 @@ def test_untouched_frames_are_untouched_and_the_map_peaks_at_the_touch():
 
 
 def test_two_touches_are_found_as_two():
-    field = TaughtField(arrays(), GRID)
+    field = TaughtField([arrays()], GRID)
     frame(field, [(35.0, 50.0), (115.0, 50.0)])
     assert field.touched()
     found = sorted(field.touches(), key=lambda touch: touch.x_mm)
@@ -75,7 +75,7 @@ def test_two_touches_are_found_as_two():
 
 
 def test_the_baseline_follows_drift_while_untouched_and_stays_under_a_held_press():
-    field = TaughtField(arrays(), GRID)
+    field = TaughtField([arrays()], GRID)
     drifts = np.linspace(0.0, 10.0, 100 * FOLLOW_FRAMES)  # at once this would be a touch
     for drift in drifts:
         frame(field, drift=drift)
@@ -93,7 +93,7 @@ def test_the_baseline_follows_drift_while_untouched_and_stays_under_a_held_press
 
 
 def test_a_faint_touch_shows_in_the_average_of_a_still_sheet():
-    field, alone = TaughtField(arrays(), GRID), 0
+    field, alone = TaughtField([arrays()], GRID), 0
     for _ in range(60):
         frame(field)
         field.touched()
@@ -103,6 +103,16 @@ def test_a_faint_touch_shows_in_the_average_of_a_still_sheet():
         found = field.touched()
     assert alone < 10
     assert found
+
+
+def test_a_press_in_the_second_frame_is_felt_at_once():
+    field = TaughtField([arrays()], GRID)
+    frame(field)
+    field.touched()
+    for _ in range(3):
+        frame(field, (75.0, 50.0))
+        assert field.touched()
+    assert field.strongest().amplitude == pytest.approx(1.0, abs=0.15), "the untouched frame is in no average"
 
 
 @pytest.mark.parametrize(
@@ -120,4 +130,4 @@ def test_a_faint_touch_shows_in_the_average_of_a_still_sheet():
 )
 def test_a_malformed_field_is_refused(changed):
     with pytest.raises(BundleError, match=r"taught\.npz"):
-        TaughtField(arrays(**changed), GRID)
+        TaughtField([arrays(**changed)], GRID)

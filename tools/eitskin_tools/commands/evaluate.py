@@ -101,7 +101,7 @@ def _taught(arguments: argparse.Namespace, path: Any) -> int | None:
     from eitskin_tools.teach.presses import is_presses, load_presses
 
     bundle = load_bundle(arguments.bundle, lazily=True) if arguments.bundle is not None else None
-    if bundle is None or bundle.taught_arrays() is None:
+    if bundle is None or not bundle.taught_arrays():
         if is_presses(path):
             raise UsageError(f"{path} holds presses: name a bundle of 'eitskin teach' with --bundle")
         return None

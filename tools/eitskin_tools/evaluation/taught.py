@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from eitskin.model.bundle import Bundle
-from eitskin.model.taught import TaughtField
+from eitskin.model.taught import field_of
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.files.arrays import Array
 from eitskin_tools.teach.presses import Presses, PressesError, Way
@@ -34,8 +34,8 @@ def evaluate_taught(presses: Presses, bundle: Bundle) -> dict[str, Any]:
         MismatchError: The presses have other rows, or are on another sheet.
         PressesError: There is no press.
     """
-    arrays = bundle.taught_arrays()
-    assert arrays is not None
+    field = field_of(bundle)
+    assert field is not None
     table, skin = bundle.table, bundle.skin
     if presses.table.rows != table.rows or (
         presses.table.electrodes is not None and table.electrodes is not None and presses.table.id != table.id
@@ -45,13 +45,12 @@ def evaluate_taught(presses: Presses, bundle: Bundle) -> dict[str, Any]:
     if not np.allclose(presses.size_mm, skin.outline.size_mm, atol=0.5):
         hint = "take presses of the sheet that the bundle was taught on"
         raise MismatchError("size_mm", found=str(presses.size_mm), expected=str(skin.outline.size_mm), hint=hint)
-    if presses.logarithmic != bool(arrays["logarithm"]):
+    if presses.logarithmic != field.logarithmic:
         raise PressesError("the presses have changes of another unit than those that the bundle was taught with")
     if not presses.pressed.any():
         raise PressesError("xy_mm has no place, so nothing was pressed; expected at least one press")
-    field = TaughtField(arrays, skin.grid)
     ways: tuple[Way, ...] = ("last",) if presses.is_change else ("last", "first", "common")
-    found = {way: _figures(place(field, presses.logarithms(way), presses), presses, field.threshold) for way in ways}
+    found = {way: _figures(place(field, presses.logarithms(way), presses.against(way)), presses) for way in ways}
     return {
         "bundle": bundle.id,
         "solver": "taught",
@@ -73,7 +72,7 @@ def table(found: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _figures(placed: Placed, presses: Presses, threshold: float) -> dict[str, Any]:
+def _figures(placed: Placed, presses: Presses) -> dict[str, Any]:
     pressed = presses.pressed
     untouched = ~pressed
     untouched[np.flatnonzero(untouched)[:1]] = False  # there is none before the first
@@ -88,9 +87,9 @@ def _figures(placed: Placed, presses: Presses, threshold: float) -> dict[str, An
         "localisation_rms_mm": float(np.sqrt((error**2).mean())),
         "surer_half_median_mm": float(np.median(error[size <= np.median(size)])),
         "stated_within_1sd": float((np.abs(apart) < sd).mean()),
-        "missed": float((placed.logit[pressed] <= threshold).mean()),
-        "false_touches": float((placed.logit[untouched] > threshold).mean()) if untouched.any() else None,
-        "gate_auc": _auc(placed.logit[pressed], placed.logit[untouched]) if untouched.any() else None,
+        "missed": float((placed.margin[pressed] <= 0.0).mean()),
+        "false_touches": float((placed.margin[untouched] > 0.0).mean()) if untouched.any() else None,
+        "gate_auc": _auc(placed.margin[pressed], placed.margin[untouched]) if untouched.any() else None,
     }
 
 

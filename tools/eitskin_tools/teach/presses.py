@@ -82,14 +82,21 @@ class Presses:
         """Whether logarithms of ratios are compared, which a runtime can compute as well."""
         return not self.is_change or bool(np.abs(self.readings).max() < 1.0)
 
+    def against(self, way: Way = "last") -> Array | None:
+        """Return (n, rows) V of the untouched reading that each is held against; None where changes are given."""
+        if self.is_change:
+            return None
+        first = np.broadcast_to(np.flatnonzero(~self.pressed)[0], len(self.pressed))
+        return np.asarray(self.readings[self.last_untouched if way == "last" else first])
+
     def changes(self, way: Way = "last") -> Array:
         """Return (n, rows) V / V_untouched - 1 of every reading, or what the file gives.
 
         A row that is 0 or changes its sign in an untouched reading has no ratio, and no change.
         """
-        if self.is_change:
+        against = self.against(way)
+        if against is None:
             return self.readings
-        against = self.readings[self.last_untouched if way == "last" else np.flatnonzero(~self.pressed)[:1]]
         ratio = np.ones_like(self.readings)
         np.divide(self.readings, against, out=ratio, where=self._usable)
         if way == "common":

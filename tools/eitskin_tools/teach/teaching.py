@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.model.response_field import ResponseField
 from eitskin.model.taught import TaughtField
 from eitskin_proto.files.arrays import Array
 from eitskin_proto.sensor.table import N_ELECTRODES
@@ -77,8 +78,8 @@ class Placed:
     """(n, 2)"""
     sd_mm: Array
     """(n, 2)"""
-    logit: Array
-    """(n,)"""
+    margin: Array
+    """(n,) logit above the threshold of the gate."""
 
 
 def teach(
@@ -117,23 +118,21 @@ def teach(
     placed = Placed(np.zeros_like(places), np.ones_like(places), np.zeros(len(places)))
     for fold in np.unique(folds):
         out = np.flatnonzero(folds == fold)
-        part = place(TaughtField(learned(np.setdiff1d(everything, out))[1], skin.grid), changes[out], presses)
-        placed.place_mm[out], placed.sd_mm[out], placed.logit[out] = part.place_mm, part.sd_mm, part.logit
+        part = place(TaughtField([learned(np.setdiff1d(everything, out))[1]], skin.grid), changes[out])
+        placed.place_mm[out], placed.sd_mm[out], placed.margin[out] = part.place_mm, part.sd_mm, part.margin
     spread = float(np.clip(np.quantile(np.abs(placed.place_mm - places) / placed.sd_mm, WITHIN), *SPREADS))
     errors = np.hypot(*(placed.place_mm - places).T)
     if len(places) >= ENOUGH and np.median(errors) > np.median(np.hypot(*(places - places.mean(axis=0)).T)):
         raise PressesError(NOT_FELT)
     arrays["spread"] = np.array(spread)
-    arrays["threshold"] = np.array(
-        _threshold(TaughtField(arrays, skin.grid), arrays, untouched, false_alarms, skin.grid)
-    )
+    arrays["threshold"] = np.array(_threshold(arrays, untouched, false_alarms, skin.grid))
     curve = {}
     for count in (len(places) // 4, len(places) // 2):
         if count >= FEWEST:
             some = np.random.default_rng(count).permutation(len(places))
-            field = TaughtField(learned(np.sort(some[:count]))[1], skin.grid)
+            field = TaughtField([learned(np.sort(some[:count]))[1]], skin.grid)
             rest = some[count:][:200]
-            found = place(field, changes[rest], presses)
+            found = place(field, changes[rest])
             curve[count] = float(np.median(np.hypot(*(found.place_mm - places[rest]).T)))
     curve[len(places)] = float(np.median(errors))
     report = {
@@ -142,7 +141,7 @@ def teach(
         "rows": presses.table.rows,
         "localisation_median_mm": float(np.median(errors)),
         "localisation_p90_mm": float(np.quantile(errors, 0.9)),
-        "missed": float((placed.logit <= arrays["threshold"]).mean()),
+        "missed": float((placed.margin <= arrays["threshold"]).mean()),
         "stated_within_1sd": float((np.abs(placed.place_mm - places) < spread * placed.sd_mm).mean()),
         "false_alarms": false_alarms,
         "presses_and_median_mm": {str(count): round(one, 3) for count, one in curve.items()},
@@ -160,19 +159,21 @@ def teach(
     return taught
 
 
-def place(field: TaughtField, logarithms: Array, presses: Presses) -> Placed:
+def place(field: TaughtField, logarithms: Array, untouched_V: Array | None = None) -> Placed:
     """Return where a field finds one press in each reading, whether its gate is open or not.
 
     Args:
         field: Of a bundle, or a part of one.
-        logarithms: (n, rows) as :attr:`Presses.logarithms`.
-        presses: Of which they are.
+        logarithms: (n, rows) as :meth:`Presses.logarithms`.
+        untouched_V: (n, rows) against which they are held, which shows the shape; None for that of the field.
     """
     n = len(logarithms)
     found = Placed(np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n))
-    for index, one in enumerate(np.expm1(logarithms) if presses.logarithmic else logarithms):
+    for index, one in enumerate(np.expm1(logarithms) if field.logarithmic else logarithms):
+        if untouched_V is not None:
+            field.use_reference(untouched_V[index])
         field.change[:] = one
-        found.logit[index] = field.look()
+        found.margin[index] = field.look() - field.threshold
         touch = field.strongest()
         found.place_mm[index], found.sd_mm[index] = (touch.x_mm, touch.y_mm), (touch.sd_x_mm, touch.sd_y_mm)
     return found
@@ -250,13 +251,13 @@ def _within(places_mm: Array, presses_mm: Array) -> npt.NDArray[np.bool_]:
     return np.asarray((places_mm @ outwards <= (presses_mm @ outwards).max(axis=0) + margin).all(axis=1))
 
 
-def _threshold(field: TaughtField, arrays: Arrays, untouched: Array, false_alarms: float, grid: Grid) -> float:
+def _threshold(arrays: Arrays, untouched: Array, false_alarms: float, grid: Grid) -> float:
     """Return the logit that untouched frames exceed with the probability ``false_alarms``.
 
     It is the quantile of frames that are drawn by the untouched noise, and of measured ones where those say more. Each
     of few measured ones is judged by the noise of the others; a normal distribution of their logits gives the tail.
     """
-    rng = np.random.default_rng(0)
+    field, rng = ResponseField(arrays, grid), np.random.default_rng(0)
     root = np.linalg.cholesky(arrays["untouched"])
     drawn = rng.normal(size=(DRAWS, len(root))) @ root.T / np.sqrt(rng.chisquare(FREEDOM, (DRAWS, 1)) / FREEDOM)
     drawn_logits = [field.judge(one) for one in drawn.astype(np.float32)]
@@ -269,7 +270,7 @@ def _threshold(field: TaughtField, arrays: Arrays, untouched: Array, false_alarm
     logits = []
     for index, one in enumerate(noise):
         others = {"untouched": _noise(np.delete(noise, index, axis=0))}
-        logits.append(TaughtField({**arrays, **others}, grid).judge(one))
+        logits.append(ResponseField({**arrays, **others}, grid).judge(one))
     return max(threshold, NormalDist(mean(logits), stdev(logits)).inv_cdf(1.0 - false_alarms))
 
 
