@@ -170,7 +170,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             status = _main(words)
     except BrokenPipeError:  # standard output has lost its reader
         return status
-    except OSError as error:  # of standard output
+    except (OSError, ImportError, MemoryError) as error:  # of standard output, or before the command began
         print(f"eitskin: {_one_line(error)}", file=sys.stderr)
         return 1
     except EndRequested as request:  # its sender, a shell or systemd, sees that it ended this process
@@ -203,10 +203,8 @@ def _main(words: list[str]) -> int:
         return _fail(arguments, _one_line(error), 1)
     except UsageError as error:
         return _fail(arguments, str(error), 2)
-    except (SkinError, ValueError, OSError, ModuleNotFoundError) as error:
+    except (SkinError, ValueError, OSError, ModuleNotFoundError, MemoryError) as error:
         return _fail(arguments, _one_line(error), 1)
-    except MemoryError:
-        return _fail(arguments, "there is not enough memory for this; give it less to read or to make", 1)
 
 
 def _fail(arguments: argparse.Namespace, text: str, status: int) -> int:
@@ -222,8 +220,13 @@ def _fail(arguments: argparse.Namespace, text: str, status: int) -> int:
 def _one_line(error: BaseException) -> str:
     text = (files.explain(error) if isinstance(error, OSError) else None) or str(error)
     text = " ".join(text.split()) or type(error).__name__
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for this; give it less to read or to make"
     if isinstance(error, ModuleNotFoundError):
         return f"{text}; install it with: {needs.install([error.name or ''])}"
+    if isinstance(error, ImportError):
+        text = " ".join(str(error.__cause__ or error).split())  # numpy puts a page of advice before the cause
+        return f"a module cannot be loaded: {text}; allow more memory, or install it again"
     return text
 
 

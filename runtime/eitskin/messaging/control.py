@@ -32,6 +32,7 @@ command        fields                                                answer
 
 import os
 import threading
+import time
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from typing import Any, Final
@@ -41,7 +42,7 @@ import zmq
 from eitskin.errors import ControlError
 from eitskin.messaging.control_commands import Answer, Commands, Controlled, answer_of, largest_request, refusal
 from eitskin.messaging.curve_keys import CurveAuthenticator, ServerKeys
-from eitskin.messaging.listener import Listener, sender_of
+from eitskin.messaging.listener import Listener, check_files, sender_of
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.skin import Skin as SkinDescription
 
@@ -50,6 +51,9 @@ MOST_CONNECTIONS: Final = 64
 
 MOST_PARTS: Final = 16
 """Of a message: identities of proxies, the delimiter, the map."""
+
+PAUSE_S: Final = 0.01
+"""Pause after a failure, so that one that lasts takes no core."""
 
 FAREWELL_S: Final = 0.1
 """How long ``close`` waits for the answer to a request that was ended by it."""
@@ -68,7 +72,7 @@ class ControlServer:
         skin: The skin whose clouds it accepts; None for that of ``controlled``, or the paper's.
 
     Raises:
-        EndpointError: The endpoint is not allowed or in use.
+        EndpointError: The endpoint is not allowed or in use, or the process may open too few files.
     """
 
     def __init__(
@@ -81,6 +85,7 @@ class ControlServer:
         known: SkinDescription = getattr(controlled, "description", PAPER) if skin is None else skin
         self._largest = largest_request(known.grid)
         self._commands = Commands(controlled, known)
+        check_files(endpoint)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self.refused = 0
         """Requests that were answered with an error."""
@@ -126,8 +131,8 @@ class ControlServer:
                     self._receive(self._socket.recv_multipart(copy=False))
             except zmq.ContextTerminated:
                 return
-            except zmq.ZMQError:
-                continue  # a client that vanished between request and answer
+            except Exception:  # a client that vanished, or a moment without memory: the next request finds a server
+                time.sleep(PAUSE_S)
 
     def _receive(self, frames: list[Any]) -> None:
         """Answer a message, or have it answered later."""

@@ -53,8 +53,8 @@ def request(
     where = default_control() if endpoint is None else endpoint
     check_client_keys(where, keys)
     context: zmq.Context[Any] = zmq.Context()
-    socket = context.socket(zmq.REQ)
     try:
+        socket = context.socket(zmq.REQ)
         socket.setsockopt(zmq.LINGER, 0)
         socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_REQUEST)
         if keys is not None:
@@ -67,8 +67,7 @@ def request(
     except zmq.ZMQError as error:
         raise EndpointError(f"{where} cannot be used: {error.strerror}") from error
     finally:
-        socket.close(0)
-        context.term()
+        context.destroy(0)
     if answer.pop("ok", None) is not True:
         raise ControlError(str(answer.get("error", "the runtime refused without a reason")))
     return answer

@@ -52,6 +52,9 @@ PAUSE_S: Final = 0.05
 RESERVE: Final = 24
 """Files that stay free for the process itself, and for new connections of another address."""
 
+CONTEXT_FILES: Final = 8
+"""Files of a context and its socket."""
+
 HANDSHAKE_MS: Final = 2000
 """How long a handshake may take; libzmq ends a connection that takes longer."""
 
@@ -91,8 +94,7 @@ class Listener:
         most: Connections at once; fewer where few files may be open.
 
     Raises:
-        EndpointError: The endpoint is not allowed like this, or in use, or cannot be bound; or the process may open too
-            few files for a connection. The socket is closed.
+        EndpointError: The endpoint is not allowed like this, or in use, or cannot be bound. The socket is closed.
     """
 
     def __init__(self, context: Any, socket_: Any, endpoint: str, *, keys: ServerKeys | None, most: int) -> None:
@@ -121,7 +123,6 @@ class Listener:
         self._thread.start()
         try:
             check_allowed(endpoint, keys)
-            self._check_files(endpoint)
             self.endpoint = self._bind(endpoint, keys)
         except (zmq.ZMQError, OSError) as error:
             self.close()
@@ -129,16 +130,6 @@ class Listener:
         except BaseException:
             self.close()
             raise
-
-    @staticmethod
-    def _check_files(endpoint: str) -> None:
-        left, wanted = free_files(), 2 * (QUEUE + 2)
-        if left < wanted:
-            limit = file_limit()
-            raise EndpointError(
-                f"{endpoint}: only {limit} files may be open, of which {max(left, 0)} are left for connections, "
-                f"expected at least {wanted}: allow more with 'ulimit -n {limit + 100 - left}' or LimitNOFILE"
-            )
 
     def _bind(self, endpoint: str, keys: ServerKeys | None) -> str:
         """Bind the socket, and return where, with the port that a ``*`` became."""
@@ -322,6 +313,21 @@ def sender_of(message: Any) -> int | None:
         return int(message.get(zmq.SRCFD))
     except zmq.ZMQError:
         return None
+
+
+def check_files(endpoint: str) -> None:
+    """Refuse an endpoint if too few files may be open; libzmq aborts the process where it finds none.
+
+    Raises:
+        EndpointError: There are too few.
+    """
+    left, wanted = free_files(), CONTEXT_FILES + 2 * (QUEUE + 2)
+    if left < wanted:
+        limit = file_limit()
+        raise EndpointError(
+            f"{endpoint}: only {limit} files may be open, of which {max(left, 0)} are left for connections, "
+            f"expected at least {wanted}: allow more with 'ulimit -n {limit + 100 - left}' or LimitNOFILE"
+        )
 
 
 def file_limit() -> int:

@@ -37,7 +37,7 @@ import zmq
 from eitskin.messaging.curve_keys import CurveAuthenticator, ServerKeys
 from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE, patient_topics
 from eitskin.messaging.frame_message import Demand
-from eitskin.messaging.listener import Listener, sender_of
+from eitskin.messaging.listener import Listener, check_files, sender_of
 from eitskin.messaging.regions import ALWAYS, TOUCHES, UNCHANGED
 from eitskin.messaging.streams.publisher import StreamPublisher
 from eitskin.messaging.streams.verified import asked_for
@@ -82,10 +82,11 @@ class Publisher:
         keys: CURVE keys, required for TCP.
 
     Raises:
-        EndpointError: The endpoint is not allowed or in use.
+        EndpointError: The endpoint is not allowed or in use, or the process may open too few files.
     """
 
     def __init__(self, endpoint: str, keys: ServerKeys | None = None) -> None:
+        check_files(endpoint)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self.dropped = 0
         """Frames that the socket did not take."""

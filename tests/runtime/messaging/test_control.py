@@ -4,6 +4,7 @@ import zmq
 
 import eitskin
 from eitskin.errors import ControlError, EndpointError
+from eitskin.messaging import control
 from eitskin.messaging.control import ControlServer
 from eitskin.messaging.control_client import request
 from eitskin.messaging.control_commands import LARGEST_REQUEST
@@ -110,3 +111,23 @@ def test_a_running_runtime_takes_clouds_references_and_stop(virtual_skin, runnin
         runtime.thread.join(60)
         assert not runtime.thread.is_alive()
         assert runtime.error is None
+
+
+def test_a_failure_in_the_thread_of_control_ends_no_server(server, raw, monkeypatch):
+    fail = iter([MemoryError("no memory"), OSError(12, "Cannot allocate memory"), RuntimeError("anything")])
+    real = control.sender_of
+
+    def sender_of(frame):
+        if (error := next(fail, None)) is not None:
+            raise error
+        return real(frame)
+
+    monkeypatch.setattr(control, "sender_of", sender_of)
+    with zmq.Context() as context:
+        for _ in range(3):  # nobody waits for these answers
+            with context.socket(zmq.REQ) as socket:
+                socket.connect(server.endpoint)
+                socket.send(msgpack.packb({"command": "status"}))
+                assert not socket.poll(100)
+                socket.linger = 0
+    assert raw(msgpack.packb({"command": "status"}))["ok"] is True

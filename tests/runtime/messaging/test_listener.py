@@ -178,7 +178,7 @@ def test_a_socket_is_its_owners_alone_whatever_the_umask(tmp_path, recorder, mak
 def test_so_few_files_that_nobody_could_come_are_refused_in_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(listener, "free_files", lambda: 3)
     with pytest.raises(
-        EndpointError, match=r"3 are left for connections, expected at least 20: allow more with 'ulimit"
+        EndpointError, match=r"3 are left for connections, expected at least 28: allow more with 'ulimit"
     ):
         publish.Publisher(f"ipc://{tmp_path}/frames")
     assert os.listdir(tmp_path) == []

@@ -86,6 +86,8 @@ def test_shipped_files_are_found_by_name_and_listed_where_another_was_meant(kind
         (NotADirectoryError(errno.ENOTDIR, "no", "x/y"), "found a file where a folder was expected"),
         (FileExistsError(errno.EEXIST, "no", "x"), "'x' exists already"),
         (OSError(errno.ENOSPC, "no", "x"), "no space left for 'x'"),
+        (OSError(errno.EFBIG, "File too large", "x"), "'x': the file would be larger than this user may write"),
+        (OSError(errno.EMFILE, "Too many open files"), "allow more with 'ulimit -n'"),
         (OSError(errno.EIO, "Input/output error", b"x"), "'x' cannot be used: Input/output error"),
     ],
 )

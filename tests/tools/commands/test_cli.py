@@ -1,5 +1,6 @@
 """The command line's contract: what is listed, what is imported when, and what exit status and stderr say."""
 
+import signal
 import subprocess
 import sys
 
@@ -71,6 +72,25 @@ def test_ctrl_c_is_130_without_a_word(monkeypatch, capsys):
     def interrupted(arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(doctor, "run", interrupted)
-    assert cli.main(["doctor"]) == 130
-    assert capsys.readouterr() == ("", "")
+    def interrupted_while_a_module_loads(arguments):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt as error:  # as pybind11 does
+            raise ImportError("initialization failed") from error
+
+    for run in (interrupted, interrupted_while_a_module_loads):
+        monkeypatch.setattr(doctor, "run", run)
+        assert cli.main(["doctor"]) == 130
+        assert capsys.readouterr() == ("", "")
+
+
+def test_a_module_that_finds_no_memory_is_one_line(monkeypatch, capsys):
+    def no_memory(name):
+        raise ImportError("a page of advice") from ImportError("x.so: failed to map segment")
+
+    monkeypatch.setattr(cli.importlib, "import_module", no_memory)
+    assert said(capsys, "skin", "show", "paper") == (
+        1,
+        "",
+        "eitskin: a module cannot be loaded: x.so: failed to map segment; allow more memory, or install it again\n",
+    )

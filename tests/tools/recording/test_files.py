@@ -3,6 +3,7 @@
 import errno
 import os
 import random
+import resource
 from pathlib import Path
 
 import pytest
@@ -200,6 +201,16 @@ def test_where_the_disk_is_full_the_file_is_ended_whole(tmp_path: Path, monkeypa
         assert summary is not None
         assert summary.statistics is not None
         assert summary.statistics.message_count == len(contents)
+
+
+def test_a_bound_on_the_size_of_files_is_named(tmp_path: Path) -> None:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, before[1]))
+    try:
+        with pytest.raises(RecordingError, match="may not write files of 8 MB; allow larger ones with 'ulimit -f'"):
+            sinks.Reserve(tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.parametrize("claimed", [1 << 40, (1 << 63) - 1, (1 << 64) - 1, 4000, 300])

@@ -58,6 +58,9 @@ elif kind == "hangs":  # once it is told to, the first time
         serve(Path(folder) / "hang")
         hang()
     serve()
+elif kind == "prints":  # faster than anybody reads, and never a whole line
+    while True:
+        os.write(sys.stderr.fileno(), bytes(1 << 16))
 elif kind == "starts":  # for ever
     while True:
         signal.pause()

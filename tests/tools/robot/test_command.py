@@ -58,6 +58,13 @@ def test_a_file_that_is_missing_or_wrong_is_one_line(robot, capsys, tmp_path):
     assert "folder" in refused(capsys, "run", "--config", str(tmp_path))[1]
 
 
+def test_more_electrodes_than_can_be_left_out_are_refused_before_anything_starts(robot, capsys):
+    status, said = refused(capsys, "run", "--config", robot(f"exclude_electrodes = {list(range(16))}"), "--check")
+    assert status == 1
+    assert "skin left: electrodes (0, 1, 2" in said
+    assert "expected at most 4" in said
+
+
 def test_a_cpu_that_there_is_not_is_refused(robot, capsys):
     assert "CPU [4000]" in refused(capsys, "run", "--config", robot("realtime.affinity = [4000]"))[1]
     path = robot('verify.mode = "always"', "verify.affinity = [4000]")

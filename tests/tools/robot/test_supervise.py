@@ -72,6 +72,13 @@ def test_when_nobody_is_left_it_ends_and_fails(family):
     assert not (found.folder / FILE).exists()
 
 
+def test_one_that_prints_without_end_keeps_nobody_from_ending(family):
+    with family(a="prints", b="good") as found:
+        found.until(lambda event: event["event"] == "ready" and event.get("skin") == "b")
+        found.process.terminate()
+        assert found.ended() == 0
+
+
 def test_one_that_hears_nothing_is_ended_by_force(family):
     with family(a="deaf", b="good", grace_s=0.3) as found:
         found.ready()

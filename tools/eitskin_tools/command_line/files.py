@@ -179,7 +179,12 @@ def explain(error: OSError) -> str | None:
     Args:
         error: As the operating system gave it.
     """
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        return "too many files are open; allow more with 'ulimit -n', or close some"
     full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    if error.errno == errno.EFBIG:
+        named = "" if error.filename is None else f"{error.filename!r}: "
+        return f"{named}the file would be larger than this user may write; allow more with 'ulimit -f'"
     if not isinstance(error.filename, str | bytes | os.PathLike):
         return "no space left where this is written; free some, or write elsewhere" if full else None
     path = Path(os.fsdecode(error.filename))

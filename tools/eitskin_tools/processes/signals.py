@@ -34,17 +34,25 @@ def end_signals_as_interrupts() -> Iterator[None]:
     """Let SIGTERM and SIGHUP raise :class:`EndRequested` while the block lasts, and Ctrl-C a plain KeyboardInterrupt.
 
     Each once: a second one ends the process, because Python would raise it during the cleanup of the first. A signal
-    that is ignored or has another handler stays as it is.
+    that is ignored or has another handler stays as it is. A module in C that is interrupted while it loads raises an
+    ImportError; the block then raises the interrupt in its place.
     """
     unmet = (signal.SIG_DFL, signal.default_int_handler)
     ours = [one for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(one) in unmet]
-    with met_by(_interrupt_once, *ours):
-        yield
+    raised: list[KeyboardInterrupt] = []
 
+    def interrupt_once(number: int, frame: FrameType | None) -> None:
+        signal.signal(number, signal.SIG_DFL)
+        raised.append(KeyboardInterrupt() if number == signal.SIGINT else EndRequested(number))
+        raise raised[0]
 
-def _interrupt_once(number: int, frame: FrameType | None) -> None:
-    signal.signal(number, signal.SIG_DFL)
-    raise KeyboardInterrupt if number == signal.SIGINT else EndRequested(number)
+    with met_by(interrupt_once, *ours):
+        try:
+            yield
+        except ImportError as error:
+            if raised:
+                raise raised[0] from error
+            raise
 
 
 class Stopped(BaseException):

@@ -53,6 +53,10 @@ class Reserve:
             os.posix_fallocate(self._file.fileno(), 0, size)
         except OSError as error:
             self.release()
+            if error.errno == errno.EFBIG:
+                raise RecordingError(
+                    f"this user may not write files of {size >> 20} MB; allow larger ones with 'ulimit -f'"
+                ) from error
             if error.errno in DISK_FULL_ERRNOS:
                 raise RecordingError(
                     f"{folder} has less than {size >> 20} MB left; free some, or name another place"

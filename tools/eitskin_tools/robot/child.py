@@ -17,6 +17,9 @@ BAD_USAGE: Final = 2
 """Exit status that another start cannot change."""
 
 READ_BYTES: Final = 1 << 16
+READS: Final = 4
+"""Blocks read at once: all that a pipe holds, and its end."""
+
 MAX_LINE_BYTES: Final = 1 << 20
 
 SUPERVISOR_VARIABLES: Final = (ADDRESS_VARIABLE, INTERVAL_VARIABLE, PID_VARIABLE, "JOURNAL_STREAM")
@@ -39,8 +42,11 @@ class Lines:
         """Whether nothing more can come."""
 
     def read(self) -> Iterator[str]:
-        """Yield the whole lines that have come; at the end of the stream also what is left."""
-        while True:
+        """Yield the whole lines that have come; at the end of the stream also what is left.
+
+        No more than ``READS`` blocks a call: a child that never stops printing would keep its reader for ever.
+        """
+        for _ in range(READS):
             try:
                 data = os.read(self.stream.fileno(), READ_BYTES)
             except BlockingIOError:

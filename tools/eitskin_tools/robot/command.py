@@ -123,6 +123,7 @@ def check_files(robot: "Robot") -> list[tuple[str, str]]:
 
 
 def _check_skin(settings: "SkinSettings") -> list[str]:
+    from eitskin.health.monitor import health_of
     from eitskin.messaging.curve_keys import load_server_keys
     from eitskin.model.skin_in_use import bundle_and_skin
     from eitskin.reference import captured
@@ -136,6 +137,7 @@ def _check_skin(settings: "SkinSettings") -> list[str]:
     description = None if description_path is None else toml.load(description_path)
     chosen, used = bundle_and_skin(bundle_path, description, settings.touches)
     captured.taken(settings.reference, used)
+    health_of(chosen, exclude=settings.exclude_electrodes, compensate_drift=settings.compensate_drift)
     if settings.curve_keys is not None:
         load_server_keys(settings.curve_keys)
     return bundle_doubts(chosen, used)
