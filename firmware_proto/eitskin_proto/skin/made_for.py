@@ -32,7 +32,8 @@ def check_made_for(what: str, skin: Skin, *, grid_id: object, skin_digest: objec
     if skin_digest == skin.calibrated_from != "":
         return  # calibrated before skins kept the grid_id that was stated
     if grid_id != skin.grid_id:
-        expected = f"{skin.grid_id} ({skin.name})"
+        length, width = skin.outline.size_mm
+        expected = f"{skin.grid_id} of skin {skin.name!r}, {length:g} x {width:g} mm"
         raise MismatchError(f"{what}: grid_id", found=stated(grid_id), expected=expected, hint=hint)
 
 

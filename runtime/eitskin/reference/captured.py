@@ -198,8 +198,8 @@ class Reference:
         if self.configuration_digest != hello.configuration_digest:
             raise MismatchError(
                 "reference: the device's configuration",
-                found=f"{self.configuration_digest:08x} ({self.configuration_name})",
-                expected=f"{hello.configuration_digest:08x} ({hello.configuration_name})",
+                found=f"{self.configuration_name}/{self.configuration_digest:08x} when it was captured",
+                expected=f"{hello.configuration_name}/{hello.configuration_digest:08x} as the device is now",
                 hint=hint,
             )
 

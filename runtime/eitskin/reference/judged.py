@@ -56,8 +56,7 @@ NOTHING_ALIKE: Final = 10.0
 
 REMEDY: Final = (
     "leave the sheet flat, untouched and at rest, then capture again; if it is so, look at electrodes and wiring with "
-    "'eitskin doctor', or take it as it is with "
-    "'eitskin reference --force' (force=True)"
+    "'eitskin doctor', or accept it: 'eitskin reference --force', 'eitskin run --force-reference', force=True in Python"
 )
 
 OTHER_SHEET_HINT: Final = "a sheet that the bundle was not made for needs a bundle of its own: --bundle FILE"

@@ -53,13 +53,13 @@ def test_a_cloud_file_says_whose_it_is(tmp_path):
     path, cloud = tmp_path / "cloud.npz", rolled(SECOND, 30.0)
     save_surface(path, Surface(cloud), skin=SECOND)
     assert np.array_equal(load_surface(path, SECOND).cloud_mm, cloud)
-    with pytest.raises(MismatchError, match=rf"found {SECOND.grid_id}, expected {PAPER.grid_id} \(paper\); run 'eit"):
+    with pytest.raises(MismatchError, match=rf"found {SECOND.grid_id}, expected {PAPER.grid_id} of skin .paper., 150"):
         load_surface(path)
     other = replace(SECOND, deformations=Deformations(twist_deg=(0.0, 1.0)))
     moved = replace(
         SECOND, electrodes=replace(SECOND.electrodes, arc_length_mm=Quantity(tuple(SECOND.arc_length_mm + 1)))
     )
-    with pytest.raises(MismatchError, match=rf"grid_id: found {SECOND.grid_id}, expected {moved.grid_id} \(second\)"):
+    with pytest.raises(MismatchError, match=rf"grid_id: found {SECOND.grid_id}, expected {moved.grid_id} of skin"):
         load_surface(path, moved)
     calibrated = replace(moved, calibrated_from=SECOND.digest, stated_grid_id=SECOND.grid_id)
     assert calibrated.grid_id == SECOND.grid_id != moved.grid_id

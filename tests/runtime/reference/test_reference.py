@@ -60,7 +60,7 @@ def test_noise_that_rows_share_is_stored_and_comes_back(frames, hello, tmp_path)
 def test_a_reference_of_another_device_or_configuration_is_refused_with_the_command(captured, hello):
     with pytest.raises(MismatchError, match=r"serial_number: found TEST-1, expected OTHER; .*eitskin reference"):
         captured.check(replace(hello, serial_number="OTHER"))
-    with pytest.raises(MismatchError, match=r"configuration: found 0000abcd \(paper\), expected 00000001 \(paper\)"):
+    with pytest.raises(MismatchError, match="found paper/0000abcd when it was captured, expected paper/0000"):
         captured.check(replace(hello, configuration_digest=1))
 
 

@@ -37,7 +37,10 @@ def shown(stream, seconds=3.0, rate_hz=200):
 def test_two_hundred_frames_a_second_are_a_line_a_second_in_a_file():
     lines = shown(io.StringIO()).splitlines()
     assert len(lines) == 4  # at 0, 1 and 2 s, and the last frame
-    assert lines[-1] == "200.0 frames/s  touched  peak 0.93 at x 45.0, y 31.7 mm  vd2t-int8  age 1.3 ms  lost 4"
+    assert lines[-1] == (
+        "200.0 frames/s  touched  peak 0.93 at x 45.0, y 31.7 mm  vd2t-int8  age 1.3 ms  lost 4  "
+        "drift unknown while touched"
+    )
 
 
 def test_a_terminal_gets_one_line_ten_times_a_second():

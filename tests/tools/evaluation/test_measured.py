@@ -150,7 +150,7 @@ NAN = np.full((5, 104), np.nan)
         ({"kind": np.array(["untouched"] * 5)}, "kind[0]"),
         ({"touch_kind": "both"}, "lower, raise"),
         ({"grid_id": "0123456789abcdef"}, f"expected {PAPER.grid_id}"),
-        ({"grid_id": SECOND.grid_id, "skin_digest": PAPER.digest}, f"expected {PAPER.grid_id} (paper)"),
+        ({"grid_id": SECOND.grid_id, "skin_digest": PAPER.digest}, f"expected {PAPER.grid_id} of skin"),
     ],
 )
 def test_whatever_is_wrong_is_one_line(tmp_path, arrays, capsys, change, said):

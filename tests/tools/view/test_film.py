@@ -108,8 +108,8 @@ def test_losses_and_events_are_marked_once_and_within_bounds():
     ((head, _),) = unpacked(overview.message(done=False))
     assert [text for _, text in head["events"]].count("A row exceeds the converter's range") == 100
     assert len(head["events"]) == MAX_MARKS
-    assert [(row["t"], row["losses"]["corrupt"]) for row in head["rows"] if row["losses"]["corrupt"]] == [
-        (pytest.approx(50.0, abs=0.2), 5)
+    assert [(row["lost_ms"], row["losses"]["corrupt"]) for row in head["rows"] if row["losses"]["corrupt"]] == [
+        (50000.0, 5)
     ]
     assert head["share"] == pytest.approx(0.99, abs=0.02)
 

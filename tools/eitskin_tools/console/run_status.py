@@ -86,16 +86,17 @@ class Status:
 
 
 def drift_text(drift: Mapping[str, Any] | None) -> str:
-    """Return the drift since the reference in a few words; nothing if it is unknown.
+    """Return the drift since the reference in a few words; nothing if it was never measured.
 
     Args:
         drift: As ``Skin.status()`` has it.
     """
     if not drift or drift.get("percent") is None:
         return ""
-    paused = "" if drift["followed"] else ", not updated while touched or bent"
+    if not drift["followed"]:
+        return "drift unknown while touched or bent"
     uneven = "" if drift["uneven_percent"] is None else f", uneven {drift['uneven_percent']:.1f} %"
-    return f"drift {drift['percent']:+.1f} +- {drift['sd_percent']:.1f} %{uneven}{paused}"
+    return f"drift {drift['percent']:+.1f} +- {drift['sd_percent']:.1f} %{uneven}"
 
 
 def verifier_text(verifier: Mapping[str, Any] | None) -> str:

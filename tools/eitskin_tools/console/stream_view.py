@@ -107,7 +107,9 @@ def describe(frame: Any, rate_hz: float, grid: Grid = PAPER.grid) -> str:
     shown = f"touched  {peak(frame.map, grid)}" if frame.touched else "untouched"
     rate = f"{rate_hz:.1f} frames/s" if rate_hz else f"frame {frame.sequence}"
     parts = [rate, shown, frame.solver, f"age {frame.age_s * 1e3:.1f} ms", f"lost {frame.counts['lost']}"]
-    if frame.drift_percent is not None and frame.drift_sd_percent is not None:
+    if frame.touched:
+        parts.append("drift unknown while touched")
+    elif frame.drift_percent is not None and frame.drift_sd_percent is not None:
         parts.append(f"drift {frame.drift_percent:+.1f} +- {frame.drift_sd_percent:.1f} %")
     if frame.electrodes:
         parts += [electrode_words(one) for one in frame.electrodes]

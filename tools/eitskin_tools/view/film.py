@@ -192,10 +192,10 @@ class Overview:
                 self._touched.append([at_ms, at_ms])
         if frame.seq is not None:
             if self._sequence is not None and frame.seq > self._sequence + 1:
-                self._count(row, "lost", frame.seq - self._sequence - 1)
+                self._count(row, at_ms, "lost", frame.seq - self._sequence - 1)
             self._sequence = frame.seq
         if frame.withheld:
-            self._count(row, "withheld", 1)
+            self._count(row, at_ms, "withheld", 1)
 
     def _note(self, at_ms: float, note: dict[str, Any]) -> None:
         row = self._row(at_ms)
@@ -211,18 +211,21 @@ class Overview:
             for name in ("corrupt", "overrun"):
                 now = count(counts.get(name))
                 if (more := now - self._before.get(name, now)) > 0:
-                    self._count(row, name, more)
+                    self._count(row, at_ms, name, more)
                 self._before[name] = now
         for words in event_list(texts(note.get("events"))):
             if at_ms - self._last.get(words, -MIN_GAP_MS) >= MIN_GAP_MS and len(self._events) < MAX_MARKS:
                 self._events.append((at_ms, words))
             self._last[words] = at_ms
 
-    def _count(self, row: Row, name: str, more: int) -> None:
+    def _count(self, row: Row, at_ms: float, name: str, more: int) -> None:
+        row.setdefault("lost_ms", at_ms)
         row["lost"][name] = row["lost"].get(name, 0) + more
 
     def message(self, *, done: bool) -> bytes:
         """Return the message to a page: marks in ms, rows by the middle of their spans in s, losses by row.
+
+        ``lost_ms`` is when the first loss of a row was.
 
         Args:
             done: Whether the whole file was read.
@@ -234,6 +237,7 @@ class Overview:
                 "stages_us": [round(value / max(row["noted"], 1), 1) for value in row["stages"]],
                 "drift": [row["drift"], row["drift_sd"], None],
                 "losses": {name: row["lost"].get(name, 0) for name in COUNTS},
+                "lost_ms": row.get("lost_ms"),
             }
             for k, row in sorted(self._rows.items())
         ]

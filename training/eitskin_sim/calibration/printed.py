@@ -48,12 +48,12 @@ def verdict(report: dict[str, Any]) -> str:
 
 def table(report: dict[str, Any]) -> str:
     """Return a line for each group of parameters, bend and press; ``--json`` has every value and residual."""
-    lines = [f"{'parameter':26}{'values':>24}{'error':>10}{'before':>10}"]
+    lines = [f"{'parameter':29}{'values':>25}{'error':>10}{'before':>10}"]
     for name, one in _shown(report).items():
         values = sorted({f"{value:.5g}" for value in (min(one["values"]), max(one["values"]))}, key=float)
         error, prior = max(one["standard_errors"]), max(one["prior_errors"])
         shown = f"{name} ({len(one['values'])})" if len(one["values"]) > 1 else name
-        lines.append(f"{shown:26}{' to '.join(values):>24}{error:10.2g}{prior:10.2g} {one['unit']}".rstrip())
+        lines.append(f"{shown:29}{' to '.join(values):>25}{error:10.2g}{prior:10.2g} {one['unit']}".rstrip())
     if report["current_A"] != 1.0:
         lines.append(
             f"current: about {report['current_A']:.2g} A if the layer conducts as stated; level and offsets are for 1 A"

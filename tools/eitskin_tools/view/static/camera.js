@@ -37,7 +37,9 @@ export class Camera {
   /** Follow a box, slowly, so that a bending sheet does not jump. */
   look({ low, high }) {
     const follow = (from, to) => from.map((value, k) => value + 0.2 * (to[k] - value));
+    const near = (from, to) => from.every((value, k) => Math.abs(value - to[k]) < 0.1);
     this.box = this.box ? { low: follow(this.box.low, low), high: follow(this.box.high, high) } : { low, high };
+    this.settled = near(this.box.low, low) && near(this.box.high, high); // while paused, too, it is drawn until then
   }
 
   /** World to clip, for a picture of some width over height. */

@@ -109,16 +109,17 @@ export class Film {
     this.rowMs = 1000 * head.row_s;
     this.rows = head.rows.map((row) => ({ t: 1000 * row.t, head: row }));
     const half = this.rowMs / 2;
-    this.losses = this.rows.map(({ t, head: { losses } }) => ({ begin: t - half, end: t + half, counts: losses }));
+    this.losses = this.rows.map(({ t, head: { losses, lost_ms } }) =>
+      ({ begin: t - half, end: t + half, counts: losses, first: lost_ms }));
     const touched = head.touched.map(([begin, end]) => ({ kind: "touched", begin, end }));
     const lost = this.losses.filter(({ counts }) => LOSSES.some(([name]) => counts[name]));
     const events = head.events.map(([t, text]) => ({ kind: "event", begin: t, end: t, text }));
-    this.found = [...touched, ...lost.map(({ begin, end }) => ({ kind: "lost", begin, end })), ...events];
+    this.found = [...touched, ...lost.map(({ first, end }) => ({ kind: "lost", begin: first, end })), ...events];
     this.log = [
       ...touched.map(({ begin, end }) => ({ t: begin, text: touchedWords(end - begin) })),
       ...events.map(({ begin, text }) => ({ t: begin, text })),
-      ...lost.flatMap(({ begin, counts }) => Object.entries(COUNTED).filter(([name]) => counts[name])
-        .map(([name, words]) => ({ t: begin, text: framesWords(counts[name], words) }))),
+      ...lost.flatMap(({ first, counts }) => Object.entries(COUNTED).filter(([name]) => counts[name])
+        .map(([name, words]) => ({ t: first, text: framesWords(counts[name], words) }))),
     ].sort((a, b) => a.t - b.t);
   }
 

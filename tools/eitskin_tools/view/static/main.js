@@ -80,9 +80,10 @@ function drawState(shown) {
   if ($("state-text").textContent !== text) $("state-text").textContent = text;
   const said = page.gone !== null ? [page.gone || GONE]
     : film?.why ? [film.why]
-    : page.skins.filter((one) => one.status?.text).map((one) => {
+    : page.skins.filter((one) => one.status?.text && (!one.silent || one === silent[0])).map((one) => {
+      const names = (one.silent ? silent : [one]).map(({ name }) => name).join(", ");
       const waits = one.silent ? ". This page continues when frames arrive." : "";
-      return `${many ? `${one.name}: ` : ""}${one.status.text}${waits}`;
+      return `${many ? `${names}: ` : ""}${one.status.text}${waits}`;
     });
   panel.drawRecord(page.status);
   const notice = said.join(" ");
@@ -114,6 +115,7 @@ function drawScene(shown, dark) {
     };
   });
   const box = boxOf(items.map((item) => item.surface)), matrix = scene.draw(camera, box, items, dark);
+  if (!camera.settled) page.changed = true;
   page.project = drawOverlay($("overlay"), page.skins, page.selected, camera, matrix);
 }
 

@@ -40,6 +40,7 @@ export function drawTouchTable(frame, labels) {
   ];
   rows($("touches"), touches.map(words), "tr", "td");
   $("no-touches").hidden = touches.length > 0;
+  say($("no-touches"), frame ? "No touch." : "Unknown.");
   say($("touches-note"), more ? `and ${more} more` : "");
   say($("bar-words"), valueWords(frame?.head.solver, labels));
 }
@@ -49,7 +50,7 @@ export function drawElectrodes(frame, count) {
   const list = $("electrodes");
   const words = ill.map(([k, { state, repair }]) =>
     [`${k} is ${state}`, repair ? `rows ${repair}` : ""]);
-  rows(list, ill.length ? words : [[`All ${count} electrodes work.`]], "li", "span");
+  rows(list, ill.length ? words : [[frame ? `All ${count} electrodes work.` : "Unknown."]], "li", "span");
   for (const row of list.children) row.firstElementChild.className = ill.length ? "ill" : "";
 }
 
