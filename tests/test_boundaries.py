@@ -5,6 +5,7 @@ A room is a folder of a package, or a module beside its folders. Imports inside 
 
 import ast
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,7 @@ FOLDERS = {**{package: folder for package, (folder, _) in ALLOWED.items()}, "eit
 Arrows = dict[str, set[str]]
 
 
+@cache
 def modules_of(package: str) -> dict[str, str]:
     """Return {dotted name: source} of a package's modules; ``package.__init__`` is the package itself."""
     folder = ROOT / FOLDERS[package]
@@ -42,6 +44,7 @@ def modules_of(package: str) -> dict[str, str]:
     return found
 
 
+@cache
 def imports(source: str) -> set[str]:
     """Return the dotted names that a module imports; ``from a import b`` counts as both ``a`` and ``a.b``."""
     found: set[str] = set()

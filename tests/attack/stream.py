@@ -77,7 +77,7 @@ def start_skin(**options: Any) -> tuple[subprocess.Popen[str], str]:
     """Start the tests' virtual skin, whose line loses nothing; return its process and its port."""
     process = subprocess.Popen([sys.executable, str(SKIN), json.dumps(options)], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
-    return process, process.stdout.readline().strip()
+    return process, process.stdout.readline().split()[0]
 
 
 @contextmanager

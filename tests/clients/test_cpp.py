@@ -68,12 +68,13 @@ def named(words, first=1):
 @pytest.fixture(scope="module")
 def both(client, tmp_path_factory):
     """What the client printed of a stream, and what Python had of the same one."""
-    from tests.runtime import conftest as runtime
+    from tests.runtime.conftest import _running
+    from tests.runtime.made_up_skin import virtual_skin
 
     folder = tmp_path_factory.mktemp("stream")
     with (
-        runtime._virtual_skin(touches=[[0.5, 600, 0.3]], touches_wait=True, rate_hz=100.0) as port,
-        runtime._running(port, folder) as running,
+        virtual_skin(touches=[[0.5, 600, 0.3]], touches_wait=True, rate_hz=100.0) as port,
+        _running(port, folder) as running,
     ):
         publish, control = f"ipc://{folder}/frames", f"ipc://{folder}/control"
         with (

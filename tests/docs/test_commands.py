@@ -62,8 +62,3 @@ def refused(command):
 
 def test_every_command_in_the_documents_is_understood():
     assert {command: said for command in all_commands() if (said := refused(command))} == {}
-
-
-def test_a_command_that_does_not_exist_is_found():
-    assert not understood(["surfaces", "scan.ply"])[0]
-    assert not understood(["run", "--porte", "PORT"])[0]

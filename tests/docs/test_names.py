@@ -4,8 +4,6 @@ import importlib
 import re
 from pathlib import Path
 
-import pytest
-
 from .markdown import ROOT, outside_code, pages
 
 NAMED = re.compile(r"`(eitskin(?:_\w+)?(?:\.[A-Za-z_]\w*)+)")
@@ -43,8 +41,3 @@ def find(name: str) -> object:
 def test_what_a_page_names_is_there():
     for page, name in named():
         assert find(name) is not None, page
-
-
-def test_what_is_not_there_is_found_out():
-    with pytest.raises(AttributeError):
-        find("eitskin_sim.verification.residual.save")

@@ -131,8 +131,3 @@ def test_backslashes_and_here_documents_belong_to_their_command():
     block = "# first\neitskin run \\\n    --port PORT\ncat > a <<'EOF'\nx\n\nEOF\neitskin status  # is it there?"
     wanted = [["eitskin", "run"], ["cat", ">"], ["eitskin", "status"]]
     assert [command.split()[:2] for command in typed(block)] == wanted
-
-
-def test_a_command_that_fails_is_found(tmp_path):
-    with Reader(tmp_path, sys.executable) as reader, pytest.raises(AssertionError, match="no such file here"):
-        reader.types("echo no such file here; false")

@@ -1,5 +1,3 @@
-from typing import Any
-
 import numpy as np
 import onnx
 import pytest
@@ -161,28 +159,6 @@ def test_a_network_in_training_mode_is_not_exported() -> None:
     _, head = split(trained_looking(ARCHITECTURES["residual"]))
     with pytest.raises(SkinError, match="training mode"):
         graphs.head_graph(head.train())
-
-
-@pytest.mark.parametrize(
-    ("operator", "inputs", "values"),
-    [
-        ("Dropout", ["x"], []),
-        ("BatchNormalization", ["x", "scale", "shift", "mean", "variance"], ["scale", "shift", "mean", "variance"]),
-    ],
-)
-def test_a_graph_with_a_training_layer_is_refused(operator: str, inputs: list[str], values: list[str]) -> None:
-    def tensor(name: str, shape: list[int]) -> Any:
-        return onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape)
-
-    graph = onnx.helper.make_graph(
-        [onnx.helper.make_node(operator, inputs, ["y"], name="left_over")],
-        "g",
-        [tensor("x", [1, 4])],
-        [tensor("y", [1, 4])],
-        [onnx.numpy_helper.from_array(np.ones(4, dtype=np.float32), name) for name in values],
-    )
-    with pytest.raises(SkinError, match=rf"{operator} \(left_over\)"):
-        graphs.check(onnx.helper.make_model(graph))
 
 
 def test_a_folded_network_that_kept_its_dropout_is_refused_when_exported() -> None:

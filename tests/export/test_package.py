@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from tests.second_skin import SECOND
 
 from eitskin.model.bundle import load_bundle
 from eitskin_export import bundle, package, parity
-from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_proto.errors import SkinError
 from eitskin_proto.skin.skin import PAPER
 from eitskin_training import run_files, train
 from eitskin_training.gate.untouched import bends_of
@@ -91,13 +90,6 @@ def test_the_same_contents_give_the_same_file(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "one") as archive:
         assert all(item.compress_type == zipfile.ZIP_STORED for item in archive.infolist())
         assert json.loads(archive.read("manifest.json"))["files"]["a.bin"]["bytes"] == 4
-
-
-def test_a_run_of_another_grid_is_refused(run: Path, tmp_path: Path) -> None:
-    content = torch.load(run / "best.pt", weights_only=True)
-    torch.save({**content, "grid_id": "0123"}, tmp_path / "best.pt")
-    with pytest.raises(MismatchError, match="grid_id: found 0123"):
-        run_files.trained(tmp_path)
 
 
 def test_tikhonov_solves_its_normal_equations() -> None:

@@ -113,15 +113,6 @@ def test_a_network_that_learned_on_takes_the_place_of_its_own(large: Path, small
         assert np.array_equal(shown(out)[name], image)
 
 
-def test_another_one_takes_its_place(large: Path, small: Path, tmp_path: Path) -> None:
-    first = tmp_path / "both.eitskin"
-    pair(large, made(tmp_path / "two.eitskin", 2), first)
-    pair(first, small, first)
-    again = tmp_path / "again.eitskin"
-    pair(large, small, again)
-    assert first.read_bytes() == again.read_bytes()
-
-
 @pytest.mark.parametrize(
     ("facts", "skin", "what"),
     [({}, SECOND, "skin found"), ({"labels": "units"}, PAPER, "labels found units, expected area"),

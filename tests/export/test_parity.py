@@ -18,12 +18,3 @@ def test_parity_fails_for_another_network() -> None:
         model.out.bias += 1e-3
     with pytest.raises(SkinError, match="differ from the network"):
         parity.parity(model, graphs.geometry_graph(geometry), graphs.head_graph(head))
-
-
-def test_parity_fails_where_a_map_is_not_a_number() -> None:
-    model = trained_looking(ARCHITECTURES["residual"])
-    geometry, head = split(model)
-    with torch.no_grad():
-        head.out.bias[0] = torch.nan  # of one pixel
-    with pytest.raises(SkinError, match="differ from the network"):
-        parity.parity(model, graphs.geometry_graph(geometry), graphs.head_graph(head))

@@ -96,7 +96,7 @@ def test_the_receiver_never_writes_behind_its_buffer(max_payload):
 
 
 @given(st.binary(max_size=600))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_both_receivers_agree_on_any_bytes(data):
     deframer, reference = CoreDeframer(200), framing.Deframer(200)
     assert deframer.feed(data + b"\0") == reference.feed(data + b"\0")
@@ -105,7 +105,7 @@ def test_both_receivers_agree_on_any_bytes(data):
 
 
 @given(st.binary(max_size=120), st.sampled_from(sorted(GOLDEN["messages"])), st.data())
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200, deadline=None)
 def test_both_decoders_accept_the_same_messages(junk, name, data):
     payload = bytearray.fromhex(GOLDEN["messages"][name]["payload"])
     at = data.draw(st.integers(0, min(len(payload), 110) - 1))
@@ -139,7 +139,7 @@ def electronics_accept(configuration):
 
 
 @given(st.data())
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_host_and_device_accept_the_same_configurations(data):
     from dataclasses import replace
 

@@ -14,16 +14,6 @@ def test_a_power_cut_at_any_change_of_storage_leaves_the_old_or_the_new_configur
     assert len(booted) == 2, "some cuts come too early and some too late: both outcomes must have been seen"
 
 
-def test_a_cut_is_seen_by_the_device_and_a_later_write_repairs_it(device):
-    device.cut_power_at(1, 0)
-    with pytest.raises(powercut.SkinError):
-        powercut._write("fast")(powercut.Exchange(device))
-    assert device.dead
-    device.boot()
-    powercut._write("fast")(powercut.Exchange(device))
-    assert powercut._name(device) == "fast"
-
-
 @pytest.mark.heavy
 def test_the_last_line_tells_of_writes_and_of_sequences(core, capsys):
     assert powercut.main(["--seeds", "1", "--no-board", "--sequences", "60"]) == 0

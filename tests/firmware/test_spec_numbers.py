@@ -86,9 +86,3 @@ def test_flags_of_hello_and_of_a_frame_are_listed_with_their_numbers():
     assert [int(part.split()[0]) for part in said.split("; ")] == [int(flag) for flag in codes.HelloFlag]
     said = next(row for row in table("## 4. FRAME") if row[2] == "flags")[4]
     assert [int(part.split()[0]) for part in said.split("; ")] == [int(flag) for flag in codes.FrameFlag]
-
-
-def test_a_number_that_differs_is_noticed():
-    with pytest.raises(AttributeError):
-        define("EIT_SLOT_ELSEWHERE", "eit_store.h")
-    assert table("### Storage")[0][2] == "blob"

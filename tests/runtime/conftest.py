@@ -1,13 +1,9 @@
 """Fixtures of the runtime's tests: a virtual skin in its own process, the tiny bundle, and a runtime around them."""
 
 import json
-import shutil
-import signal
-import subprocess
-import sys
 import threading
 import zipfile
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +14,8 @@ from eitskin.messaging.publish import Publisher
 from eitskin.model.bundle import load_bundle
 from eitskin.skin import Skin, serve
 from eitskin_proto.wire.messages import Hello
+
+from .made_up_skin import begin_touches, virtual_skin
 
 HERE = Path(__file__).parent
 TINY = HERE.parent / "golden" / "tiny.eitskin"
@@ -30,37 +28,10 @@ def pytest_collection_modifyitems(items):
             item.add_marker("process")
 
 
-def begin_touches(port):
-    """Let the touches of a virtual skin with ``touches_wait`` begin."""
-    (Path(port).parent / "begin").touch()
-
-
-@contextmanager
-def _virtual_skin(**options):
-    process = subprocess.Popen(
-        [sys.executable, str(HERE / "skin_process.py"), json.dumps(options)], stdout=subprocess.PIPE, text=True
-    )
-    port = process.stdout.readline().strip()
-    try:
-        yield port
-    finally:
-        process.terminate()  # it then takes its port's folder along
-        try:
-            process.wait(30)
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGUSR1)  # its stack goes to stderr, which pytest shows with a failure
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(1)
-            process.kill()
-            process.wait()
-            shutil.rmtree(Path(port).parent, ignore_errors=True)  # it could not
-        process.stdout.close()
-
-
-@pytest.fixture
-def virtual_skin():
+@pytest.fixture(name="virtual_skin")
+def _virtual_skin():
     """Return a context manager that runs a virtual skin and gives its port."""
-    return _virtual_skin
+    return virtual_skin
 
 
 @pytest.fixture(scope="session")

@@ -1,16 +1,20 @@
 """A virtual skin for the runtime's tests: the real state machine, pty and faults, with made-up voltages instead of
 physics.
 
-Takes one JSON object as its argument, prints the port's path, serves until it is terminated. ``wire`` names a file that
+Takes one JSON object as its argument, prints the port's path and the process's number, and serves until it is
+terminated. Without an argument it makes a skin of each line that it reads, in a process of its own, which is there at
+once: all is imported already. ``wire`` names a file that
 is made: of the last ``WIRE_FRAMES`` sequence numbers, when each frame was on the line. With ``touches_wait`` the
 touches' clock starts when a file called ``begin`` appears in the port's folder, so that no touch gets into a reference.
 """
 
 import faulthandler
 import json
+import os
 import select
 import signal
 import sys
+import traceback
 from pathlib import Path
 from time import perf_counter_ns
 
@@ -108,11 +112,24 @@ def main(options):
     signal.signal(signal.SIGTERM, stop)
     faulthandler.register(signal.SIGUSR1)  # shows where a process hangs that does not end
     try:
-        print(port.path, flush=True)
+        print(port.path, os.getpid(), flush=True)
         skin.run(perf_counter_ns() + int(300e9))
     finally:
         port.close()
 
 
+def make_each():
+    """Make a skin of each line of standard input."""
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for them here
+    for line in sys.stdin:
+        if os.fork() == 0:
+            signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+            try:
+                main(json.loads(line))
+            except Exception:
+                traceback.print_exc()
+            os._exit(0)
+
+
 if __name__ == "__main__":
-    main(json.loads(sys.argv[1]) if len(sys.argv) > 1 else {})
+    main(json.loads(sys.argv[1])) if len(sys.argv) > 1 else make_each()

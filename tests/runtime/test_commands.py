@@ -12,7 +12,7 @@ import eitskin
 from eitskin.reference.captured import load
 
 from .command_line import command, finished, wait_until_ready
-from .conftest import begin_touches
+from .made_up_skin import begin_touches
 
 pytestmark = pytest.mark.process
 

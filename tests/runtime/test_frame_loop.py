@@ -11,7 +11,7 @@ from eitskin.messaging.streams.measured import WireFrame
 from eitskin.messaging.streams.publisher import StreamPublisher
 from eitskin.skin import Skin
 
-from .conftest import begin_touches
+from .made_up_skin import begin_touches
 
 
 class Taker:

@@ -1,13 +1,11 @@
 """Nothing grows: memory of a frame and of a long stream, and a slow subscriber's place in it."""
 
-import time
 import tracemalloc
 from itertools import pairwise
 
-import eitskin
 from eitskin.skin import Skin
 
-from .conftest import begin_touches
+from .made_up_skin import begin_touches
 
 
 class Taker:
@@ -61,33 +59,3 @@ def test_what_a_frame_takes_for_a_moment_is_small(virtual_skin, tiny_path):
     # New each time are the bytes read from the line (up to 4 kB a read, split and decoded) and, in a frame far from its
     # reference, its counts as a list and a set of numbers: 12 kB. A map would add 5400.
     assert sorted(peaks)[50] < 17_000, sorted(peaks)[::10]
-
-
-def asleep(skin, frames):
-    """Return once so many more frames were published, which a loop that waits for its subscribers never does."""
-    until, end = skin.published + frames, time.perf_counter() + 60
-    while skin.published < until and time.perf_counter() < end:
-        time.sleep(0.005)
-    assert skin.published >= until
-
-
-def test_a_subscriber_that_sleeps_over_frames_sees_the_newest_frame_and_delays_nobody(virtual_skin, running, tmp_path):
-    with (
-        virtual_skin(touches=[[0.2, 60, 0.3]], touches_wait=True, rate_hz=100.0) as port,
-        running(port, tmp_path) as runtime,
-    ):
-        endpoint = runtime.publisher.endpoint
-        behind = []
-        for modest in (False, True):  # libzmq's way of keeping one message, and ours
-            with eitskin.subscribe(endpoint, timeout_s=60, skip_unchanged=modest) as slow:
-                next(slow)
-                for _ in range(15):
-                    asleep(runtime.skin, 5)
-                    published = runtime.skin.published
-                    behind.append(published - next(slow).number)
-            assert slow.received == 16
-            assert slow.lost > 16 * 2  # it sleeps over five frames each time, and is told so
-        # Two at most: the one on its way, and one that was published between our two looks. A starved machine may let
-        # a frame lie for a while, so the rule is for the median, and five, what it slept over, is never reached twice.
-        assert sorted(behind)[len(behind) // 2] <= 2, behind
-        assert runtime.publisher.dropped == 0

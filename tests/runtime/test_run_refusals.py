@@ -38,17 +38,6 @@ def test_a_busy_port_is_one_line_and_exit_1(virtual_skin, tiny_path, endpoints):
     assert "open in another program" in err.splitlines()[-1]
 
 
-def test_an_address_in_use_is_one_line_and_exit_1(virtual_skin, tiny_path, endpoints, tmp_path):
-    from eitskin.messaging.publish import Publisher
-
-    holder = Publisher(f"ipc://{tmp_path}/frames")
-    with virtual_skin() as port:
-        code, _, err = finished("run", "--port", port, "--bundle", tiny_path, *endpoints)
-    holder.close()
-    assert code == 1
-    assert "is in use" in err.splitlines()[-1]
-
-
 def test_a_damaged_bundle_and_a_foreign_device_exit_1(virtual_skin, tiny_path, tmp_path, endpoints):
     broken = tmp_path / "broken.eitskin"
     broken.write_bytes(tiny_path.read_bytes()[:5000])
@@ -59,13 +48,6 @@ def test_a_damaged_bundle_and_a_foreign_device_exit_1(virtual_skin, tiny_path, t
         code, _, err = finished("run", "--port", port, "--bundle", tiny_path, *endpoints)
     assert code == 1
     assert "protocol_id: found 00000000f0e1d2c3" in err.splitlines()[-1]
-
-
-def test_a_budget_that_nothing_meets_exits_1_and_says_what_would(virtual_skin, tiny_path, endpoints):
-    with virtual_skin() as port:
-        code, _, err = finished("run", "--port", port, "--bundle", tiny_path, "--budget-ms", "0.0001", *endpoints)
-    assert code == 1
-    assert "budget of 0.0001 ms cannot be met: the fastest solver, tikhonov, takes" in err.splitlines()[-1]
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from eitskin.acquisition import device as devices
 from eitskin.errors import BadReference, PortLost
 from eitskin.skin import Skin
 
-from .conftest import begin_touches
+from .made_up_skin import begin_touches
 
 
 def opened(port, tiny_path, **options):
@@ -176,21 +176,6 @@ def test_a_cloud_set_between_frames_shows_in_the_next_and_costs_the_others_nothi
     late = np.mean([frame.map for frame in frames[21:]], axis=0)
     early = np.mean([frame.map for frame in frames[12:20]], axis=0)
     assert np.abs(late - early).max() > 1e-3
-
-
-def test_a_full_scan_of_208_rows_gives_the_same_maps(virtual_skin, tiny_path, tmp_path):
-    from eitskin_proto.wire import config_toml
-
-    text = config_toml.to_toml(config_toml.load("paper"))
-    assert "rows = 104" in text
-    path = tmp_path / "full.toml"
-    path.write_text(text.replace("rows = 104", "rows = 208"))
-    options = {"configuration": str(path), "rate_hz": 50.0, "touches": [[0.6, 9, 0.3]], "touches_wait": True}
-    with virtual_skin(**options) as port, opened(port, tiny_path) as skin:
-        assert skin.device.hello.rows == 208
-        frames = collect(skin, 1.0)
-    assert any(frame.touched for frame in frames)
-    assert not frames[0].touched
 
 
 def test_stopping_from_another_thread_ends_the_frames(virtual_skin, tiny_path):

@@ -9,7 +9,7 @@ import pytest
 import eitskin
 
 from .command_line import command, wait_until_ready
-from .conftest import begin_touches
+from .made_up_skin import begin_touches
 
 pytestmark = pytest.mark.process
 

@@ -9,7 +9,7 @@ from eitskin.errors import FrameError
 from eitskin.skin import Skin
 from eitskin_proto.skin.skin import PAPER
 
-from .conftest import begin_touches
+from .made_up_skin import begin_touches
 
 
 @pytest.fixture

@@ -9,13 +9,12 @@ import pytest
 import torch
 
 from eitskin_proto.errors import MismatchError
-from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_training import train
 from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.model import VD2T
-from eitskin_training.recipes import Recipe, fitted, recipe
+from eitskin_training.recipes import Recipe, recipe
 from eitskin_training.samples.batches import inputs
-from eitskin_training.start import Start, _factors, fits, narrowed
+from eitskin_training.start import Start, fits, narrowed
 
 pytestmark = pytest.mark.heavy
 
@@ -61,17 +60,6 @@ def test_with_all_ranks_it_is_the_same_network(data: Any, start: Start) -> None:
     assert found.facts["data_digest"] == start.facts["data_digest"]
 
 
-def test_the_factors_are_the_best_of_their_rank() -> None:
-    generator = torch.Generator().manual_seed(3)
-    features = torch.randn(500, 12, generator=generator, dtype=torch.float64) * torch.logspace(0, -3, 12)
-    features = features @ torch.randn(12, 12, generator=generator, dtype=torch.float64)
-    matrix = torch.randn(12, 9, generator=generator, dtype=torch.float64)
-    a, b = _factors(matrix, features.T @ features, 4)
-    missed = torch.linalg.norm(features @ (matrix - a @ b))
-    sizes = torch.linalg.svdvals(features @ matrix)
-    assert missed == pytest.approx(float(torch.linalg.norm(sizes[4:])), rel=1e-6)
-
-
 def test_training_goes_on_from_the_larger_network(data: Any, start: Start, tmp_path: Path) -> None:
     chosen = replace(of_ranks(48, 12, 12, 12), epochs=2, learning_rate=2e-3)
     first = train.train(data, chosen, tmp_path / "from", start=start).history[0]
@@ -101,19 +89,3 @@ def test_ranks_are_one_a_layer(ranks: tuple[int, ...]) -> None:
         Architecture(widths=(8, 8), ranks=ranks)
     with pytest.raises(ValueError, match="ranks are"):
         Architecture(voltage_channel="paper", widths=(8, 8), ranks=(1, 2, 3, 4))
-
-
-def test_the_small_recipe_is_the_free_one_with_few_of_the_weights_on_any_skin() -> None:
-    def weights(name: str, skin: Skin) -> int:
-        return VD2T(fitted(recipe(name), skin).architecture, skin).streamed_weights()
-
-    uneven = replace(PAPER, electrodes=replace(PAPER.electrodes, arc_length_mm=OFF))
-    for skin in (PAPER, uneven):
-        free, small = (fitted(recipe(name), skin).architecture for name in ("free", "small"))
-        assert replace(small, ranks=()) == free
-        assert weights("small", skin) < 0.25 * weights("free", skin)
-    assert weights("small", PAPER) < 300_000
-
-
-_PLACES = np.array(PAPER.arc_length_mm, dtype=np.float64)
-OFF = replace(PAPER.electrodes.arc_length_mm, value=tuple((_PLACES + np.linspace(-6.0, 5.0, 16)).tolist()))

@@ -101,23 +101,6 @@ def test_pickling_and_copying_are_refused_in_a_line(kinds, kind):
                 attempt(items)
 
 
-def test_a_received_frame_can_be_pickled(published):
-    with eitskin.subscribe(published) as frames:
-        frame = frames.next_frame()
-    assert pickle.loads(pickle.dumps(frame)).number == frame.number
-
-
-def test_a_close_within_the_reading_thread_leaves_the_socket_to_it(kinds):
-    """As a signal handler does, while the read that it interrupts goes on."""
-    items = kinds["frames"]()
-    items._lock.acquire()
-    items.close()
-    assert not items.socket.closed
-    items._lock.release()
-    assert list(items) == []
-    assert items.socket.closed
-
-
 def test_asyncio_receives_frames_beside_other_tasks_and_ends_when_cancelled(published):
     async def main():
         numbers = []

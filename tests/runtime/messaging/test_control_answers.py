@@ -1,15 +1,10 @@
 """Answers of the control server: to whom they go, and when."""
 
 import threading
-import time
 
 import msgpack
 import pytest
 import zmq
-
-import eitskin
-from eitskin.errors import ControlError
-from eitskin.messaging.control_client import request
 
 
 @pytest.fixture
@@ -72,31 +67,3 @@ def test_everything_else_is_answered_while_a_reference_is_captured(recorder, raw
     assert raw(msgpack.packb({"command": "stop"}))["ok"] is True
     assert answer(asking)[1] == {"ok": True, "frames": 9, "weak_rows": []}
     assert raw(msgpack.packb({"command": "reference", "frames": 8}))["frames"] == 8
-
-
-def test_stop_ends_a_reference_that_is_being_captured_at_once(virtual_skin, running, tmp_path):
-    with virtual_skin() as port, running(port, tmp_path) as runtime:
-        control, answers = runtime.control.endpoint, []
-
-        def ask():
-            try:
-                answers.append(request(control, "reference", frames=10_000, timeout_s=60))
-            except ControlError as error:
-                answers.append(str(error))
-
-        asking = threading.Thread(target=ask)
-        asking.start()
-        end = time.perf_counter() + 60
-        while runtime.skin.loop._recapture is None and time.perf_counter() < end:
-            request(control, "status")
-        with pytest.raises(ControlError, match="is already being captured"):
-            request(control, "reference", frames=20)
-        with pytest.raises(eitskin.BadReference, match="of 10000 frames of another reference are in"):
-            runtime.skin.recapture(20)
-        request(control, "stop")
-        asking.join(60)
-        assert answers == ["stopped while capturing the reference; the old one stays"]
-        runtime.thread.join(60)
-        assert runtime.error is None
-        with pytest.raises(eitskin.BadReference, match="stopped while"):
-            runtime.skin.recapture(20)

@@ -7,7 +7,7 @@ import pytest
 
 import eitskin
 from eitskin.errors import EndpointError, NoFrame
-from eitskin.messaging.curve_keys import ServerKeys, load_client_keys, load_server_keys, make_keys
+from eitskin.messaging.curve_keys import load_client_keys, load_server_keys, make_keys
 from eitskin.messaging.endpoints import default_control, needs_keys, runtime_folder
 from eitskin.messaging.publish import Publisher
 
@@ -95,19 +95,3 @@ def test_curve_lets_in_who_is_listed_and_nobody_else(tmp_path, keys, packer):
                 next(nothing)
     finally:
         publisher.close()
-
-
-def test_keys_that_others_can_read_or_that_admit_nobody_are_refused(keys):
-    assert stat.S_IMODE((keys / "server.key_secret").stat().st_mode) == 0o600
-    with pytest.raises(EndpointError, match="already holds keys"):
-        make_keys(keys)
-    (keys / "server.key_secret").chmod(0o644)
-    with pytest.raises(EndpointError, match="chmod 600"):
-        load_server_keys(keys)
-    (keys / "server.key_secret").chmod(0o600)
-    assert isinstance(load_server_keys(keys), ServerKeys)
-    (keys / "clients" / "client.key").unlink()
-    with pytest.raises(EndpointError, match="no client could connect"):
-        load_server_keys(keys)
-    with pytest.raises(EndpointError, match="not a CURVE key"):
-        load_server_keys(keys / "clients")

@@ -9,7 +9,6 @@ import eitskin
 from eitskin.errors import EndpointError, NoFrame
 from eitskin.messaging import endpoints
 from eitskin.messaging.publish import Publisher
-from eitskin.messaging.reachability import explain_silence
 from eitskin.messaging.streams.envelope import packed
 from eitskin.messaging.streams.subscription import subscribe_streams
 from eitskin.messaging.streams.verified import TOPIC
@@ -83,15 +82,6 @@ def test_skins_of_a_robot_are_named_with_what_shows_one_and_all(alone):
         "'eitskin status --all'"
     ) in text
     assert "--port" not in text
-
-
-def test_a_port_where_nobody_listens_is_told_from_one_with_a_listener(session):
-    with socket.socket() as holder:
-        holder.bind(("127.0.0.1", 0))
-        endpoint = f"tcp://127.0.0.1:{holder.getsockname()[1]}"
-        assert "nothing listens there (" in explain_silence(endpoint, 1.0)
-        holder.listen()
-        assert "a program listens there" in explain_silence(endpoint, 1.0)
 
 
 def test_an_endpoint_that_is_none_says_what_one_looks_like():

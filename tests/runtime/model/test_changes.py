@@ -66,16 +66,6 @@ def test_a_press_that_is_held_is_never_learned_and_its_end_is_seen_at_once():
     assert judged(changes, np.tile(rest + creep[-1] + PRESS, (5, 1)), rng).any()
 
 
-def test_a_press_that_is_found_while_it_comes_on_counts_from_its_beginning():
-    rng = np.random.default_rng(13)
-    rest = sheet(rng)
-    changes = watching(rest, rng, 1000)
-    growing = judged(changes, rest + np.linspace(0.0, 2.0, 40)[:, None] * PRESS, rng)
-    assert growing[-5:].all()
-    judged(changes, np.tile(rest + 2.0 * PRESS, (1, 1)), rng, noise=0.0)
-    assert changes.strength > 0.9 * 14.0
-
-
 def test_a_moving_sheet_is_no_touch_and_hides_none():
     for seed in range(10):
         rng = np.random.default_rng(seed)

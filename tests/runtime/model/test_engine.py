@@ -12,7 +12,6 @@ from eitskin.model.gate import Gate
 from eitskin.model.geometry import GeometryGraph
 from eitskin.model.session import onnxruntime
 from eitskin.pipeline.frame_pipeline import Pipeline
-from eitskin.reference.predicted import log_ratio
 from eitskin_proto.skin.cloud import flat_cloud
 
 
@@ -95,17 +94,6 @@ def test_a_graph_with_another_signature_is_refused(tiny):
     wider = SimpleNamespace(bias_width=tiny.bias_width + 1, beside={}, skin=tiny.skin, rows=tiny.rows)
     with pytest.raises(BundleError, match="inputs found"):
         HeadEngine(tiny, "head.onnx", "vd2t", Buffers(wider))
-
-
-def test_the_predicted_ratio_is_a_clamped_logarithm_and_zero_where_there_is_no_reference():
-    reference = np.linspace(-1.0, 1.0, 104)
-    reference[10] = 0.0
-    predicted = reference * 1.5
-    predicted[20] = reference[20] * 1e-9
-    ratio = log_ratio(predicted, reference)
-    assert ratio[0] == pytest.approx(np.log(1.5))
-    assert ratio[10] == 0.0
-    assert ratio[20] == pytest.approx(np.log(1e-3))
 
 
 def test_a_gate_of_two_hidden_layers_and_a_floor_computes_what_its_formula_says(change):

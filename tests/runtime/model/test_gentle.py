@@ -81,14 +81,6 @@ def blob(side_px, width_px, at=(15.0, 22.0)):
     return found.astype(np.float32)
 
 
-@pytest.mark.parametrize("width_px", [0.3, 0.5, 1.0, 2.0])
-@pytest.mark.parametrize("axis", [0, 1])
-def test_a_straight_edge_is_as_wide_as_it_is(width_px, axis):
-    along = 1.0 / (1.0 + np.exp(-(np.arange(60) - 29.5) / width_px))
-    edge = np.broadcast_to(np.expand_dims(along, 1 - axis), (60, 60)).astype(np.float32)
-    assert edges_px(edge) == pytest.approx(width_px, rel=0.06), "0.3 is less than pixels resolve"
-
-
 def test_a_firm_touch_with_wide_edges_is_drawn_by_the_network_that_shows_it_much_larger():
     own, other = blob(4.0, 0.5), blob(6.0, 0.3)
     assert edges_px(own) > EDGES_PX[1]

@@ -79,19 +79,6 @@ def test_a_filter_s_noise_stays_and_sizes_shrink_by_the_share_that_is_stated(arr
     assert (found.diagonal()[kept] > 0.8 * MIN_FILTER_SHARE).all()
 
 
-def test_rows_that_come_back_bring_the_gate_back_to_the_last_bit(arrays):
-    gate, changes = Gate(arrays), 0.05 * np.random.default_rng(4).standard_normal((9, N_ROWS))
-    before = gate.logits(changes)
-    assert gate.leave_out(np.zeros(N_ROWS, dtype=np.bool_))
-    for lost in (LOST, rows_of((5,))):
-        assert gate.leave_out(lost)
-        spoilt = changes.copy()
-        spoilt[:, lost] = 7.0
-        assert np.array_equal(gate.logits(spoilt), gate.logits(np.where(lost, -0.5, changes)))
-    assert gate.leave_out(np.zeros(N_ROWS, dtype=np.bool_))
-    assert np.array_equal(gate.logits(changes), before)
-
-
 def test_a_gate_of_matched_filters_judges_as_the_layers_that_are_stored(arrays):
     gate, rng = Gate(arrays), np.random.default_rng(5)
     stored = {name: np.asarray(value, dtype=np.float64) for name, value in arrays.items()}

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.runtime.conftest import begin_touches
+from tests.runtime.made_up_skin import begin_touches
 
 from eitskin.errors import BundleError, HandshakeError
 from eitskin.pipeline.idle import RETRY_NS, IdleGate

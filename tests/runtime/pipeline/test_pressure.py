@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 import pytest
-from tests.runtime.conftest import begin_touches
+from tests.runtime.made_up_skin import begin_touches
 
 from eitskin.errors import BudgetError
 from eitskin.pipeline.frame_pipeline import Pipeline

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from tests.runtime.made_up_skin import virtual_skin
 
 from eitskin_tools.service.watchdog import EXIT_STATUS
 
@@ -31,10 +32,8 @@ def started(*words, **options):
 
 @pytest.fixture
 def port():
-    with started(TESTS / "runtime" / "skin_process.py", '{"rate_hz": 200}') as skin:
-        yield skin.stdout.readline().strip()
-        skin.terminate()
-        skin.wait(PATIENCE_S)
+    with virtual_skin(rate_hz=200) as path:
+        yield path
 
 
 @pytest.fixture

@@ -4,9 +4,9 @@ import re
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from tests.runtime.made_up_skin import virtual_skin
 
 from eitskin.acquisition.usb_port import PRODUCT_ID, VENDOR_ID
 from eitskin_tools import cli
@@ -137,20 +137,12 @@ os.execv(sys.executable, [sys.executable, "-m", "eitskin_tools.cli", *sys.argv[1
 
 @pytest.mark.process
 def test_the_runtime_needs_no_memory_that_is_written_and_executed(tmp_path):
-    tests = Path(__file__).parents[2]
-    made_up = '{"rate_hz": 100, "touches": [[0.3, 300, 0.3]]}'
-    with subprocess.Popen(
-        [sys.executable, tests / "runtime" / "skin_process.py", made_up], stdout=subprocess.PIPE, text=True
-    ) as skin:
-        try:
-            port = skin.stdout.readline().strip()
-            words = ["run", "--port", port, "--reference-frames", "10", "--force-reference", "--frames", "50"]
-            words += ["--publish", f"ipc://{tmp_path}/f", "--control", f"ipc://{tmp_path}/c"]
-            found = subprocess.run(
-                [sys.executable, "-c", MDWE, *words], capture_output=True, text=True, check=False, timeout=120
-            )
-        finally:
-            skin.terminate()
+    with virtual_skin(touches=[[0.3, 300, 0.3]]) as port:
+        words = ["run", "--port", port, "--reference-frames", "10", "--force-reference", "--frames", "50"]
+        words += ["--publish", f"ipc://{tmp_path}/f", "--control", f"ipc://{tmp_path}/c"]
+        found = subprocess.run(
+            [sys.executable, "-c", MDWE, *words], capture_output=True, text=True, check=False, timeout=120
+        )
     if "refused" in found.stderr:
         pytest.skip("this kernel has no PR_SET_MDWE: Linux 6.3 and later have it")
     assert found.returncode == 0, found.stderr

@@ -1,8 +1,5 @@
 """A runtime in a thread of this process, whose frames a scripted verifier in a process of its own checks."""
 
-import json
-import signal
-import subprocess
 import sys
 import threading
 import time
@@ -10,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
+from tests.runtime.made_up_skin import virtual_skin
 
 import eitskin
 from eitskin.messaging.publish import Publisher
@@ -31,18 +29,6 @@ def until(condition):
     while not condition():
         assert time.monotonic() < end, "it did not happen"
         time.sleep(0.01)
-
-
-@contextmanager
-def virtual_skin(**options):
-    """Run a virtual skin, and give its port."""
-    words = [sys.executable, str(TESTS / "runtime" / "skin_process.py"), json.dumps(options)]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        try:
-            yield process.stdout.readline().strip()
-        finally:
-            process.send_signal(signal.SIGTERM)
 
 
 class Stream:

@@ -10,11 +10,8 @@ import pytest
 from eitskin.model.gate import Gate
 from eitskin.pipeline.idle import PREFIX
 from eitskin_proto.errors import SkinError
-from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire.scan_rows import table_rows
-from eitskin_sim.scene.parts import Bend
-from eitskin_training.gate import fit, idle, material, rates, touches
-from eitskin_training.gate.touches import wide_bends
+from eitskin_training.gate import fit, idle, material, rates
 from eitskin_training.gate.untouched import Bends, bends_of
 from eitskin_training.samples.batches import TrainingData
 
@@ -117,22 +114,3 @@ def test_information_grows_with_rows_and_is_that_of_a_linear_measurement() -> No
     bend = pressed[0]
     nuisance = covariance + 1e8 * np.outer(bend, bend)
     assert idle.information(nuisance, bend[None], np.arange(104)) < 1e-3
-
-
-def test_more_idle_drives_tell_more_about_a_touch(data: TrainingData, bends: Bends) -> None:
-    rng = np.random.default_rng(0)
-    made = material.Material.of(data, bends, rng)
-    covariance = idle.covariance_of(made.draw(2000, rng, touched=0.0)[0])
-    table = idle.idle_table(covariance, made.touches[:20], most=2)
-    assert [bin(mask).count("1") for mask, _ in table] == [1, 2]
-    assert all(0 < share <= 1 for _, share in table)
-    assert [share for _, share in table] == sorted(share for _, share in table)
-
-
-def test_a_touch_adds_nearly_the_same_logarithm_at_every_bend() -> None:
-    pieces = touches.squares([(75.0, 50.0), (30.0, 70.0)], 10.0, 20.0)
-    flat, bent = (touches.touch_logs(bend, pieces, PAPER) for bend in (Bend(), wide_bends(1, 5, PAPER)[0]))
-    for one, other in zip(flat, bent, strict=True):
-        # A tenth of its direction may change: that is what drawing it at any bend costs.
-        assert one @ other / (np.linalg.norm(one) * np.linalg.norm(other)) > 0.9
-        assert 0.5 < np.linalg.norm(other) / np.linalg.norm(one) < 2.0

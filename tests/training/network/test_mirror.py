@@ -31,8 +31,8 @@ def voltages(skin: Skin, mirror: Mirror, rect: tuple[float, float, float, float]
     x_lines, y_lines = meshing.electrode_lines(sheet, electrodes)
     (x0, y0), (x1, y1) = corners
     mesh = meshing.TensorMesh(
-        meshing.graded_lines([*x_lines, (x0, 3.0), (x1, 3.0)], 8.0, 0.6),
-        meshing.graded_lines([*y_lines, (y0, 3.0), (y1, 3.0)], 8.0, 0.6),
+        meshing.graded_lines([*x_lines, (x0, 6.0), (x1, 6.0)], 16.0, 0.6),
+        meshing.graded_lines([*y_lines, (y0, 6.0), (y1, 6.0)], 16.0, 0.6),
     )
 
     def metric(xy: np.ndarray) -> np.ndarray:

@@ -52,13 +52,3 @@ def test_presses_of_opposite_ways_are_named_unless_the_skin_and_the_bundle_know_
     check_ways(mixed, BOTH, "both", "bundle x")
     with pytest.raises(MismatchError, match=r"press 1 .*: touches: found raise, expected lower, as bundle x knows"):
         check_ways(mixed, BOTH, "lower", "bundle x")
-
-
-def test_presses_of_a_way_that_the_skin_or_the_bundle_does_not_know_are_refused(recorded: Any) -> None:
-    lowering, raising = recorded([0.5] * 4), recorded([3.0] * 4)
-    check_ways(lowering, LOWERING, "lower", "bundle x")
-    check_ways(lowering, PAPER, "lower", "bundle x")  # raising is also what a file has that says nothing
-    with pytest.raises(MismatchError, match=r"press 0 .* found lower, expected raise, as bundle x knows"):
-        check_ways(lowering, PAPER, "raise", "bundle x")
-    with pytest.raises(MismatchError, match=r"found raise, expected lower, from \[touches\] of skin ours"):
-        check_ways(raising, LOWERING, "both", "bundle x")
