@@ -48,7 +48,8 @@ SAME_LEVELS: Final = 0.999
 """Correlation of log levels from which an order cannot be distinguished from the stated one."""
 
 MIN_LAG_GAIN: Final = 0.3
-"""Gain of the logarithm of touched over untouched changes above which readings are late or early by one."""
+"""Gain of the logarithm of touched over untouched changes above which readings are late or early by one; a lag that is
+right also makes that logarithm as large."""
 
 MIN_UNTOUCHED: Final = 6
 """Untouched readings that a lag is found from."""
@@ -123,7 +124,7 @@ def lag_of(readings_V: Array, touched: npt.NDArray[np.bool_]) -> int:
         return 0
     score = {lag: _separation(np.roll(readings_V, -lag, axis=0), touched) for lag in (0, 1, -1)}
     best = max(score, key=lambda lag: score[lag])
-    return best if score[best] > score[0] + MIN_LAG_GAIN else 0
+    return best if score[best] > max(score[0], 0.0) + MIN_LAG_GAIN else 0
 
 
 def _separation(readings: Array, touched: npt.NDArray[np.bool_]) -> float:

@@ -50,6 +50,9 @@ RELEASED: Final = 0.02
 SMALLEST_RATIO: Final = 1e-6
 """V / V0 is not taken for less before the logarithm."""
 
+NEARER: Final = 20.0
+"""Squared distance by which the level of another shape must be nearer: a log likelihood of ten."""
+
 PREDICTED: Final = "predicted"
 """The shape of a frame whose untouched level V_pred explains better than any that was taught."""
 
@@ -65,7 +68,7 @@ class TaughtField:
     Args:
         shapes: Arrays of taught.npz for each shape (:class:`~eitskin.model.response_field.ResponseField`), and: level
             (rows,) log |V| of its untouched sheet, 0 where a row has none. The first has white (rows, r), in which
-            presses, drift and noise have unit variance, and reach, the largest squared length of a press there.
+            presses, drift and noise have unit variance, and reach, the largest squared length there of a known shape.
         grid: Of the skin's map.
         names: Of the shapes.
 
@@ -229,11 +232,11 @@ class TaughtField:
             np.subtract(self._centres, self._at, out=self._apart)
             np.einsum("ij,ij->i", self._apart, self._apart, out=self._distances)
             shape = int(self._distances.argmin())
-            if shape != self._shape:
+            if self._distances[shape] < self._distances[self._shape] - NEARER:
                 self._use(shape)
                 self._peak = 0.0
             if self._averaged >= FOLLOW_FRAMES:  # the noise of a few frames is larger than that of a reading
-                self._unlike = float(self._distances[shape]) > self._reach
+                self._unlike = float(self._distances[self._shape]) > self._reach
         np.subtract(self._rest, self._offsets[self._shape], out=self._rest)
         size = self._field.load(self._rest)
         self.logit = self._field.judge(self._field.z)

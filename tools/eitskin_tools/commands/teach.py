@@ -1,4 +1,4 @@
-"""``eitskin teach FILE.npz --out B.eitskin``: a bundle that finds touches as recorded presses have shown them.
+"""``eitskin teach FILE.npz ... --out B.eitskin``: a bundle that finds touches as recorded presses have shown them.
 
 With ``--port`` it first leads through the presses and writes them to FILE.npz; with ``--recording`` it takes them out
 of a recording.
@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from eitskin_tools.command_line import files, kinds, options
 from eitskin_tools.command_line.options import flag
+from eitskin_tools.console.terminal import say
 from eitskin_tools.errors import UsageError
 
 NEEDS: Final = {
@@ -25,10 +26,11 @@ NEEDS: Final = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
-        "file",
+        "files",
+        nargs="+",
         type=Path,
         metavar="FILE",
-        help="recorded presses at known places (.npz); file to write, if recorded now",
+        help="presses at known places (.npz), a file for each shape of the sheet; file to write, if recorded now",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="B.eitskin", help="the bundle to write")
     parser.add_argument("--skin", metavar="SKIN.toml", help="description of the sheet (default: its size alone)")
@@ -60,26 +62,32 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None:
         files.picture(arguments.picture)
     from eitskin_tools.console.terminal import StatusLine
-    from eitskin_tools.teach import card
+    from eitskin_tools.teach import card, physics
     from eitskin_tools.teach.presses import load_presses
     from eitskin_tools.teach.taught_bundle import write_taught
-    from eitskin_tools.teach.teaching import teach
+    from eitskin_tools.teach.teaching import fitting, teach_shapes
 
     skin = None if arguments.skin is None else options.read_skin(arguments.skin)
     _record(arguments, options.chosen_skin(arguments))
     if arguments.grid is not None:
         return _write_grid(arguments, options.chosen_skin(arguments))
-    presses = load_presses(files.find(arguments.file, files.PRESSES))
+    shapes = {one.stem: load_presses(files.find(one, files.PRESSES)) for one in arguments.files}
+    if len(shapes) < len(arguments.files):
+        raise UsageError("two files have the same name, expected one of each shape of the sheet: rename one")
+    for name, presses in shapes.items():
+        if wrong := physics.wiring_of(presses, fitting(presses, skin)):
+            say(f"eitskin teach: warning: {name}: {wrong}", error=True)
     line = StatusLine(sys.stderr)
-    taught = teach(presses, skin, arguments.false_alarms, line.show)
+    taught = teach_shapes(shapes, skin, arguments.false_alarms, line.show)
     line.end()
     bundle = write_taught(arguments.out, taught, presses, tikhonov=skin is not None)
+    reports = {name: one.report for name, one in taught.items()}
     if arguments.picture is not None:
         card.draw(arguments.picture, taught)
     if arguments.json:
-        print(json.dumps({"out": str(arguments.out), "bundle": bundle, **taught.report}))
+        print(json.dumps({"out": str(arguments.out), "bundle": bundle, **card.of_shapes(reports)}))
         return 0
-    print(card.verdict(taught.report))
+    print(card.verdict(reports))
     after = "Wrote {}. Next: eitskin run --bundle {}"
     if not presses.logarithmic:
         after = "Wrote {}. Its changes have no known unit, so it works with 'eitskin evaluate --measured' alone ({})."
@@ -95,6 +103,8 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
             raise UsageError(f"{flag(name)} does nothing without {' or '.join(map(flag, needs))}: leave it out")
     if not given:
         return
+    if len(arguments.files) > 1:
+        raise UsageError(f"{flag(given[0])} is for one file: teach several shapes by the files of each")
     if len(given) > 1:
         raise UsageError(f"{' and '.join(map(flag, given))} do not go together: leave one out")
     if (arguments.recording is None) != (arguments.places is None):
@@ -102,13 +112,13 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
     options.check_least(arguments, presses=6, frames=2)
     if arguments.grid is not None:
         return
-    files.writable(arguments.file, kinds.PRESSES)
+    files.writable(arguments.files[0], kinds.PRESSES)
     from eitskin.acquisition.serial_port import DEFAULT_BAUD
     from eitskin_tools.teach.live import lead_through, presses_of_recording
 
     frames = arguments.frames or 20
     if arguments.recording is not None:
-        presses_of_recording(arguments.recording, arguments.places, skin, frames, arguments.file)
+        presses_of_recording(arguments.recording, arguments.places, skin, frames, arguments.files[0])
         return
     if arguments.json:
         raise UsageError(
@@ -116,7 +126,13 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
         )
     baud = arguments.baud or DEFAULT_BAUD
     lead_through(
-        arguments.file, skin, arguments.port, baud, presses=arguments.presses or 60, frames=frames, page=arguments.page
+        arguments.files[0],
+        skin,
+        arguments.port,
+        baud,
+        presses=arguments.presses or 60,
+        frames=frames,
+        page=arguments.page,
     )
 
 
@@ -126,7 +142,7 @@ def _write_grid(arguments: argparse.Namespace, skin: Any) -> int:
 
     length, width = skin.outline.size_mm
     places = grid_places((length, width), skin.outline.kind, arguments.presses or 60)
-    words = [str(arguments.file), "--out", str(arguments.out)]
+    words = [str(arguments.files[0]), "--out", str(arguments.out)]
     words += [] if arguments.skin is None else ["--skin", str(arguments.skin)]
     write_bytes(arguments.grid, draw_grid((length, width), skin.outline.kind, places).encode())
     print(

@@ -9,7 +9,26 @@ from eitskin_tools.pictures import save
 from eitskin_tools.teach.teaching import Taught, error_map
 
 
-def verdict(report: dict[str, Any]) -> str:
+def of_shapes(reports: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return the report of all shapes: of a single one its own, else the means over presses, and each shape's."""
+    several = list(reports.values())
+    found = {**several[0], "shapes": reports} if len(several) > 1 else several[0]
+    for name in ("localisation_median_mm", "localisation_p90_mm", "missed", "stated_within_1sd"):
+        found[name] = float(np.average([one[name] for one in several], weights=[one["presses"] for one in several]))
+    return found
+
+
+def verdict(reports: dict[str, dict[str, Any]]) -> str:
+    """Return a few lines for each shape."""
+    lines = []
+    for name, report in reports.items():
+        lines += [f"In the shape {name}:"] if len(reports) > 1 else []
+        lines.append(_verdict(report))
+    known = f"the {len(reports)} shapes" if len(reports) > 1 else "the shape"
+    return "\n".join([*lines, f"This holds in {known} in which the sheet was pressed; frames name the shape."])
+
+
+def _verdict(report: dict[str, Any]) -> str:
     """Return a few lines, the accuracy first."""
     wrong = report["missed"]
     lines = [
@@ -29,8 +48,8 @@ def verdict(report: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def draw(path: Path, taught: Taught) -> None:
-    """Write a picture: the presses, and the error near each place.
+def draw(path: Path, taught: dict[str, Taught]) -> None:
+    """Write a picture: the presses in each shape, and the error near each place.
 
     Raises:
         OSError: It cannot be written.
@@ -40,14 +59,17 @@ def draw(path: Path, taught: Taught) -> None:
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    grid, (length, width) = taught.skin.grid, taught.skin.outline.size_mm
-    errors = error_map(taught, grid.pixel_centres_mm().reshape(-1, 2)).reshape(grid.shape)
-    inside = taught.arrays["inside"].reshape(grid.shape)
-    figure, axes = plt.subplots(figsize=(6.4, 1.2 + 5.4 * width / length), layout="constrained")
-    image = axes.imshow(np.where(inside, errors, np.nan), origin="lower", extent=(0, length, 0, width), vmin=0.0)
-    axes.plot(*taught.places_mm.T, ".", color="white", markersize=2)
-    axes.set(xlabel="x, mm", ylabel="y, mm", title=f"Error of the place, {len(taught.places_mm)} presses")
-    figure.colorbar(image, label="mm")
+    skin = next(iter(taught.values())).skin
+    grid, (length, width) = skin.grid, skin.outline.size_mm
+    size = 6.4, len(taught) * (1.2 + 5.4 * width / length)
+    figure, several = plt.subplots(len(taught), figsize=size, layout="constrained", squeeze=False)
+    for axes, (name, one) in zip(several[:, 0], taught.items(), strict=True):
+        errors = error_map(one, grid.pixel_centres_mm().reshape(-1, 2)).reshape(grid.shape)
+        inside = one.arrays["inside"].reshape(grid.shape)
+        image = axes.imshow(np.where(inside, errors, np.nan), origin="lower", extent=(0, length, 0, width), vmin=0.0)
+        axes.plot(*one.places_mm.T, ".", color="white", markersize=2)
+        axes.set(xlabel="x, mm", ylabel="y, mm", title=f"{name}: error of the place, {len(one.places_mm)} presses")
+        figure.colorbar(image, label="mm")
     save(figure, path, 120.0)
     plt.close(figure)
 

@@ -9,10 +9,12 @@ from typing import Final
 import numpy as np
 
 from eitskin_proto.files.arrays import Array
-from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable
-from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable, row_map
+from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
+from eitskin_proto.sensor.wiring import lag_of, read_wiring
 from eitskin_proto.skin.skin import Skin
 from eitskin_tools.command_line.needs import missing
+from eitskin_tools.teach.presses import Presses
 
 RADIUS_MM: Final = 7.0
 """Of the disc; a finger's or a stamp's."""
@@ -22,6 +24,32 @@ def applies(skin: Skin, table: RowTable) -> bool:
     """Return whether the forward model is installed and knows the rows of this sheet: adjacent 104 of a rectangle."""
     own = table.id == ADJACENT_104.id or (table.electrodes is None and table.rows == N_ROWS)
     return own and skin.outline.kind == "rectangle" and not missing(("scipy",))
+
+
+def wiring_of(presses: Presses, skin: Skin) -> str:
+    """Return what is wrong with the order of readings or of rows, as far as it can be known; empty if nothing is."""
+    if presses.is_change:
+        return ""
+    if late := lag_of(presses.readings, presses.pressed):
+        return f"readings are shifted by one against xy_mm, probably {'late' if late > 0 else 'early'}"
+    readings = presses.readings[~presses.pressed]
+    if skin.outline.kind != "rectangle" or missing(("scipy",)):
+        return ""
+    if presses.table.electrodes is not None:
+        try:
+            mapped = row_map(presses.table, ADJACENT_104)
+        except ValueError:
+            return ""
+        if mapped is not None:
+            readings, given = np.zeros((len(readings), N_ROWS)), readings
+            for row, out in zip(given, readings, strict=True):
+                mapped.apply(row, out)
+    if readings.shape[1] not in (N_ROWS, N_FULL_ROWS):
+        return ""
+    from eitskin_sim.surface.predict import flat_voltages
+
+    wiring = read_wiring(readings, flat_voltages(skin))
+    return "" if wiring.right else wiring.text
 
 
 def expected_changes(skin: Skin, places_mm: Array) -> Array:

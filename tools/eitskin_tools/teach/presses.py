@@ -103,6 +103,11 @@ class Presses:
             ratio /= np.exp(np.median(np.log(np.maximum(ratio[:, self._usable], SMALLEST_RATIO)), axis=1))[:, None]
         return np.asarray(ratio - 1.0)
 
+    def levels(self) -> Array:
+        """Return (m, rows) log |V| of untouched readings, 0 in rows without a change."""
+        untouched = self.readings[~self.pressed]
+        return np.asarray(np.log(np.abs(np.where(self._usable, untouched, 1.0))))
+
     @cached_property
     def _usable(self) -> npt.NDArray[np.bool_]:
         """(rows,) whether a row has one sign in all untouched readings."""

@@ -111,7 +111,7 @@ def learn(changes: Array, places_mm: Array, size_mm: tuple[float, float], prior:
     n = len(changes)
     amplitudes, weights, amplitude_sd = np.ones(n), np.ones(n), 0.3
     lengths = LENGTHS_OF_SIZE * min(size_mm)
-    covariance = _shrunk(changes, 0.5)
+    covariance = shrunk(changes, 0.5)
     compared = np.random.default_rng(0).permutation(n)[:MOST_COMPARED]
     found: Response | None = None
     for turn in range(ROUNDS):
@@ -162,7 +162,7 @@ def learn(changes: Array, places_mm: Array, size_mm: tuple[float, float], prior:
         swollen = left / np.sqrt(np.maximum(1.0 - best.freedom[kept] / n, 0.05))
         weights = (FREEDOM + scales.size) / (FREEDOM + (swollen**2).sum(axis=1))
         residual = changes - (fitted + left - swollen) @ np.linalg.pinv(project)
-        covariance = _shrunk(residual * np.sqrt(weights)[:, None])
+        covariance = shrunk(residual * np.sqrt(weights)[:, None])
     assert found is not None
     return found
 
@@ -177,7 +177,7 @@ def depends_on_place(changes: Array, places_mm: Array, size_mm: tuple[float, flo
     """
     few = np.random.default_rng(0).permutation(len(changes))[:MOST_COMPARED]
     changes, places_mm = changes[few], places_mm[few]
-    data = changes @ _axes(changes, _shrunk(changes, 0.5))
+    data = changes @ _axes(changes, shrunk(changes, 0.5))
     evidence = _Evidence(data, _kernel(places_mm, places_mm, COMPARED_LENGTH * min(size_mm)), None)
     own, rng = evidence.log_likelihood, np.random.default_rng(0)
     shuffled = [evidence.of(data[rng.permutation(len(data))]) for _ in range(SHUFFLES)]
@@ -242,7 +242,7 @@ def _axes(changes: Array, covariance: Array) -> Array:
     return np.asarray(white @ principal[:MOST_AXES].T)
 
 
-def _shrunk(samples: Array, share: float | None = None) -> Array:
+def shrunk(samples: Array, share: float | None = None) -> Array:
     """Return the (rows, rows) covariance about 0, its correlations shrunk.
 
     Args:

@@ -25,6 +25,7 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_tools.teach import physics
 from eitskin_tools.teach.presses import FEWEST, Presses, PressesError, check_teachable
 from eitskin_tools.teach.response import FREEDOM, Response, depends_on_place, learn
+from eitskin_tools.teach.shapes import check_shapes, level_arrays
 
 FOLDS: Final = 5
 """Parts of the cross-validation."""
@@ -97,7 +98,7 @@ def teach(
         PressesError: The presses are too few, in one place, or not felt; or the skin is another one.
     """
     check_teachable(presses)
-    skin = _fitting(presses, skin)
+    skin = fitting(presses, skin)
     changes, places = presses.logarithms()[presses.pressed], presses.xy_mm[presses.pressed]
     untouched = untouched_changes(presses)
     if not depends_on_place(changes, places, presses.size_mm):
@@ -159,6 +160,28 @@ def teach(
     return taught
 
 
+def teach_shapes(
+    shapes: dict[str, Presses], skin: Skin | None, false_alarms: float, tell: Callable[[str], None] = lambda _: None
+) -> dict[str, Taught]:
+    """Return what a sheet is taught in each of its shapes, and how they are told apart.
+
+    Args:
+        shapes: Presses in each, by its name.
+        skin: As in :func:`teach`.
+        false_alarms: As in :func:`teach`.
+        tell: Told what is being done.
+
+    Raises:
+        PressesError: Presses cannot be taught, or are not of one sheet.
+    """
+    check_shapes(shapes)
+    found = {name: teach(one, skin, false_alarms, tell) for name, one in shapes.items()}
+    levels = level_arrays(list(shapes.values()), [one.arrays for one in found.values()])
+    for one, arrays in zip(found.values(), levels, strict=True):
+        one.arrays.update(arrays)
+    return found
+
+
 def place(field: TaughtField, logarithms: Array, untouched_V: Array | None = None) -> Placed:
     """Return where a field finds one press in each reading, whether its gate is open or not.
 
@@ -197,8 +220,12 @@ def untouched_changes(presses: Presses) -> Array:
     return presses.logarithms()[~presses.pressed][1:]
 
 
-def _fitting(presses: Presses, skin: Skin | None) -> Skin:
-    """Return the skin of the file, or one of its size."""
+def fitting(presses: Presses, skin: Skin | None) -> Skin:
+    """Return the skin of the file, or one of its size.
+
+    Raises:
+        PressesError: It is another sheet.
+    """
     if skin is not None:
         if skin.outline.kind != presses.outline or not np.allclose(skin.outline.size_mm, presses.size_mm, atol=0.5):
             length, width = skin.outline.size_mm

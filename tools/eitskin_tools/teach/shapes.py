@@ -1,0 +1,67 @@
+"""Learns to tell the shapes of a sheet apart: by the levels of its untouched rows, whatever presses and drift do.
+
+Linear discriminant analysis: the shape of a reading is the one whose level is nearest, where presses, drift and noise
+have unit variance.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from eitskin.model.bundle import MOST_SHAPES
+from eitskin_proto.files.arrays import Array
+from eitskin_tools.teach.presses import Presses, PressesError
+from eitskin_tools.teach.response import shrunk
+
+MOST_AXES: Final = 256
+"""Directions in which levels are compared, those of the largest variance."""
+
+REACH: Final = 1.5
+"""Squared distance of a reading that is like a shape, over that of the strongest response of its field."""
+
+
+def check_shapes(shapes: Mapping[str, Presses]) -> None:
+    """Refuse files of presses that are not of one sheet in several shapes.
+
+    Raises:
+        PressesError: They are too many, of different sheets or rows, or have changes alone.
+    """
+    if len(shapes) > MOST_SHAPES:
+        raise PressesError(
+            f"found {len(shapes)} files, expected at most {MOST_SHAPES}, one for each shape of the sheet"
+        )
+    (first, expected), *others = shapes.items()
+    for name, one in others:
+        if one.is_change or expected.is_change:
+            raise PressesError(f"{name if one.is_change else first} has no untouched reading: give voltages_V")
+        for what, found, wanted in (
+            ("rows", one.table.name, expected.table.name),
+            ("size_mm", one.size_mm, expected.size_mm),
+            ("outline", one.outline, expected.outline),
+        ):
+            if found != wanted:
+                raise PressesError(f"{name}: {what} {found}, expected {wanted} as in {first}: give files of one sheet")
+
+
+def level_arrays(shapes: Sequence[Presses], taught: Sequence[Mapping[str, Array]]) -> list[dict[str, Array]]:
+    """Return level of each shape and, with the first, white and reach (:class:`eitskin.model.taught.TaughtField`).
+
+    Args:
+        shapes: Presses in each.
+        taught: The other arrays of each.
+    """
+    if any(one.is_change for one in shapes):
+        return [{} for _ in shapes]
+    levels = [one.levels().mean(axis=0) for one in shapes]
+    presses = np.concatenate([one.logarithms()[one.pressed] for one in shapes])
+    drift = np.concatenate([one.levels() - level for one, level in zip(shapes, levels, strict=True)])
+    fields = np.concatenate([(one["field"] @ np.linalg.pinv(one["project"]))[one["inside"]] for one in taught])
+    anywhere = fields.T @ fields / len(fields)  # some places were not pressed
+    values, vectors = np.linalg.eigh(shrunk(presses) + anywhere + shrunk(drift))
+    kept = values > values[-1] * 1e-9
+    white = (vectors / np.sqrt(np.maximum(values, 1e-300)))[:, kept][:, -MOST_AXES:]
+    found = [{"level": level} for level in levels]
+    found[0]["white"] = white.astype(np.float32)
+    found[0]["reach"] = np.array(REACH * ((fields @ white) ** 2).sum(axis=1).max())
+    return found
