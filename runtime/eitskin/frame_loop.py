@@ -319,11 +319,14 @@ class FrameSource:
         """Start the stream with the first request for frames; earlier frames would only grow old."""
         if self._started:
             return
+        self._patient_ns = time.perf_counter_ns()
         try:
             self._device.start()
             self._pipeline.clock.anchor(self._device.time_sample)
         except PortReturned:
-            self._patient_ns = time.perf_counter_ns()
+            self._recover()
+        except NotReady as error:
+            self._bear(error)
             self._recover()
         self._started = True
 
@@ -395,14 +398,8 @@ class FrameSource:
         Raises:
             NotReady: The time to wait is over.
         """
-        patience_s = self._device.patience_s
-        last_ns = max(self._pipeline.intake.heard_ns, self._patient_ns)
-        if (time.perf_counter_ns() - last_ns) * 1e-9 >= patience_s:
-            if patience_s > 0:
-                raise NotReady(f"no frame within {patience_s:g} s of --reconnect: {error}") from error
-            raise error
         with suppress(PortReturned):
-            self._device.reopen()
+            self._device.bear(error, max(self._pipeline.intake.heard_ns, self._patient_ns))
 
     def _fruitless_text(self) -> str:
         name, intake = self._device.transport.name, self._pipeline.intake

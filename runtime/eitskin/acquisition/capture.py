@@ -6,9 +6,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from eitskin.acquisition.device import Device
+from eitskin.acquisition.hotplug import HotPlug
 from eitskin.acquisition.ports import open_line
 from eitskin.acquisition.serial_port import DEFAULT_BAUD
-from eitskin.errors import BadReference
+from eitskin.errors import BadReference, PortReturned
 from eitskin.reference.builder import ReferenceBuilder
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference
 from eitskin.reference.front_end import stuck
@@ -35,6 +36,7 @@ def capture(
     force: bool = False,
     skin: Skin = PAPER,
     scan: ReferenceScan | None = None,
+    reconnect_s: float | None = None,
 ) -> Reference:
     """Return the mean of the next frames of a skin, which must be untouched, and flat or as its scan shows.
 
@@ -46,6 +48,7 @@ def capture(
         force: Accept it even if the sheet was bent, touched or moving.
         skin: The skin of the reference.
         scan: Scan of the sheet in its present shape; None for a flat one.
+        reconnect_s: How long to wait for a port that is gone or busy; None does not wait.
 
     Raises:
         TransportError: The port is missing, busy, denied or lost.
@@ -55,17 +58,23 @@ def capture(
     """
     if frames < 2:
         ReferenceBuilder(frames)  # raises, before a port is opened
-    transport = open_line(port, baud)
+    transport = open_line(port, baud) if reconnect_s is None else HotPlug(port, baud, reconnect_s)
     try:
         device = Device(transport, skin)
         own = not isinstance(device.hello, DriverHello)
         table = ADJACENT_104 if own else rows_of(device.hello) if scan is not None else table_of_hello(device.hello)
-        builder = ReferenceBuilder(frames, skin, scan, table)
-        device.start()
-        end_s = time.perf_counter() + PATIENCE_S + frames * 1000 / max(device.hello.rate_mHz, 1)
-        _collect(device, builder, table, end_s)
-        device.stop()
-        return builder.finish(device.hello, checks, force=force)
+        begin = device.start
+        while True:
+            builder = ReferenceBuilder(frames, skin, scan, table)
+            try:
+                begin()
+                end_s = time.perf_counter() + PATIENCE_S + frames * 1000 / max(device.hello.rate_mHz, 1)
+                _collect(device, builder, table, end_s)
+                device.stop()
+            except PortReturned:
+                begin = device.recover
+            else:
+                return builder.finish(device.hello, checks, force=force)
     finally:
         transport.close()
 

@@ -249,16 +249,24 @@ class Device:
         """How long after the last frame the next one is due by plan, as in a recording with a gap; 0 for a device."""
         return float(getattr(self.transport, "pause_s", 0.0))
 
-    def reopen(self) -> None:
-        """Close the line and open it again, where the transport can; a hung device may then recover.
+    def bear(self, error: NotReady, since_ns: int) -> None:
+        """Let the transport open the line again for a device that does not answer, while there is patience.
+
+        Args:
+            error: What the device did.
+            since_ns: Since when, on ``perf_counter_ns``.
 
         Raises:
+            NotReady: The patience is over.
             PortReturned: The line is open again.
             PortLost: It did not come back in time.
         """
-        again = getattr(self.transport, "reopen", None)
-        if again is not None:
-            again()
+        if (time.perf_counter_ns() - since_ns) * 1e-9 < self.patience_s:
+            self.transport.reopen()  # type: ignore[attr-defined]  # a patient transport can
+        elif self.patience_s > 0:
+            raise NotReady(f"no frame within {self.patience_s:g} s of --reconnect: {error}") from error
+        else:
+            raise error
 
     def payloads(self, timeout_s: float | None = None) -> list[bytes]:
         """Return the intact payloads that have arrived, waiting for bytes.
@@ -372,11 +380,16 @@ class Device:
         return self._tag
 
     def _greeted(self) -> Hello:
-        """Shake hands, and once more whenever the line vanished and is back."""
+        """Shake hands, again whenever the line was opened, and while there is patience for a device that boots."""
+        since_ns = time.perf_counter_ns()
         while True:
             try:
-                return self._handshake()
+                try:
+                    return self._handshake()
+                except NotReady as error:
+                    self.bear(error, since_ns)
             except PortReturned:
+                since_ns = time.perf_counter_ns()
                 self.deframer.reset()
 
     def _handshake(self) -> Hello:

@@ -5,9 +5,10 @@
     read, write ──> open line ───PortLost──> wait for the port ──> open ──> PortReturned
                                                    └─ give_up_s passed ──> PortLost
 
-The device behind a port that returns may be another one, or may have restarted: ``PortReturned`` tells the caller to
-repeat the handshake before it uses a byte. A USB port may come back under another path, so it is found by vendor,
-product, serial number and interface; any other port is found by its path.
+A port that is not there yet, or that another program holds, is waited for in the same way. The device behind a port
+that returns may be another one, or may have restarted: ``PortReturned`` tells the caller to repeat the handshake before
+it uses a byte. A USB port may come back under another path, so it is found by vendor, product, serial number and
+interface; any other port is found by its path.
 """
 
 import math
@@ -15,19 +16,23 @@ import os
 import select
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
+from eitskin.acquisition.drivers.driver import device_path, driver_name
 from eitskin.acquisition.ports import open_line as open_any
 from eitskin.acquisition.ports import serial_ports
 from eitskin.acquisition.serial_port import DEFAULT_BAUD
 from eitskin.acquisition.transport import USB_PREFIX, Transport
-from eitskin.errors import PortLost, PortReturned, TransportError
+from eitskin.errors import NotReady, PortBusy, PortDenied, PortLost, PortMissing, PortReturned, TransportError
 from eitskin_proto.wire.framing import MAX_PAYLOAD
+from eitskin_proto.wire.volts import LARGEST_VOLTS
 
 LOOK_S: Final = 0.05
 """How often a port that vanished is looked for; nothing can be waited on while it is gone."""
+
+BOOT_S: Final = 10.0
+"""A board may boot for so long when its port is opened; opening the port again would only reset the board."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +56,7 @@ def _name_of(found: Any) -> UsbName | None:
 
 def usb_name(port: str) -> UsbName | None:
     """Return how to find a port again; None if it is no USB port, or one without a serial number."""
-    path = os.path.realpath(port)
+    path = os.path.realpath(device_path(port))
     for found in serial_ports():
         if os.path.realpath(found.device) == path and found.serial_number:
             return _name_of(found)
@@ -72,11 +77,11 @@ class HotPlug:
     Args:
         port: Path of the port.
         baud: Bits per second on a real UART.
-        give_up_s: How long to wait for a port that vanished; None waits until ``cancel``.
+        give_up_s: How long to wait for a port that is gone; None waits until ``cancel``.
         open_line: Opens a path; a test gives its own.
 
     Raises:
-        TransportError: The port cannot be opened the first time.
+        TransportError: The port can never be opened.
     """
 
     def __init__(
@@ -92,8 +97,14 @@ class HotPlug:
         self._baud = baud
         self._give_up_s = give_up_s
         self._open = open_line
-        self._line: Transport | None = open_line(port, baud)
-        self._usb = usb_name(port)
+        self._line: Transport | None = None
+        self._usb: UsbName | None = None
+        self._opened_s = -math.inf
+        self._why: Exception | None = None
+        try:
+            self._take(port)
+        except (PortMissing, PortBusy, PortDenied, PortLost, NotReady) as error:
+            self._why = error
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._poll = select.poll()
         self._poll.register(self._wake, select.POLLIN)
@@ -106,7 +117,7 @@ class HotPlug:
     @property
     def largest_payload(self) -> int:
         """Bytes of a payload; more than the wire's where a driver sends volts."""
-        return int(getattr(self._line, "largest_payload", MAX_PAYLOAD))
+        return LARGEST_VOLTS if driver_name(self.name) else MAX_PAYLOAD
 
     def read(self, timeout_s: float | None = None) -> bytes:
         """Return what has arrived, waiting for the first byte; nothing after the timeout or ``cancel``.
@@ -140,6 +151,11 @@ class HotPlug:
         raise PortLost(f"{self.name} is gone, and the wait for it was cancelled") from cause
 
     @property
+    def trouble(self) -> str:
+        """Why the port is not open, or what a driver received in place of scans; "" if nothing is known."""
+        return str(self._why or "") if self._line is None else str(getattr(self._line, "trouble", ""))
+
+    @property
     def patience_s(self) -> float:
         """How long a device may hang behind a port that is there; as long as a port may be gone."""
         return math.inf if self._give_up_s is None else self._give_up_s
@@ -150,13 +166,14 @@ class HotPlug:
         return self._line is None
 
     def reopen(self) -> None:
-        """Close the port and open it again; a hung device may then recover.
+        """Close the port and open it again; a hung device may then recover. A device that may still boot is left alone.
 
         Raises:
             PortReturned: It is open again: repeat the handshake.
             PortLost: It did not come back in time.
         """
-        self._wait(None)
+        if time.perf_counter() - self._opened_s >= BOOT_S:
+            self._wait(None)
 
     def _wait(self, cause: PortLost | None) -> bytes:
         """Wait for the port: raise when it is back or given up, return nothing when cancelled."""
@@ -168,20 +185,28 @@ class HotPlug:
                 return b""
             if self._reopened():
                 raise PortReturned(f"{self.name} vanished and is back: repeat the handshake")
+        if self._opened_s < 0.0:
+            raise PortLost(f"waited {self._give_up_s:g} s: {self._why}")
         raise PortLost(
             f"{self.name} vanished and did not come back within {self._give_up_s:g} s: check the cable and the power"
         ) from cause
 
     def _reopened(self) -> bool:
-        path = self.name if self._usb is None else port_named(self._usb)
+        path = device_path(self.name) if self._usb is None else port_named(self._usb)
         if path is None:
             return False
-        with suppress(TransportError):  # not there yet, or its permissions are not set yet
-            self._line = self._open(path, self._baud)
-            self.name = path
-            self.returns += 1
-            return True
-        return False
+        again = self._opened_s >= 0.0
+        try:
+            self._take(self.name.replace(device_path(self.name), path))
+        except (TransportError, NotReady) as error:  # not there yet, or its permissions are not set yet
+            self._why = error
+            return False
+        self.returns += again
+        return True
+
+    def _take(self, port: str) -> None:
+        self._line = self._open(port, self._baud)
+        self.name, self._usb, self._opened_s = port, usb_name(port), time.perf_counter()
 
     def _drop(self) -> None:
         if self._line is not None:

@@ -11,8 +11,9 @@ import pytest
 import eitskin
 from eitskin.acquisition.capture import capture
 from eitskin.acquisition.device import Device
-from eitskin.acquisition.drivers import driver_line
+from eitskin.acquisition.drivers import driver_line, text_line
 from eitskin.acquisition.drivers.driver import driver_name
+from eitskin.acquisition.hotplug import HotPlug
 from eitskin.acquisition.ports import open_line
 from eitskin_proto.sensor.row_table import ADJACENT_104, named, row_map
 from eitskin_proto.sensor.table import RECIPROCAL_IN_FULL, ROW_IN_FULL
@@ -276,6 +277,31 @@ def test_a_device_that_vanishes_is_named():
         line.close()
 
 
+def test_a_driver_waits_for_a_board_that_boots_and_goes_on_after_an_unplug(tiny, tmp_path, monkeypatch):
+    """The board prints text first; after the unplug it is another pseudo-terminal behind the same name."""
+    monkeypatch.setattr(text_line, "PROBE_S", 0.2)
+
+    def boot(voltages):
+        return text(voltages) if booted.is_set() else "boot 3 of 7\r\n115200"
+
+    booted, link = threading.Event(), tmp_path / "ttyACM0"
+    reference = np.array([at_rest(number) for number in range(100, 140)])
+    with Lines(at_rest, boot) as device:
+        link.symlink_to(device.port)
+        line = HotPlug(f"line:{link}?step=1e-9", give_up_s=60.0)
+        assert "sent no line of numbers" in line.trouble
+        booted.set()
+        with eitskin.Skin(line, bundle=tiny, reference=reference) as skin, Lines(at_rest, text) as again:
+            frames = skin.frames()
+            next(frames)
+            assert "rate unknown" not in "".join(line.report())
+            device.vanish()
+            link.unlink()
+            link.symlink_to(again.port)
+            assert any("recovered" in frame.events for frame in frames)
+            assert line.returns == 1
+
+
 def test_half_frames_are_counted_as_lost():
     numbers = itertools.count()
 
@@ -283,7 +309,7 @@ def test_half_frames_are_counted_as_lost():
         return text(voltages[:100] if next(numbers) in (20, 21) else voltages)
 
     with Lines(at_rest, form, rate_hz=50.0) as device:
-        line = open_line(f"line:{device.port}?numbers=208")
+        line = open_line(f"line:{device.port}?numbers=208&rate=50")
         _, found = scans(line, 40)
         line.close()
     assert np.diff([number for number, _, _ in found]).tolist().count(3) == 1
@@ -301,7 +327,7 @@ def started(port):
 @pytest.mark.parametrize(
     ("port", "error", "text"),
     [
-        ("nobody:/dev/x", eitskin.PortMissing, "no driver is called 'nobody'; there are line, sciospec"),
+        ("nobody:/dev/x", eitskin.TransportError, "no driver is called 'nobody'; there are line, sciospec"),
         ("line:/dev/none", eitskin.PortMissing, "/dev/none cannot be opened"),
         ("line:{port}?colour=3", eitskin.TransportError, "colour"),
         ("line:{port}?numbers=208&order=opposite-192", eitskin.TransportError, "208 numbers, expected the 192 rows"),

@@ -2,14 +2,24 @@
 
 import threading
 import time
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 
+from eitskin.acquisition.device import Device
 from eitskin.acquisition.hotplug import HotPlug, UsbName, port_named, usb_name
-from eitskin.errors import HandshakeError, PortLost, PortReturned
+from eitskin.acquisition.serial_port import SerialPort
+from eitskin.errors import HandshakeError, PortLost, PortReturned, TransportError
 from eitskin.skin import Skin
+from eitskin_proto.wire.framing import Deframer, encode
+from eitskin_proto.wire.messages import Hello
 from eitskin_tools.virtual_skin.pty import PtyPort
+
+HELLO = Hello(
+    firmware_version=(1, 0, 0), hardware_id=1, serial_number="SLOW-1", configuration_digest=1, generation=1,
+    configuration_name="slow", rate_mHz=100_000, rows=104, sample_bytes=4, volts_per_count=1e-9,
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -48,6 +58,44 @@ def test_a_port_that_stays_away_is_given_up_with_its_name(pty):
     finally:
         line.close()
     line.close()  # closing twice is fine
+
+
+def test_a_port_that_is_missing_or_held_at_first_is_waited_for(pty):
+    pty.unplug()
+    line = HotPlug(str(pty.path), give_up_s=60.0)
+    assert line.gone
+    assert line.trouble.startswith(f"no port {pty.path}")
+    pty.plug()
+    other = SerialPort(str(pty.path))
+    with pytest.raises(PortLost, match=r"waited 0\.1 s: .* open in another program"):
+        HotPlug(str(pty.path), give_up_s=0.1).read()
+    other.close()
+    with pytest.raises(PortReturned):
+        line.write(b"hello")
+    line.close()
+    with pytest.raises(TransportError, match="no driver is called 'nobody'"):  # which no wait makes better
+        HotPlug("nobody:/dev/x")
+
+
+def test_a_board_that_boots_and_prints_is_asked_again(pty):
+    """The board answers only once it has heard several requests, and prints text for each of them before."""
+    known, asked, texts = threading.Event(), Deframer(), [b"booting 2.1\r\n"] * 3
+
+    def boot():
+        while not known.wait(0.01):
+            for request in asked.feed(pty.read()):
+                pty.write(texts.pop() if texts else encode(replace(HELLO, tag=request[1]).pack()))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("eitskin.acquisition.device.HANDSHAKE_S", 0.2)
+        board = threading.Thread(target=boot)
+        board.start()
+        line = HotPlug(str(pty.path), give_up_s=60.0)
+        assert Device(line).hello.serial_number == HELLO.serial_number
+    known.set()
+    board.join()
+    assert line.returns == 0  # opening the port again would have reset the board
+    line.close()
 
 
 def test_waiting_for_a_port_can_be_cancelled(pty):

@@ -96,6 +96,13 @@ def add_bundle(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument("--bundle", type=files.bundle, metavar="FILE", help=f"{files.BUNDLE_HELP}, {what}")
 
 
+def add_reconnect(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--reconnect``."""
+    parser.add_argument(
+        "--reconnect", type=float, metavar="S", help="wait up to S s for a port that is gone or busy (default: end)"
+    )
+
+
 def add_skin(parser: argparse.ArgumentParser, what: str) -> None:
     """Declare ``--skin``.
 

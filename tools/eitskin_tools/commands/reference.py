@@ -22,6 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--port", help="capture: port of the skin, flat and untouched, as for run")
     what.add_argument("--show", type=Path, metavar="FILE", help="show a captured reference")
     parser.add_argument("--out", type=Path, metavar="FILE", help="capture: file to write")
+    options.add_reconnect(parser)
     parser.add_argument("--frames", type=int, default=100, metavar="N", help="capture: number of frames (default 100)")
     parser.add_argument("--baud", type=int, help="bits per second of a UART (default 2000000)")
     options.add_bundle(
@@ -54,6 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.out is None:
             raise UsageError("--port captures a reference; name the file that it goes to with --out")
         options.check_least(arguments, frames=2)
+        options.check_positive(arguments, "reconnect", most=1e9)
         files.writable(arguments.out, kinds.REFERENCE)
         found = _capture(arguments)
         references.save(found, arguments.out)
@@ -88,6 +90,7 @@ def _capture(arguments: argparse.Namespace) -> Any:
         force=arguments.force,
         skin=skin,
         scan=scan,
+        reconnect_s=arguments.reconnect,
     )
     _warn_of_wiring(found, bundle)
     return found

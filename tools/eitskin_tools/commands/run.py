@@ -43,9 +43,7 @@ def add_arguments(parser: Parser) -> None:
         "--reference", type=Path, metavar="FILE", help="a reference captured earlier (default: capture one now)"
     )
     parser.add_argument("--skin", type=Path, metavar="FILE", help="description of the sheet, which the bundle must fit")
-    parser.add_argument(
-        "--reconnect", type=float, metavar="S", help="wait up to S seconds for a port that vanishes (default: end)"
-    )
+    options.add_reconnect(parser)
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
     parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
     parser.add_argument("--quiet", action="store_true", help="log only 'ready' and problems")
@@ -143,6 +141,8 @@ def run(arguments: argparse.Namespace) -> int:
             from eitskin.acquisition.hotplug import HotPlug
 
             port = HotPlug(arguments.port, **keywords, give_up_s=arguments.reconnect)
+            if port.gone:
+                log.say(f"waiting up to {arguments.reconnect:g} s: {port.trouble}")
         _load_what_serves()
         skin = stack.enter_context(
             Skin(

@@ -174,15 +174,18 @@ class RunStatus(PeriodicThread):
 def report(skin: Any, log: RunLog) -> None:
     """Log the device, the bundle, the skin and the gate, a line each."""
     from eitskin_proto.skin.skin import PAPER
+    from eitskin_proto.wire.volts import DriverHello
 
     hello = skin.device.hello
     for line in skin.transport.report():
         log.say(line)
     version = ".".join(map(str, hello.firmware_version))
-    log.say(
-        f"device: {hello.serial_number}, firmware {version}, protocol {hello.protocol_major}.{hello.protocol_minor}, "
-        f"configuration {skin.device.configuration}, {hello.rate_mHz / 1000:g} frames/s of {hello.rows} rows"
-    )
+    if not isinstance(hello, DriverHello):  # of which the lines above tell
+        log.say(
+            f"device: {hello.serial_number}, firmware {version}, protocol {hello.protocol_major}."
+            f"{hello.protocol_minor}, configuration {skin.device.configuration}, {hello.rate_mHz / 1000:g} frames/s of "
+            f"{hello.rows} rows"
+        )
     solvers = ", ".join(f"{name} {span / 1000:.0f} us" for name, span in skin.pipeline.maps.engine_ns.items())
     bundle = skin.bundle
     log.say(f"bundle: {bundle.path.name} {bundle.id}, labels {bundle.labels}, touches {bundle.touch_kind}; {solvers}")

@@ -19,7 +19,7 @@ from urllib.parse import parse_qsl
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.errors import PortMissing, SkinError, TransportError
+from eitskin.errors import SkinError, TransportError
 from eitskin_proto.fields import Fields
 from eitskin_proto.sensor.row_table import RowTable
 
@@ -121,17 +121,22 @@ def driver_name(port: str) -> str:
     return "" if found is None or found[1] == "usb" else found[1]
 
 
+def device_path(port: str) -> str:
+    """Return the path in a port's name: ``/dev/ttyACM0`` of ``line:/dev/ttyACM0?numbers=256``."""
+    name = driver_name(port)
+    return port[len(name) + 1 :].partition("?")[0] if name else port
+
+
 def open_driver(port: str) -> Driver | PolledDriver:
     """Return the driver of a port ``NAME:REST``.
 
     Raises:
-        PortMissing: There is no driver of this name.
-        TransportError: It cannot be opened, with the reason.
+        TransportError: There is no driver of this name, or it cannot be opened, with the reason.
     """
     name = driver_name(port)
     others = {one.name: one for one in metadata.entry_points(group=GROUP)}
     if name not in SHIPPED and name not in others:
-        raise PortMissing(
+        raise TransportError(
             f"no driver is called {name!r}; there are {', '.join(sorted({*SHIPPED, *others}))}; a package adds one by "
             f"the entry-point group {GROUP}"
         )

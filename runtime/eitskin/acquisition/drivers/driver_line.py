@@ -58,7 +58,7 @@ def hello_of(driver: Driver) -> DriverHello:
         found = DriverHello(
             firmware_version=(0, 0, 0), hardware_id=DRIVER_ID, serial_number=driver.serial_number,
             configuration_digest=crc32c(json.dumps(settings, sort_keys=True, default=str).encode()), generation=0,
-            configuration_name=driver.name, rate_mHz=round(1000 * (driver.rate_hz or USUAL_RATE_HZ)), rows=table.rows,
+            configuration_name=driver.name, rate_mHz=round(1000 * (_rate_hz(driver) or USUAL_RATE_HZ)), rows=table.rows,
             sample_bytes=8, volts_per_count=1.0, step_V=step_V, full_scale_V=full_V, signed=int(driver.signed),
             table_name=table.name[:16], electrodes=electrodes,
         )  # fmt: skip
@@ -66,6 +66,11 @@ def hello_of(driver: Driver) -> DriverHello:
     except (ValueError, OverflowError, ProtocolError) as error:
         raise HandshakeError(f"the driver {driver.name} describes its device wrongly: {error}") from error
     return found
+
+
+def _rate_hz(driver: Driver) -> float:
+    """Return scans per second, as the driver says or has measured; 0 if unknown."""
+    return float(driver.rate_hz or getattr(driver, "measured_hz", 0.0))
 
 
 class DriverLine:
@@ -236,7 +241,7 @@ class DriverLine:
     def report(self) -> list[str]:
         """Return the device and its settings, for people."""
         hello, settings = self.hello, ", ".join(f"{key} {value}" for key, value in self._driver.settings.items())
-        rate = f"{self._driver.rate_hz:g} scans/s" if self._driver.rate_hz else "rate unknown"
+        rate = f"{rate_hz:g} scans/s" if (rate_hz := _rate_hz(self._driver)) else "rate unknown"
         return [
             f"driver {hello.configuration_name}: {hello.serial_number}, {hello.rows} rows ({hello.table_name}), "
             f"{rate}, step {hello.step_V:.3g} V",

@@ -47,6 +47,7 @@ class Sciospec:
         options: Of the port's name.
 
     Raises:
+        NotReady: It does not answer.
         ValueError: An option is wrong.
     """
 
@@ -71,6 +72,7 @@ class Sciospec:
         self._drive, _, self._plus, self._minus = self.table.electrodes.astype(np.intp).T
         self._potentials = np.zeros((n, n), dtype=np.complex128)
         self._have: set[tuple[int, int]] = set()
+        self._command(b"\xb4\x01\x00\xb4", "stop", required=False)
 
     def start(self) -> None:
         """Set the device up, and start it.
@@ -167,6 +169,7 @@ def open_sciospec(rest: str) -> Sciospec:
 
     Raises:
         TransportError: It cannot be opened.
+        NotReady: The device does not answer.
         ValueError: An option is wrong.
     """
     path, options = parse_rest(rest, "sciospec")

@@ -6,7 +6,7 @@
 A line may begin with a label and a colon (``magnitudes: 0.1, 0.2``). Options, all of which may be left out:
 
 ==========  ============================================================================================
-numbers     of a line (default: as the first whole line has)
+numbers     of a line (default: as the first whole line of 8 or more has)
 order       a table (``pyeit-208``), or its kind alone: ``adjacent``, ``opposite``, ``pyeit``, ``eidors``
 table       a file instead: CSV, or .npy, of (rows, 4) electrodes
 values      ``signed`` (default), ``amounts`` (RMS, |Z|), or ``complex``: pairs of real and imaginary part
@@ -41,7 +41,10 @@ from eitskin_proto.files.arrays import read_npy
 from eitskin_proto.sensor.row_table import MAX_ELECTRODES, MIN_ELECTRODES, RowTable, named, usual_table
 
 PROBE_S: Final = 10.0
-"""Longest wait for the first whole line."""
+"""Longest wait for the first whole line, and then for the next."""
+
+RATE_S: Final = 0.3
+"""For which lines are counted if the rate is not stated."""
 
 LARGEST_LINE: Final = 1 << 17
 """Bytes."""
@@ -113,12 +116,13 @@ class TextLine:
             source.write(self._start)
         first = self._first_line(numbers * (2 if self._complex else 1))
         self._numbers = len(_words(first))
+        self.measured_hz = 0.0 if self.rate_hz or self._is_file else self._measured_hz()
         self.table, self._picked = _rows_of(self._numbers // (2 if self._complex else 1), order, file)
         self.step_V = step_V or self._scale * _step_of(first)
         self.settings = {"numbers": self._numbers, "values": values, "scale": self._scale}
 
     def _first_line(self, numbers: int) -> bytes:
-        """Return the first whole line of so many numbers, or of any number for 0."""
+        """Return the first whole line of so many numbers; for 0, of as many as a scan may have."""
         end_s, begun, seen = time.monotonic() + PROBE_S, self._is_file, b""  # a device's first line is cut off
         while (left_s := end_s - time.monotonic()) > 0.0:
             self._buffer += self._source.read(left_s)
@@ -126,7 +130,8 @@ class TextLine:
             for at, line in enumerate(lines):
                 whole, begun, seen = begun, True, line
                 words = _words(line)
-                if whole and words and (len(words) == numbers or not numbers) and _parsed(words) is not None:
+                fits = len(words) == numbers if numbers else len(words) >= MIN_ELECTRODES
+                if whole and fits and _parsed(words) is not None:
                     if self._is_file:  # nothing of a file is over yet
                         self._buffer = b"\n".join([*lines[at:], self._buffer])
                     return line
@@ -136,6 +141,18 @@ class TextLine:
         raise NotReady(
             f"{self._source.name} sent no {wanted[2:]} within {PROBE_S:g} s: {found}; check numbers and baud"
         )
+
+    def _measured_hz(self) -> float:
+        """Return how many lines come a second, to two digits; 0 if no second one comes."""
+        begin_s = now_s = last_s = time.monotonic()
+        lines = 0
+        while (left_s := begin_s + (RATE_S if lines else PROBE_S) - now_s) > 0.0:
+            data = self._source.read(left_s)
+            now_s = time.monotonic()
+            if found := data.count(b"\n"):
+                lines, last_s = lines + found, now_s
+            self._buffer += data
+        return float(f"{lines / max(last_s - begin_s, 1e-3):.2g}")
 
     @property
     def _is_file(self) -> bool:
@@ -178,6 +195,10 @@ class TextLine:
         """Send the text that starts the device, if there is one, and forget lines that came before."""
         if self._start:
             self._source.write(self._start)
+        while not self._is_file and (data := self._source.read(0.0)):
+            self._buffer += data
+        if not self._is_file:
+            self._buffer = self._buffer.rpartition(b"\n")[2]
         self._damaged = 0
 
     def stop(self) -> None:
