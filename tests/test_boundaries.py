@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 RUNTIME = {"numpy", "onnxruntime", "serial", "usb", "msgpack", "zmq", "cobs", "google_crc32c"}
-SIMULATION = {"numpy", "scipy", "rich", "distributed"}
+SIMULATION = {"numpy", "scipy", "distributed"}
 TRAINING = {*SIMULATION, "torch", "matplotlib"}
 
 ALLOWED: dict[str, tuple[str, set[str]]] = {

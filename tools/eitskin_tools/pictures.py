@@ -7,7 +7,9 @@ drawn on the alternate screen, so that the terminal afterwards shows what it sho
 
 import os
 import shutil
+import struct
 import textwrap
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -247,6 +249,22 @@ class Painter:
 def _wrapped(lines: list[str], width: int) -> list[str]:
     """Return lines of limited width."""
     return [part for line in lines for part in textwrap.wrap(line, max(width, 8)) or [""]]
+
+
+def png(pixels: npt.NDArray[np.uint8]) -> bytes:
+    """Return a picture as the content of a PNG file.
+
+    Args:
+        pixels: (height, width, 3), red, green and blue.
+    """
+    height, width, _ = pixels.shape
+    rows = np.pad(pixels.reshape(height, -1), ((0, 0), (1, 0)))  # each begins with 0, the filter that changes nothing
+    parts = {b"IHDR": struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0), b"IDAT": zlib.compress(rows), b"IEND": b""}
+    chunks = [
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in parts.items()
+    ]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
 
 def draw_map(

@@ -31,7 +31,6 @@ def test_every_extra_brings_the_modules_that_the_table_says():
     [
         ("zstandard", "pip install 'eitskin[record]'"),
         ("mcap.reader", "pip install 'eitskin[record]'"),
-        ("rich", "pip install 'eitskin[sim]'"),
         ("msgpack", "pip install eitskin"),
     ],
 )
@@ -77,9 +76,3 @@ def test_a_missing_extra_is_one_line_before_anything_starts(capsys, words, expec
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert expected in err
-
-
-def test_a_picture_is_refused_before_the_run_where_it_cannot_be_drawn(capsys, monkeypatch):
-    monkeypatch.setattr(needs, "find_spec", lambda name: None if name == "matplotlib" else name)
-    assert cli.main(["demo", "--picture", "frame.png"]) == 1
-    assert "--picture needs matplotlib: pip install 'eitskin[plot]'" in capsys.readouterr().err

@@ -8,7 +8,7 @@ from typing import Final
 from eitskin_proto.errors import SkinError
 
 EXTRAS: Final[dict[str, str]] = {
-    "scipy": "sim", "rich": "sim", "torch": "train", "onnx": "train", "onnxscript": "train", "matplotlib": "plot",
+    "scipy": "sim", "torch": "train", "onnx": "train", "onnxscript": "train", "matplotlib": "plot",
     "distributed": "cluster", "skfem": "dev", "mcap": "record", "zstandard": "record", "lz4": "record",
     "pyarrow": "parquet", "rosbags": "ros",
 }  # fmt: skip
@@ -56,11 +56,13 @@ PHYSICS: Final = ("scipy",)
 """All that ``--physics`` needs."""
 
 OPTION_NEEDS: Final[dict[str, tuple[str, ...]]] = {
-    "plot": ("matplotlib",), "picture": ("matplotlib",), "scheduler": ("distributed",),
+    "plot": ("matplotlib",), "scheduler": ("distributed",),
 }  # fmt: skip
 """Modules by option, whichever command has it."""
 
-GIVEN_NEEDS: Final[dict[str, dict[str, tuple[str, ...]]]] = {"view": {"file": RECORDINGS}}
+GIVEN_NEEDS: Final[dict[str, dict[str, tuple[str, ...]]]] = {
+    "view": {"file": RECORDINGS}, "teach": {"picture": ("matplotlib",)},
+}  # fmt: skip
 """Modules by command and what it was given."""
 
 

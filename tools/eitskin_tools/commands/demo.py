@@ -36,7 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--view", action="store_true", help="show it in the browser, until Ctrl-C")
     parser.add_argument("--no-draw", action="store_true", help="do not draw the map in the terminal")
     parser.add_argument("--record", type=Path, metavar="FILE.npz", help="store what the subscriber received")
-    parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw a frame of this run (extra 'plot')")
+    parser.add_argument(
+        "--picture", type=Path, metavar="FILE.png", help="draw a frame of this run and the truth below it"
+    )
     parser.add_argument("--json", action="store_true", help="print the summary as one JSON object")
 
 
@@ -53,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.record is not None:
         files.writable(arguments.record, kinds.DEMO_RECORD)
     if arguments.picture is not None:
-        files.picture(arguments.picture)
+        files.picture(arguments.picture, (".png",))
     bundle, kind = choose(arguments.bundle, options.chosen_touches(arguments))
     for number in endings():
         signal.signal(number, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind

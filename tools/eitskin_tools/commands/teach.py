@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps({"out": str(arguments.out), "bundle": bundle, **card.of_shapes(reports)}))
         return 0
     print(card.verdict(reports))
-    after = "Wrote {}. Next: eitskin run --bundle {}"
+    after = "Wrote {}. Next: eitskin run --port PORT --bundle {}"
     if not presses.logarithmic:
         after = "Wrote {}. Its changes have no known unit, so it works with 'eitskin evaluate --measured' alone ({})."
     print(after.format(arguments.out, arguments.out))

@@ -121,6 +121,6 @@ def _shown(bar: ProgressBar, now: Any) -> None:
         left_min = (now.epochs - epoch.number) * epoch.seconds / 60
         bar.report(
             f"epoch {epoch.number}/{now.epochs} loss {epoch.training_loss:.5f} "
-            f"validation {epoch.validation_loss:.5f} CC {epoch.validation_cc:.4f}",
-            f"{epoch.seconds:.1f} s, {left_min:.0f} min left",
+            f"validation {epoch.validation_loss:.5f} CC {epoch.validation_cc:.4f} {epoch.seconds:.1f} s, "
+            f"{left_min:.0f} min left"
         )
