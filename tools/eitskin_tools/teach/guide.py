@@ -24,10 +24,10 @@ SAME_PLACE_MM: Final = 0.06
 
 
 class PressRecorder:
-    """The presses so far, written to a file after each.
+    """The presses so far.
 
     Args:
-        path: The file; what it holds already is kept.
+        path: The file, which is written after each; what it holds already is kept. None writes nothing.
         places: All of them.
         facts: Further arrays of the file, such as ``size_mm``.
 
@@ -37,22 +37,22 @@ class PressRecorder:
         OSError: It cannot be read.
     """
 
-    def __init__(self, path: Path, places: Sequence[Place], facts: dict[str, Any]) -> None:
+    def __init__(self, path: Path | None, places: Sequence[Place], facts: dict[str, Any]) -> None:
         self._path, self._places, self._facts = path, places, facts
         self.presses: dict[Place, tuple[Array, Array]] = {}
         """Untouched and pressed, (rows,) V each."""
-        if path.exists() and path.stat().st_size:
-            self._resume()
+        if path is not None and path.exists() and path.stat().st_size:
+            self._resume(path)
 
-    def _resume(self) -> None:
-        before = load_presses(self._path)
+    def _resume(self, path: Path) -> None:
+        before = load_presses(path)
         volts, xy = before.readings, before.xy_mm
         for index in np.flatnonzero(~np.isnan(xy[:, 0])):
             x, y = xy[index]
             near = [one for one in self._places if np.hypot(one.x_mm - x, one.y_mm - y) < SAME_PLACE_MM]
             if not near or not index:
                 raise GuideError(
-                    f"{self._path} holds a press at ({x:g}, {y:g}) mm, expected one of this command's "
+                    f"{path} holds a press at ({x:g}, {y:g}) mm, expected one of this command's "
                     f"{len(self._places)} places: name another file"
                 )
             self.presses[near[0]] = volts[index - 1], volts[index]
@@ -63,10 +63,15 @@ class PressRecorder:
         return [place for place in self._places if place not in self.presses]
 
     def add(self, place: Place, untouched_V: Array, pressed_V: Array) -> None:
-        """Keep a press, and write all of them."""
+        """Keep a press."""
         self.presses.pop(place, None)  # the newest is the last one in time
         self.presses[place] = untouched_V, pressed_V
-        with replacing(self._path) as file:
+        if self._path is not None:
+            self.save(self._path)
+
+    def save(self, path: Path) -> None:
+        """Write all presses."""
+        with replacing(path) as file:
             save_arrays(file, self.arrays())
 
     def arrays(self) -> dict[str, Any]:
@@ -101,7 +106,7 @@ class PressGuide(Guide):
     ) -> None:
         super().__init__(frames, talk)
         self._recorder, self._shown, self._count = recorder, shown, count
-        self._watch = FrameWindow(MIN_PRESS)
+        self._watch, self._weakest = FrameWindow(MIN_PRESS), np.inf
 
     def run(self) -> None:
         """Go through all places that are left.
@@ -113,6 +118,17 @@ class PressGuide(Guide):
         self._talk.say(f"{len(left)} presses to go. ({ANSWERS})")
         self.go_through([self._step(place, number + 1, len(left)) for number, place in enumerate(left)])
         self._shown(None)
+
+    def feels_another(self) -> bool:
+        """Return whether one more press comes before the frames end, half as strong as the weakest or more."""
+        watch = self._watch
+        try:
+            frames = self._steady_frames(self._count, lambda: True)[0]
+            watch.set_reference(frames.mean(axis=0), step_noise(frames))
+            self._steady_frames(self._count, lambda: watch.away > max(watch.floor, 0.5 * self._weakest))
+        except GuideError:
+            return False
+        return True
 
     def _step(self, place: Place, number: int, of: int) -> Callable[[], str | None]:
         return lambda: self._press(place, f"{number} of {of}")
@@ -130,6 +146,7 @@ class PressGuide(Guide):
         if word:
             return word
         size = watch.away
+        self._weakest = min(self._weakest, size)
         self._recorder.add(place, untouched, frames.mean(axis=0))
         self._talk.say(f"{which}: felt, {size:.2%}. Let go")
         return self._wait_until(lambda: watch.full and watch.away <= max(watch.floor, MAX_RESIDUAL * size), new=True)

@@ -57,8 +57,8 @@ def lead_through(path: Path, skin: Skin, port: str, baud: int, *, presses: int, 
         device.stop()
 
 
-def presses_of_recording(recording: Path, places: Path, skin: Skin, frames: int, out: Path) -> int:
-    """Write the presses of a recording to a file, and return how many were found.
+def presses_of_recording(recording: Path, places: Path, skin: Skin, frames: int, out: Path) -> None:
+    """Write the presses of a recording to a file.
 
     Args:
         recording: Frames of the sheet, pressed at one place after another, and untouched in between.
@@ -68,7 +68,7 @@ def presses_of_recording(recording: Path, places: Path, skin: Skin, frames: int,
         out: The file to write.
 
     Raises:
-        SkinError: The recording, or the list, cannot be used; or fewer presses were felt than places are listed.
+        SkinError: The recording, or the list, cannot be used; or other than one press was felt for each place.
         OSError: A file cannot be read or written.
     """
     from eitskin.reference.normaliser import rows_of
@@ -80,17 +80,19 @@ def presses_of_recording(recording: Path, places: Path, skin: Skin, frames: int,
     found = table_of(script)
     fit = found.columns["withheld"] == ""
     wanted = places_of(places)
-    recorder = PressRecorder(out, wanted, facts_of(skin, rows_of(script.hello)))
+    recorder = PressRecorder(None, wanted, facts_of(skin, rows_of(script.hello)))
+    guide = PressGuide(recorder, iter(found.voltages_V[fit]), Silent(), count=frames)
     try:
-        PressGuide(recorder, iter(found.voltages_V[fit]), Silent(), count=frames).run()
-    except GuideError as error:
-        if recorder.left:
-            felt = len(wanted) - len(recorder.left)
-            raise GuideError(
-                f"{recording}: felt {felt} presses, expected {len(wanted)} of {places}, each held for {frames} frames "
-                "and let go before the next"
-            ) from error
-    return len(wanted)
+        guide.run()
+        more = "more" if guide.feels_another() else ""
+    except GuideError:
+        more = ""
+    if recorder.left or more:
+        raise GuideError(
+            f"{recording}: felt {more or len(recorder.presses)} presses{' than places' if more else ''}, expected the "
+            f"{len(wanted)} of {places}, each held for {frames} frames and let go before the next"
+        )
+    recorder.save(out)
 
 
 def facts_of(skin: Skin, table: RowTable) -> dict[str, Any]:
