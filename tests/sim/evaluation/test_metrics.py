@@ -136,7 +136,7 @@ def test_two_point_distance_is_between_borders_and_below_a_pixel_in_resolution()
     # 27 empty pixels of 10/3 mm between two touches are the paper's 90 mm.
     image = block(slice(10, 13), slice(3, 6)) + block(slice(10, 13), slice(33, 36))
     assert metrics.two_point_distance_mm(image) == pytest.approx(90.0, rel=1e-12)
-    assert metrics.distance_error(image, 90.0) == pytest.approx(0.0, abs=1e-12)
+    assert metrics.score(image, image).distance_error == 0.0
     # A pixel a quarter covered beside a full one moves the crossing of one half by 1/6 of a pitch.
     image[10:13, 6] = 0.25
     assert metrics.two_point_distance_mm(image) == pytest.approx(90.0 - GRID.pitch_mm * (2 / 3 - 1 / 2), rel=1e-9)

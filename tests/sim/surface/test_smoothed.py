@@ -8,7 +8,7 @@ from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import fit_cloud
-from eitskin_sim.surface.smoothed import Scan, exact, smoothed
+from eitskin_sim.surface.smoothed import Scan, smoothed
 
 NOISE_MM = 0.1
 PLACES = np.stack([one.ravel() for one in np.meshgrid(np.linspace(0, 150, 19), np.linspace(0, 100, 13))], axis=-1)
@@ -44,7 +44,8 @@ def test_a_smoothed_metric_is_as_unsure_as_it_says(bend: Bend) -> None:
 def test_rates_are_quotients_of_the_metrics_of_moved_surfaces() -> None:
     """A cloud moved a little at every point changes the metric as some mixture of the ways says, and by no more."""
     cloud = np.asarray(measured_cloud(PLAIN, None), dtype=np.float64)
-    scan = exact(fit_cloud(cloud))
+    surface = fit_cloud(cloud)
+    scan = Scan(surface, np.zeros((surface.coefficients.size, 0)), PAPER.grid)
     rates = scan.rates(PLACES)
     assert rates.shape == (3, len(PLACES), 3 * scan.surface.coefficients[..., 0].size)
     rng = np.random.default_rng(3)
@@ -54,13 +55,6 @@ def test_rates_are_quotients_of_the_metrics_of_moved_surfaces() -> None:
     flat = rates.reshape(-1, rates.shape[-1])
     along = np.linalg.lstsq(flat, quotient, rcond=None)[0]
     assert np.linalg.norm(flat @ along - quotient) < 1e-5 * np.linalg.norm(quotient), "the ways of noise are all there"
-
-
-def test_an_exact_surface_is_off_by_nothing() -> None:
-    surface = fit_cloud(np.asarray(measured_cloud(PLAIN, None)))
-    scan = exact(surface)
-    assert scan.surface is surface
-    assert (scan.rates(PLACES) @ scan.unsure).shape == (3, len(PLACES), 0)
 
 
 def test_what_no_metric_shows_stays_as_it_was_fitted() -> None:

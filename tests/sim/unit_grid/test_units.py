@@ -79,4 +79,3 @@ def test_lines_stand_on_borders_and_on_contacts_edges() -> None:
     for wanted in (*edges, *np.linspace(0.0, 150.0, 15)):
         assert np.abs(lines - wanted).min() < 1e-8
     assert np.diff(lines).min() > 0.1
-    assert np.array_equal(unit_lines(150.0, 14, edges, refine=3)[::3], lines)

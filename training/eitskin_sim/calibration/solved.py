@@ -16,10 +16,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.devices.loose_contacts import loose_contacts
 from eitskin_sim.fem.borders.cut_elements import touch
-from eitskin_sim.fem.contacts import Contacts
 from eitskin_sim.fem.forward import Factor, System, assemble
 from eitskin_sim.fem.mesh import TensorMesh
 from eitskin_sim.fem.meshing import scene_mesh
@@ -134,17 +132,11 @@ class Solved:
         """Return (16, 16, 16) dD by the logarithm of each contact's impedance."""
         contacts = self.factor.system.contacts
         rate = self.factor.density**2 * contacts.impedance_ohm_m2
-        return self._of_each(contacts, rate)
+        return self.factor.contact_powers(contacts, rate)
 
     def by_layer(self) -> Array:
         """Return (modes, 16, 16) dD by each mode's amplitude."""
-        contacts = self.factor.system.contacts
-        power = np.swapaxes(self._fields, 1, 2) @ (self.factor.blocks @ self._fields)
-        if len(contacts.element):
-            rate = self.factor.density**2 * contacts.fringe_m
-            drops = self.factor.contact_drops()
-            through = np.swapaxes(drops, 1, 2) @ (contacts.mass_m2 @ drops) * rate[:, None, None]
-            np.add.at(power, contacts.element, through)
+        power = self.factor.element_powers(np.full(len(self.modes), self.factor.system.background))
         return np.asarray(-np.tensordot(self.modes.T, power, axes=1))
 
     def _system(self, shape: Shape) -> System:
@@ -156,7 +148,7 @@ class Solved:
         """Return (16, 16) the energy of a system under touches, the sheet's own where None, in the held fields."""
         blocks, density = _touched(system, self.touches if touches is None else touches)
         found = np.tensordot(self._fields, blocks @ self._fields, axes=([0, 1], [0, 1]))
-        return np.asarray(found + self._of_each(system.contacts, density).sum(axis=0))
+        return np.asarray(found + self.factor.contact_powers(system.contacts, density).sum(axis=0))
 
     def _by_contact(self, moved: Callable[[float], Electrodes]) -> Array:
         sheet, metric = self.shape.sheet(self.size_mm), self.shape.metric(self.scanned, self.size_mm[0])
@@ -165,18 +157,8 @@ class Solved:
             contacts = loose_contacts(self.mesh, sheet, moved(h), metric)
             contacts = replace(contacts, fringe_m=contacts.fringe_m / self.factor_of_layer[contacts.element])
             system = replace(self.factor.system, contacts=contacts)
-            energies.append(self._of_each(contacts, _touched(system, self.touches)[1]))
+            energies.append(self.factor.contact_powers(contacts, _touched(system, self.touches)[1]))
         return -(energies[1] - energies[0]) / (2.0 * STEP_MM)
-
-    def _of_each(self, contacts: Contacts, density: Array) -> Array:
-        """Return (16, 16, 16) energies in each electrode's contact."""
-        at = self.mesh.element_nodes[contacts.element]
-        fields, held = self.factor.node_fields, self.factor.electrode_fields
-        drops = fields[at] - held[contacts.electrode][:, None, :]
-        each = np.swapaxes(drops, 1, 2) @ ((density[:, None, None] * contacts.mass_m2) @ drops)
-        found = np.zeros((N_ELECTRODES, N_ELECTRODES, N_ELECTRODES))
-        np.add.at(found, contacts.electrode, each)
-        return found
 
 
 def _touched(system: System, touches: Touches) -> tuple[Array, Array]:

@@ -24,8 +24,7 @@ import numpy.typing as npt
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.devices.device import Device
 from eitskin_sim.devices.loose_contacts import loose_contacts
-from eitskin_sim.fem.contacts import Contacts
-from eitskin_sim.fem.forward import Factor, assemble
+from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.layer import log_conductivity
@@ -86,13 +85,14 @@ def expansion(device: Device, bend: Bend, element_size_mm: float) -> Expansion:
     mesh = scene_mesh(Scene(sheet, electrodes, element_size_mm=element_size_mm))
     factor = assemble(mesh, sheet, electrodes, metric).factorise()
     found = factor.differences()[FIRST, SECOND]
-    power = _power(factor)
+    sigma = np.full(mesh.n_elements, factor.system.background)
+    power = factor.element_powers(sigma)[:, FIRST, SECOND]
     middle = factor.system.metric
     area = 0.5 * np.log(middle[:, 0] * middle[:, 2] - middle[:, 1] ** 2)
 
     def through(changed: Electrodes) -> Array:
         contacts = loose_contacts(mesh, sheet, changed, metric)
-        return _through(factor, contacts, contacts.density(np.full(len(contacts.element), factor.system.background)))
+        return factor.contact_powers(contacts, contacts.density(sigma[contacts.element]))[:, FIRST, SECOND]
 
     def slope(change: Callable[[float], Electrodes], step: float) -> Array:
         return (through(change(step)) - through(change(-step))) / (2 * step)
@@ -112,35 +112,12 @@ def expansion(device: Device, bend: Bend, element_size_mm: float) -> Expansion:
         [
             slope(placed, share * PLACE_MM),
             slope(sized, share * SIZE),
-            -_through(factor, contacts, contacts.impedance_ohm_m2 * factor.density**2),
+            -factor.contact_powers(contacts, contacts.impedance_ohm_m2 * factor.density**2)[:, FIRST, SECOND],
             cosines(mesh.centres_mm, sheet).T @ power,
             -area[None] @ power,
         ]
     )
     return Expansion(np.sign(found), np.log(np.abs(found)), -slopes / found)
-
-
-def _power(factor: Factor) -> Array:
-    """Return the (n_elements, 120) change of x A x by the logarithm of each element's conductivity."""
-    system, contacts = factor.system, factor.system.contacts
-    fields = factor.element_fields()
-    found = (np.swapaxes(fields, 1, 2) @ (factor.blocks @ fields))[:, FIRST, SECOND]
-    if contacts.fringe_m.any():
-        drops = factor.contact_drops()
-        rate = factor.density**2 * contacts.fringe_m / system.background
-        parts = np.swapaxes(drops, 1, 2) @ ((rate[:, None, None] * contacts.mass_m2) @ drops)
-        np.add.at(found, contacts.element, parts[:, FIRST, SECOND])
-    return np.asarray(found)
-
-
-def _through(factor: Factor, contacts: Contacts, density: Array) -> Array:
-    """Return the (16, 120) share of x A x that each electrode's contact has, of contacts anywhere on the mesh."""
-    at = factor.system.mesh.element_nodes[contacts.element]
-    drops = factor.node_fields[at] - factor.electrode_fields[contacts.electrode][:, None, :]
-    parts = np.swapaxes(drops, 1, 2) @ ((density[:, None, None] * contacts.mass_m2) @ drops)
-    found = np.zeros((N_ELECTRODES, len(FIRST)))
-    np.add.at(found, contacts.electrode, parts[:, FIRST, SECOND])
-    return found
 
 
 def cosines(xy_mm: Array, sheet: Sheet) -> Array:

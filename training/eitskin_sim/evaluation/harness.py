@@ -194,19 +194,6 @@ SOLVERS: Final[Mapping[str, Solver]] = _registry()
 """Every classical solver by name; "-pixels" and "-units" fix the grid that the plain name takes from the labels."""
 
 
-def evaluate(
-    phantoms: Sequence[Phantom],
-    solver: Solver,
-    *,
-    noise: Kind = "N2",
-    snr_db: float = 50.0,
-    reference: Reference = "post",
-    seeds: int = 1,
-) -> Results:
-    """Return one solver's scores of every phantom, one a seed; as :func:`evaluate_all`, which has more to choose."""
-    return evaluate_all(phantoms, [Run(solver, reference)], Conditions(noise, snr_db, seeds))[0]
-
-
 def evaluate_all(
     phantoms: Sequence[Phantom],
     runs: Sequence[Run],

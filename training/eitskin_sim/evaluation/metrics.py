@@ -198,15 +198,6 @@ def two_point_distance_mm(image: npt.NDArray[np.floating], grid: Grid = PAPER.gr
     return min(gaps, default=math.nan)
 
 
-def distance_error(image: npt.NDArray[np.floating], true_distance_mm: float, grid: Grid = PAPER.grid) -> float:
-    """Return the paper's DE = |D - D_r| / D_r of the two closest touches; 1 if fewer than two are found.
-
-    Raises:
-        ValueError: The true distance is not positive.
-    """
-    return _relative(two_point_distance_mm(image, grid), true_distance_mm)
-
-
 def score(
     image: npt.NDArray[np.floating],
     truth: npt.NDArray[np.floating],

@@ -50,16 +50,6 @@ class System:
     """(n_elements,) conductivity over the nominal at the middles, 1 on an even sheet; ``stiffness`` and the contacts'
     fringe have it already, so conductivities are given as if the layer were even."""
 
-    def solve(self, sigma: Array | None = None, *, polish: bool = True) -> Array:
-        """Return the (16 drives, 16 electrodes) potentials in V under 1 A, their mean zero.
-
-        Args:
-            sigma: (n_elements,) S/m; the untouched sheet's where None.
-            polish: Evaluate them by the energy, which squares the factorisation's error: 1e-9 becomes rounding.
-        """
-        factor = self.factorise(sigma)
-        return factor.polished() if polish else factor.potentials()
-
     def factorise(self, sigma: Array | None = None) -> "Factor":
         """Return the factorised system for conductivities (n_elements,) in S/m."""
         if sigma is None:
@@ -110,10 +100,6 @@ class Factor:
         self.electrode_fields: Array = drives[n_nodes:]
         """(16 electrodes, 16 drives) V."""
 
-    def potentials(self) -> Array:
-        """Return the (16 drives, 16 electrodes) potentials of mean zero."""
-        return _centred(self.electrode_fields.T)
-
     def element_fields(self) -> Array:
         """Return the (n_elements, 9, 16) fields, each element's middle at zero: differences keep their digits."""
         fields = self.node_fields[self.system.mesh.element_nodes]
@@ -124,6 +110,35 @@ class Factor:
         contacts = self.system.contacts
         at = self.system.mesh.element_nodes[contacts.element]
         return np.asarray(self.node_fields[at] - self.electrode_fields[contacts.electrode][:, None, :])
+
+    def element_powers(self, sigma: Array) -> Array:
+        """Return the (n_elements, 16, 16) change of x A x by the logarithm of each element's conductivity.
+
+        Args:
+            sigma: (n_elements,) S/m under the contacts.
+        """
+        contacts, fields = self.system.contacts, self.element_fields()
+        power = np.swapaxes(fields, 1, 2) @ (self.blocks @ fields)
+        if contacts.fringe_m.any():
+            drops = self.contact_drops()
+            rate = self.density**2 * contacts.fringe_m / sigma[contacts.element]
+            through = np.swapaxes(drops, 1, 2) @ (contacts.mass_m2 @ drops) * rate[:, None, None]
+            np.add.at(power, contacts.element, through)
+        return np.asarray(power)
+
+    def contact_powers(self, contacts: Contacts, density: Array) -> Array:
+        """Return the (16, 16, 16) share of x A x that each electrode's contact has, of contacts anywhere on the mesh.
+
+        Args:
+            contacts: m pieces of contact.
+            density: (m,) S/m^2, their conductance per area.
+        """
+        at = self.system.mesh.element_nodes[contacts.element]
+        drops = self.node_fields[at] - self.electrode_fields[contacts.electrode][:, None, :]
+        each = np.swapaxes(drops, 1, 2) @ ((density[:, None, None] * contacts.mass_m2) @ drops)
+        found = np.zeros((N_ELECTRODES, N_ELECTRODES, N_ELECTRODES))
+        np.add.at(found, contacts.electrode, each)
+        return found
 
     def differences(self) -> Array:
         """Return the (16 drives, 16 measures) voltages U[m] - U[m + 1], by b_m x_k + b_k x_m - x_k A x_m.

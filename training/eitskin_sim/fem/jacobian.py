@@ -79,17 +79,8 @@ def jacobian(factor: Factor, sigma: Array, cells: Index, n_cells: int, table: np
         n_cells: How many cells there are.
         table: (rows, 2) drives and measures.
     """
-    system, contacts = factor.system, factor.system.contacts
-    n_elements = system.mesh.n_elements
-    fields = factor.element_fields()
-    power = np.swapaxes(fields, 1, 2) @ (system.stiffness @ fields)
-    if contacts.fringe_m.any():
-        rate = factor.density**2 * contacts.fringe_m / sigma[contacts.element] ** 2
-        drops = factor.contact_drops()
-        through = np.swapaxes(drops, 1, 2) @ (contacts.mass_m2 @ drops) * rate[:, None, None]
-        np.add.at(power, contacts.element, through)
-    rows = power[:, table[:, 0], table[:, 1]]
-    gather = csr_array((np.ones(n_elements), (cells, np.arange(n_elements))), (n_cells, n_elements))
+    rows = factor.element_powers(sigma)[:, table[:, 0], table[:, 1]]
+    gather = csr_array((1.0 / sigma, (cells, np.arange(len(sigma)))), (n_cells, len(sigma)))
     return np.asarray(-(gather @ rows).T)
 
 

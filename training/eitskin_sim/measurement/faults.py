@@ -88,8 +88,6 @@ def measure(
     faults: Sequence[Fault] = (),
     *,
     table: npt.NDArray[np.uint8] = FULL_TABLE,
-    compliance_ohm: float = COMPLIANCE_OHM,
-    input_ohm: float = INPUT_OHM,
     rng: np.random.Generator | None = None,
 ) -> Array:
     """Return the (rows,) V that a front end of 1 A reads.
@@ -98,8 +96,6 @@ def measure(
         response: (16, 16) ohm of the sheet.
         faults: What is wrong; several at once are allowed.
         table: (rows, 2) drive and measure of each row.
-        compliance_ohm: The load up to which the source holds its current.
-        input_ohm: Load of a wire to mid potential.
         rng: Draws the noise of noisy electrodes; a frame a call.
 
     Raises:
@@ -107,11 +103,11 @@ def measure(
     """
     _check(faults, rng)
     wires, series = _circuit(response, faults)
-    leak = 1.0 / (1.0 + series / input_ohm)
+    leak = 1.0 / (1.0 + series / INPUT_OHM)
     drive, sense = table[:, 0].astype(np.intp), table[:, 1].astype(np.intp)
     after = (np.arange(N_ELECTRODES) + 1) % N_ELECTRODES
     loads = np.diag(wires) + np.diag(wires)[after] - wires[np.arange(16), after] - wires[after, np.arange(16)]
-    current = np.minimum(1.0, compliance_ohm / np.maximum(np.abs(loads), 1e-12))
+    current = np.minimum(1.0, COMPLIANCE_OHM / np.maximum(np.abs(loads), 1e-12))
     potentials = current[:, None] * (wires - np.roll(wires, -1, axis=1)).T  # (16 drives, 16 wires)
     potentials = leak * (potentials - potentials.mean(axis=1, keepdims=True))
     rows = potentials[drive, sense] - potentials[drive, after[sense]]

@@ -8,7 +8,7 @@ terminal k and takes q I out of terminal k + 1. Kirchhoff's law at the terminals
 
 what the sink leaves goes home through the strays. A pair reads
 
-    V[k, m] = I / q' gain_m (plus U[m] - minus U[m+1]) + offset,        q' = q where V is divided by the sink's current
+    V[k, m] = I / q' gain_m (U[m] - minus U[m+1]) + offset,        q' = q where V is divided by the sink's current
 
 as that part of V that is in phase with the source. Y is never formed: R + c 1 1^T / 16, with R centred, is its inverse
 but for the constant mode, which gives (P + (R + c 1 1^T / 16) diag s) U = (R + c 1 1^T / 16) i, P = 1 - 1 1^T / 16.
@@ -40,22 +40,19 @@ class FrontEnd:
 
     gain: Each = 1.0
     """Of each measured pair."""
-    offset_per_drive_V: Each = 0.0
-    """Added to every reading of a drive."""
     offset_per_pair_V: Each = 0.0
     """Added to every reading of a measured pair."""
     stray_S: complex | tuple[complex, ...] = 0.0
     """Admittance from each terminal to ground: that of a wire's :func:`capacitance`, or the real one of a leak."""
-    plus_gain: float = 1.0
     minus_gain: float = 1.0
-    """Of the paths to the amplifier's two inputs: what is unequal turns common potential into signal."""
+    """Of the path to the amplifier's minus input over that of plus: it turns common potential into signal."""
     sink_share: Each = 1.0
     """q, the sink's current over the source's, in each drive."""
     normalised: bool = False
     """Whether the instrument reads V over the current that returns in its sink, times the nominal current."""
 
     def __post_init__(self) -> None:
-        for name in ("gain", "offset_per_drive_V", "offset_per_pair_V", "stray_S", "sink_share"):
+        for name in ("gain", "offset_per_pair_V", "stray_S", "sink_share"):
             found = np.asarray(getattr(self, name))
             if found.shape not in ((), (N_ELECTRODES,)):
                 raise ValueError(f"{name} has {found.size} numbers; it must be one, or {N_ELECTRODES}")
@@ -82,12 +79,11 @@ class FrontEnd:
         drive, pair = table[:, 0].astype(np.intp), table[:, 1].astype(np.intp)
         potentials = np.asarray(self.potentials(response)).real  # (..., 16 drives, 16 terminals)
         after = (pair + 1) % N_ELECTRODES
-        seen = self.plus_gain * potentials[..., drive, pair] - self.minus_gain * potentials[..., drive, after]
+        seen = potentials[..., drive, pair] - self.minus_gain * potentials[..., drive, after]
         scale = current_A * _each(self.gain).real[pair]
         if self.normalised:
             scale = scale / _each(self.sink_share).real[drive]
-        offset = _each(self.offset_per_drive_V).real[drive] + _each(self.offset_per_pair_V).real[pair]
-        return np.asarray(scale * seen + offset)
+        return np.asarray(scale * seen + _each(self.offset_per_pair_V).real[pair])
 
     def potentials(self, response: Array) -> Potentials:
         """Return the (..., 16 drives, 16 terminals) V over ground under 1 A; complex where a stray is capacitive."""

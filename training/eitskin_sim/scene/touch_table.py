@@ -74,14 +74,6 @@ class TouchTable:
         rows = np.arange(first[-1]) + np.repeat(self.first[numbers] - first[:-1], counts)
         return TouchTable(self.pieces[rows], first)
 
-    def areas(self, number: int, grid: Grid = PAPER.grid) -> Array:
-        """Return the (rows, columns) touched share of every pixel."""
-        total, lines = np.zeros(grid.shape), pixel_lines(grid)
-        for piece in self.of(number):
-            rows, columns, share = cover(piece, *lines)
-            total[rows, columns] += share
-        return np.minimum(total, 1.0)
-
     def area_table(self, grid: Grid = PAPER.grid) -> csr_array:
         """Return the (T, pixels) touched shares, sparse; a piece that recurs is measured once.
 

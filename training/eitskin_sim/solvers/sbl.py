@@ -65,11 +65,11 @@ class Posterior:
     """s^2."""
 
 
-def windows_of(shape: tuple[int, int], window: tuple[int, int] = WINDOW) -> npt.NDArray[np.intp]:
+def windows_of(shape: tuple[int, int]) -> npt.NDArray[np.intp]:
     """Return the (windows, h) cells of every window of a grid, windows row by row."""
-    rows, columns = (np.arange(n - w + 1) for n, w in zip(shape, window, strict=True))
+    rows, columns = (np.arange(n - w + 1) for n, w in zip(shape, WINDOW, strict=True))
     first = (rows[:, None] * shape[1] + columns).ravel()
-    inside = (np.arange(window[0])[:, None] * shape[1] + np.arange(window[1])).ravel()
+    inside = (np.arange(WINDOW[0])[:, None] * shape[1] + np.arange(WINDOW[1])).ravel()
     return np.asarray(first[:, None] + inside)
 
 

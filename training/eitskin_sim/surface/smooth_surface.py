@@ -30,6 +30,9 @@ SMOOTHING_MM: Final = 2.5
 NODE_MM: Final = 5.0
 """About the distance of the nodes at which the fitted spline is evaluated; cubic splines go on from there."""
 
+ROUNDS: Final = 3
+"""Times that rows and columns are redrawn evenly."""
+
 CHORDS_PER_STEP: Final = 8
 """Arc length is summed over chords this many times shorter than a step between nodes."""
 
@@ -62,7 +65,7 @@ def fit_surface(places_mm: Array, points_mm: Array, size_mm: tuple[float, float]
     return np.asarray((kernel @ (coefficients + solve(left_over))).T.reshape(3, nodes[1], nodes[0]))
 
 
-def by_arc_length(surface: Array, shape: tuple[int, int], rounds: int = 3) -> Array:
+def by_arc_length(surface: Array, shape: tuple[int, int]) -> Array:
     """Return (3, rows, columns) points at the centres of equal parts, by arc length, of a surface's rows and columns.
 
     Rows and columns are redrawn in turn until both are even; on a sheet that is stretched evenly that is where the
@@ -71,10 +74,9 @@ def by_arc_length(surface: Array, shape: tuple[int, int], rounds: int = 3) -> Ar
     Args:
         surface: (3, ny, nx) positions from side to side.
         shape: Rows and columns of the result.
-        rounds: How often rows and columns are redrawn.
     """
     even = surface
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         even = _even(_even(even, axis=2), axis=1)
     rows, columns = ((np.arange(n) + 0.5) / n for n in shape)
     return _sample(_sample(even, columns, axis=2), rows, axis=1)

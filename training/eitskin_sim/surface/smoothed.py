@@ -49,11 +49,6 @@ class Scan:
         return _rates(self.surface, xy_mm, *noise_tangents(xy_mm, self.grid))
 
 
-def exact(surface: FittedSurface, grid: Grid = PAPER.grid) -> Scan:
-    """Return a surface that is off by nothing."""
-    return Scan(surface, np.zeros((surface.coefficients.size, 0)), grid)
-
-
 def smoothed(surface: FittedSurface, noise_mm: float, grid: Grid = PAPER.grid) -> Scan:
     """Return the surface that a scan most likely shows.
 

@@ -1,6 +1,6 @@
-"""A plane disc with sixteen contacts on its rim, solved on the rectangle that it is mapped onto.
+"""A plane disc with sixteen contacts on its rim, solved on the square that it is mapped onto.
 
-In the disc the layer conducts K = sigma t, the same in every direction, and so it does in the rectangle: the elements
+In the disc the layer conducts K = sigma t, the same in every direction, and so it does in the square: the elements
 there are those of a flat sheet. What differs are the contacts, whose conductance goes by the disc's lengths. They get
 those as a metric whose length along the border is the map's scale and whose area stays 1, so that the layer keeps its
 thickness.
@@ -44,19 +44,19 @@ class Disc:
     map: DiscMap = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "map", DiscMap((SIDE_MM, SIDE_MM), self.radius_mm))
+        object.__setattr__(self, "map", DiscMap(SIDE_MM, self.radius_mm))
 
     @property
     def sheet(self) -> Sheet:
-        """The rectangle's layer."""
-        return Sheet(self.map.size_mm, self.thickness_mm, self.conductivity_S_per_m)
+        """The square's layer."""
+        return Sheet((SIDE_MM, SIDE_MM), self.thickness_mm, self.conductivity_S_per_m)
 
     @property
     def electrodes(self) -> Electrodes:
-        """The contacts on the rectangle's border, each of its own width there."""
+        """The contacts on the square's border, each of its own width there."""
         middles, half = np.array(self.electrodes_deg), np.array(self.electrode_width_deg) / 2
         start, stop = (self.map.rim_to_arc_mm(middles + side) for side in (-half, half))
-        perimeter = 2.0 * sum(self.map.size_mm)
+        perimeter = 4.0 * SIDE_MM
         sizes = np.remainder(stop - start, perimeter)
         centres = np.remainder(start + sizes / 2, perimeter)
         return Electrodes(
@@ -71,12 +71,12 @@ def assemble_disc(mesh: TensorMesh, disc: Disc, metric: Metric = flat_metric) ->
     """Return the system of a disc.
 
     Args:
-        mesh: Of the rectangle, with lines at the ends of every contact (``disc.sheet``, ``disc.electrodes``).
+        mesh: Of the square, with lines at the ends of every contact (``disc.sheet``, ``disc.electrodes``).
         disc: What is solved.
         metric: The first fundamental form of the bent disc at points (n, 2) mm from its middle.
 
     Raises:
-        ValueError: The mesh does not cover the rectangle, or a contact's end is no line of it.
+        ValueError: The mesh does not cover the square, or a contact's end is no line of it.
     """
     sheet, electrodes = disc.sheet, disc.electrodes
     turned = _turned(disc.map, metric)
@@ -95,7 +95,7 @@ def turned_form(first: Array, angle: Array | float) -> Array:
 
 
 def _turned(disc: DiscMap, metric: Metric) -> Metric:
-    """First fundamental form along the rectangle's axes, which the map turns."""
+    """First fundamental form along the square's axes, which the map turns."""
 
     def turned(xy_mm: Array) -> Array:
         return turned_form(metric(disc.to_disc(xy_mm)), disc.turn(xy_mm))
@@ -105,12 +105,11 @@ def _turned(disc: DiscMap, metric: Metric) -> Metric:
 
 def _rim_metric(disc: DiscMap, inner: Metric) -> Metric:
     """E, F, G at points of the border: stretched by the scale along it, by its inverse across."""
-    length = disc.size_mm[0]
 
     def metric(xy_mm: Array) -> Array:
         E, _, G = inner(xy_mm).T
         square = np.maximum(disc.scale(xy_mm), 1e-9) ** 2
-        upright = (xy_mm[:, 0] < 1e-9 * length) | (xy_mm[:, 0] > (1.0 - 1e-9) * length)
+        upright = (xy_mm[:, 0] < 1e-9 * SIDE_MM) | (xy_mm[:, 0] > (1.0 - 1e-9) * SIDE_MM)
         along_x, along_y = np.where(upright, 1.0 / square, square), np.where(upright, square, 1.0 / square)
         return np.stack([E * along_x, np.zeros(len(xy_mm)), G * along_y], axis=-1)
 

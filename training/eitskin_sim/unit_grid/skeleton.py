@@ -63,14 +63,13 @@ class UnitMesh:
         return self.shape[0] * self.shape[1]
 
 
-def unit_lines(extent_mm: float, count: int, edges_mm: Sequence[float], refine: int = 1) -> Array:
+def unit_lines(extent_mm: float, count: int, edges_mm: Sequence[float]) -> Array:
     """Return mesh lines across ``count`` units, on their borders and on contacts' edges.
 
     Args:
         extent_mm: The sheet's length or width.
         count: Units side by side.
         edges_mm: Where lines must be.
-        refine: Each element is cut into so many.
     """
     side = extent_mm / count
     found: list[float] = []
@@ -87,26 +86,23 @@ def unit_lines(extent_mm: float, count: int, edges_mm: Sequence[float], refine: 
             else:
                 lines = np.append(lines, edge)
         found += np.sort(lines).tolist()
-    whole = np.unique(np.round(found, 9))
-    parts = np.linspace(whole[:-1], whole[1:], refine, endpoint=False, axis=-1)
-    return np.append(parts.ravel(), extent_mm)
+    return np.append(np.unique(np.round(found, 9))[:-1], extent_mm)
 
 
-def unit_mesh(sheet: Sheet, electrodes: Electrodes, shape: tuple[int, int], refine: int = 1) -> UnitMesh:
+def unit_mesh(sheet: Sheet, electrodes: Electrodes, shape: tuple[int, int]) -> UnitMesh:
     """Return the mesh that rows and columns of units need.
 
     Args:
         sheet: The flat layer.
         electrodes: On its border.
         shape: Rows and columns of units.
-        refine: Multiplies the elements along each direction.
     """
     rows, columns = shape
     x, y = electrode_lines(sheet, electrodes)
     between = lines_between(sheet, electrodes)
     mesh = TensorMesh(
-        unit_lines(sheet.size_mm[0], columns, sorted({*(at for at, _ in x), *between[0]}), refine),
-        unit_lines(sheet.size_mm[1], rows, sorted({*(at for at, _ in y), *between[1]}), refine),
+        unit_lines(sheet.size_mm[0], columns, sorted({*(at for at, _ in x), *between[0]})),
+        unit_lines(sheet.size_mm[1], rows, sorted({*(at for at, _ in y), *between[1]})),
     )
     x_borders = np.linspace(0.0, sheet.size_mm[0], columns + 1)
     y_borders = np.linspace(0.0, sheet.size_mm[1], rows + 1)
@@ -228,15 +224,13 @@ class Condensed:
 
 
 @lru_cache(maxsize=8)
-def _nominal_mesh(skin: Skin, refine: int) -> UnitMesh:
-    return unit_mesh(ideal(skin).sheet, ideal(skin).electrodes, skin.grid.units, refine)
+def _nominal_mesh(skin: Skin) -> UnitMesh:
+    return unit_mesh(ideal(skin).sheet, ideal(skin).electrodes, skin.grid.units)
 
 
-def unit_system(
-    bend: Bend, refine: int = 1, device: Device | None = None, skin: Skin = PAPER
-) -> tuple[UnitMesh, System]:
+def unit_system(bend: Bend, device: Device | None = None, skin: Skin = PAPER) -> tuple[UnitMesh, System]:
     """Return a skin's mesh, whatever the device, and a device's system at one bend; None is what the skin states."""
-    parts, true, nominal = _nominal_mesh(skin, refine), device or ideal(skin), ideal(skin).electrodes
+    parts, true, nominal = _nominal_mesh(skin), device or ideal(skin), ideal(skin).electrodes
     return parts, system_on(parts.mesh, true.sheet, true.electrodes, lambda xy: metric(bend, true.sheet, xy), nominal)
 
 

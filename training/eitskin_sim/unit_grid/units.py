@@ -34,8 +34,6 @@ class UnitGenerator:
 
     Args:
         bend: The sheet's shape.
-        touched: S/m of a touched unit.
-        refine: Multiplies the elements along each direction.
         device: Sheet and electrodes, whose front end comes after; None is what the skin states.
         skin: Whose units.
 
@@ -47,23 +45,21 @@ class UnitGenerator:
         self,
         bend: Bend,
         *,
-        touched: float = TOUCHED_S_PER_M,
-        refine: int = 1,
         device: Device | None = None,
         skin: Skin = PAPER,
     ) -> None:
-        parts, system = unit_system(bend, refine, device, skin)
+        parts, system = unit_system(bend, device, skin)
         self._columns = parts.shape[1]
-        check_contrasts(np.array([touched / system.background]))
+        check_contrasts(np.array([TOUCHED_S_PER_M / system.background]))
         self._n_skeleton = len(parts.skeleton)
-        self._units = condense_units(parts, system, (system.background, touched))
+        self._units = condense_units(parts, system, (system.background, TOUCHED_S_PER_M))
         size = self._n_skeleton + N_ELECTRODES
         self._inverse = inverse(assemble_skeleton(self._units, size))
         self._sharing = np.bincount(np.concatenate([unit.dofs for unit in self._units]), minlength=size)
         self._regions: dict[tuple[int, ...], Condensed] = {}
         self.at_terminals: Array = self._inverse[-N_ELECTRODES:, -N_ELECTRODES:].copy()
         """(16, 16) potentials of electrodes, V for 1 A into each, with nothing touched."""
-        self._contrast = touched / system.background
+        self._contrast = TOUCHED_S_PER_M / system.background
         self._of_contrasts = ContrastUnits(self._inverse, self._units, parts, system)
 
     @property

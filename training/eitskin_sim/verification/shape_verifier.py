@@ -32,7 +32,6 @@ from eitskin_sim.verification.residual import Noise, Rows, change_of, check_fram
 from eitskin_sim.verification.shape_verdict import ShapeVerdict, scatter_of, touches_of
 from eitskin_sim.verification.sheet_model import model_of_cloud
 from eitskin_sim.verification.touch_prior import touch_prior
-from eitskin_sim.verification.unseen import Spreads
 from eitskin_sim.verification.verdict import LEVEL
 
 BUDGET_S: Final = 2.0
@@ -49,7 +48,6 @@ class ShapeVerifier:
         noise: Of a frame.
         touches: Which way this skin's touches change conductance.
         skin: The skin of the frames.
-        spreads: How much may differ between the sheet and its model; None is what the skin says.
         clock: In seconds, for budgets; ``time.process_time`` on a machine that is shared.
     """
 
@@ -59,14 +57,13 @@ class ShapeVerifier:
         noise: Noise,
         touches: TouchKind = "raise",
         skin: Skin = PAPER,
-        spreads: Spreads | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._rows = reference_V != 0.0
         self._reference = np.where(self._rows, reference_V, np.nan)
         self._noise, self._prior = noise, touch_prior(touches, skin)
         self._clock = clock
-        self._skin, self._spreads = skin, spreads
+        self._skin = skin
         self.deformation = Deformation(clock)
         """The present one, with its models and what they took."""
 
@@ -76,7 +73,7 @@ class ShapeVerifier:
         Raises:
             ValueError: The cloud is malformed, or folds in its own plane.
         """
-        self.deformation.scan(lambda: model_of_cloud(cloud_mm, self._skin, self._spreads))
+        self.deformation.scan(lambda: model_of_cloud(cloud_mm, self._skin))
 
     def use_untouched(self, voltages_V: Array, frames: int = 1) -> bool:
         """Learn from what the deformation reads while nothing touches it.

@@ -22,11 +22,11 @@ from eitskin_sim.scene.nominal import flat_metric_of, nominal_sheet
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import Solved, TouchedSheet
 from eitskin_sim.surface.predict import FittedSurface, fit_cloud
-from eitskin_sim.surface.smoothed import Scan, exact, smoothed
+from eitskin_sim.surface.smoothed import Scan, smoothed
 from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.at_rest import AtRest, at_rest
 from eitskin_sim.verification.residual import Noise, Rows, Whitener
-from eitskin_sim.verification.unseen import Spreads, Unseen, spreads_of, unseen
+from eitskin_sim.verification.unseen import Unseen, unseen
 from eitskin_sim.verification.usual_waves import MaterialPrior, usual_waves
 from eitskin_sim.verification.waves import waves_of
 
@@ -48,7 +48,6 @@ class SheetModel:
     unseen: Unseen
     flat_V: Array
     """(104,) of the model's flat sheet."""
-    spreads: Spreads
     skin: Skin
     held: Array
     """(k,) amplitudes of the first columns, waves and layer, that the model has already."""
@@ -172,7 +171,7 @@ class SheetModel:
         for kept in (slice(waves), self._gauge_column):
             held[kept] = self.held[kept] + share * (amplitudes[kept] - self.held[kept])
         try:
-            return _model(self.scan, self.material, self.spreads, self.skin, held, self._gauge(held))
+            return _model(self.scan, self.material, self.skin, held, self._gauge(held))
         except (ValueError, np.linalg.LinAlgError):
             return None
 
@@ -189,7 +188,7 @@ class SheetModel:
         model = self
         if self.material.at_rest is not self.material.ways:
             material = replace(self.material, ways=self.material.at_rest)
-            model = _model(self.scan, material, self.spreads, self.skin)
+            model = _model(self.scan, material, self.skin)
         for left in reversed(range(c.MAX_MODELS_AT_REST + 1)):
             ratio = model.ratio(change)
             beside, expected = change - model.untouched, model.expected(ratio)
@@ -207,25 +206,22 @@ class SheetModel:
 
     def _gauge(self, held: Array) -> float:
         """Return the gauge factor of amplitudes of the first columns."""
-        return float(self.spreads.gauge * held[self._gauge_column])
+        return float(c.GAUGE_SD * held[self._gauge_column])
 
 
-def model_of_cloud(cloud_mm: npt.ArrayLike, skin: Skin = PAPER, spreads: Spreads | None = None) -> SheetModel:
+def model_of_cloud(cloud_mm: npt.ArrayLike, skin: Skin = PAPER) -> SheetModel:
     """Return the model of a scanned deformation.
 
     Args:
         cloud_mm: (3, rows, columns) mm.
         skin: Whose sheet.
-        spreads: How much may differ; None is what the skin says. A scan that shows more noise has more.
 
     Raises:
         ValueError: The cloud is malformed, or folds in its own plane.
     """
-    surface, known = fit_cloud(cloud_mm, skin.grid), spreads or spreads_of(skin)
-    scan = exact(surface, skin.grid)
-    if known.scan_mm:
-        scan = smoothed(surface, max(known.scan_mm, scan_noise_mm(cloud_mm, surface, skin.grid)), skin.grid)
-    return _model(scan, usual_waves(skin).under(scan), known, skin)
+    surface, stated_mm = fit_cloud(cloud_mm, skin.grid), skin.may_be_off.scan_noise_mm[0] or c.SCAN_NOISE_MM
+    scan = smoothed(surface, max(stated_mm, scan_noise_mm(cloud_mm, surface, skin.grid)), skin.grid)
+    return _model(scan, usual_waves(skin).under(scan), skin)
 
 
 def scan_noise_mm(cloud_mm: npt.ArrayLike, surface: FittedSurface, grid: Grid = PAPER.grid) -> float:
@@ -247,17 +243,17 @@ def scan_noise_mm(cloud_mm: npt.ArrayLike, surface: FittedSurface, grid: Grid = 
 
 
 def _model(
-    scan: Scan, material: MaterialPrior, spreads: Spreads, skin: Skin, held: Array | None = None, gauge: float = 0.0
+    scan: Scan, material: MaterialPrior, skin: Skin, held: Array | None = None, gauge: float = 0.0
 ) -> SheetModel:
     """Return the model of a scan about amplitudes of its first columns; None of them is none."""
-    ways = spreads.material * material.ways
+    ways = material.ways
     own = np.zeros(ways.shape[1]) if held is None else held[: ways.shape[1]]
     metric = waves_of(skin).moved(scan.surface.metric, material.mean + ways @ own)
     sheet = touched_sheet(metric, skin, gauge)
-    found = unseen(sheet, metric, scan, ways, spreads, skin, nominal_sheet(skin).gauge_factor + gauge)
+    found = unseen(sheet, metric, scan, ways, skin, nominal_sheet(skin).gauge_factor + gauge)
     if held is None:
         held = np.zeros(found.n_waves + len(found.names))
-    return SheetModel(sheet, metric, scan, material, found, flat_model_V(skin), spreads, skin, held)
+    return SheetModel(sheet, metric, scan, material, found, flat_model_V(skin), skin, held)
 
 
 def touched_sheet(metric: Metric, skin: Skin, gauge: float = 0.0) -> TouchedSheet:

@@ -188,9 +188,9 @@ class UnitFrame:
         return best
 
 
-def unverified(seconds: float = 0.0) -> UnitVerdict:
+def unverified() -> UnitVerdict:
     """Return the verdict on a frame with too many units: no touches, flagged."""
-    return UnitVerdict((), 0.0, 1, 0.0, LEVEL, 0, seconds)
+    return UnitVerdict((), 0.0, 1, 0.0, LEVEL, 0, 0.0)
 
 
 def _rectangles(units: Index, grid: Grid) -> Array:

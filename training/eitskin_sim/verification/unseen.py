@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eitskin_proto.sensor.table import TABLE
-from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.skin import Skin
 from eitskin_sim.fem.borders.enrichment import PRODUCTS
 from eitskin_sim.fem.mesh import MM, Metric
 from eitskin_sim.freeform.mesh import KEPT_NODES, MIDDLE_NODE, with_contacts
@@ -30,30 +30,6 @@ from eitskin_sim.shapes.sheet import TouchedSheet
 from eitskin_sim.surface.smoothed import Scan
 from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.waves import Waves, waves_of
-
-
-@dataclass(frozen=True, slots=True)
-class Spreads:
-    """How far a sheet may differ from its model, before anything is measured: standard deviations, 0 leaves one out."""
-
-    drift: float = c.DRIFT_SD
-    """Of the whole layer's conductivity since the reference, as a part of it."""
-    tilt: float = c.TILT_SD
-    """Of its planes along x and along y, each of rms 1."""
-    gauge: float = c.GAUGE_SD
-    """Of k, where conductivity goes by (area stretch)^-k."""
-    material: float = 1.0
-    """Of material that lies elsewhere than a scan can tell: over what the skin's deformations say."""
-    scan_mm: float = c.SCAN_NOISE_MM
-    """Noise of the scanner."""
-
-
-def spreads_of(skin: Skin) -> Spreads:
-    """Return the assumptions of a verifier that knows only the skin of the device.
-
-    Of the scanner that is the least noise that the skin states: a scan that has more shows it by its own points.
-    """
-    return Spreads(scan_mm=skin.may_be_off.scan_noise_mm[0] or c.SCAN_NOISE_MM)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,9 +75,8 @@ def unseen(
     metric: Metric,
     scan: Scan,
     ways: Array,
-    spreads: Spreads,
-    skin: Skin = PAPER,
-    gauge: float = 0.0,
+    skin: Skin,
+    gauge: float,
 ) -> Unseen:
     """Return the possible differences on a deformation.
 
@@ -110,7 +85,6 @@ def unseen(
         metric: The sheet's.
         scan: Its surface, and what that may be off by.
         ways: (w, k) amplitudes of the waves by which its material may lie elsewhere, for one standard deviation.
-        spreads: How much may differ.
         skin: Whose sheet.
         gauge: k of its model, where conductivity goes by (area stretch)^-k: it follows what changes the stretch.
     """
@@ -139,7 +113,7 @@ def unseen(
         sum(by.T @ rate for by, rate in zip(by_metric, rates, strict=True))
         for rates in (waves.rates(metric, at), scan.rates(at))
     )
-    fields = _layer_fields(at, first, skin, spreads)
+    fields = _layer_fields(at, first, skin)
     layer = np.array([by_log_sigma.T @ (size * one) for one, size in fields.values()]).T
     parts = [moved @ ways, layer, _strongest(noise @ scan.unsure)]
     return Unseen(tuple(fields), np.concatenate(parts, axis=1), waves, ways, by_log_sigma)
@@ -152,21 +126,20 @@ def _strongest(columns: Array) -> Array:
     return np.asarray(left[:, :kept] * size[:kept])
 
 
-def _layer_fields(xy_mm: Array, metric: Array, skin: Skin, spreads: Spreads) -> dict[str, tuple[Array, float]]:
+def _layer_fields(xy_mm: Array, metric: Array, skin: Skin) -> dict[str, tuple[Array, float]]:
     """Return by name (n,) changes of the layer's log conductivity, and the standard deviation of how much of each.
 
     Args:
         xy_mm: (n, 2) flat places.
         metric: (n, 3) E, F, G there.
         skin: Whose layer.
-        spreads: How much may differ.
     """
     length, width = skin.outline.size_mm
     x, y = xy_mm.T
     E, F, G = metric.T
     return {
-        "drift": (np.ones(len(xy_mm)), spreads.drift),
-        "tilt x": (np.sqrt(12.0) * (x / length - 0.5), spreads.tilt),
-        "tilt y": (np.sqrt(12.0) * (y / width - 0.5), spreads.tilt),
-        "gauge": (-0.5 * np.log(E * G - F**2), spreads.gauge),
+        "drift": (np.ones(len(xy_mm)), c.DRIFT_SD),
+        "tilt x": (np.sqrt(12.0) * (x / length - 0.5), c.TILT_SD),
+        "tilt y": (np.sqrt(12.0) * (y / width - 0.5), c.TILT_SD),
+        "gauge": (-0.5 * np.log(E * G - F**2), c.GAUGE_SD),
     }
