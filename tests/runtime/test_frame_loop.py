@@ -4,7 +4,6 @@ import pytest
 
 from eitskin.errors import PortLost
 from eitskin.frame_loop import GIVE_WAY_S, DeferredWork
-from eitskin.frame_record import STAGES
 from eitskin.messaging.frame import unpack_frame
 from eitskin.messaging.streams.envelope import FIRST_BYTE, opened
 from eitskin.messaging.streams.measured import WireFrame
@@ -54,20 +53,6 @@ def test_a_frame_is_handed_over_before_it_is_counted_and_counted_before_it_is_to
     assert len(records) == 1  # one record, overwritten
     assert streaming.published == 20
     assert repr(streaming).endswith(f"on {streaming.transport.name}: open, 20 frames>")
-
-
-def test_what_nobody_wants_is_counted_and_neither_computed_nor_packed(streaming):
-    taker = Taker(wanted=False)
-    for record in streaming.publish(taker):
-        assert (record.solver, record.inferred) == ("none", False)
-        assert record.stamps[STAGES.index("pack")] == record.stamps[STAGES.index("infer")]
-        if streaming.statistics.frames == 10:
-            break
-    assert taker.got == []
-    assert streaming.published == 0
-    taker.wanted, taker.skin = True, streaming
-    next(iter(streaming.publish(taker)))
-    assert unpack_frame(taker.got[0][0], 0).number == 1
 
 
 class Both(Taker):

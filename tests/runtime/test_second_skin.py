@@ -5,19 +5,15 @@ import zipfile
 from dataclasses import replace
 from pathlib import Path
 
-import msgpack
 import numpy as np
 import pytest
 from tests.second_skin import SECOND, rolled
 
 import eitskin
 from eitskin.acquisition.capture import capture
-from eitskin.errors import BundleError, ControlError, FrameError, MismatchError
+from eitskin.errors import BundleError, ControlError, MismatchError
 from eitskin.messaging.control import ControlServer
-from eitskin.messaging.frame import unpack_frame
-from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.publish import Publisher
-from eitskin.messaging.regions import Region
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import load_bundle
 from eitskin.model.engine import engines
@@ -25,7 +21,6 @@ from eitskin.model.geometry import GeometryGraph
 from eitskin.model.skin_in_use import use_skin
 from eitskin.reference import captured as references
 from eitskin.reference.builder import ReferenceBuilder
-from eitskin.reference.plausible import check_prediction
 from eitskin.skin import Skin
 from eitskin_proto.skin.cloud_file import Surface, save_surface
 from eitskin_proto.skin.parts import Layer, Map
@@ -96,39 +91,6 @@ def test_every_solver_fills_its_map(second):
         engine.infer()
         assert buffers.map.shape == (1, 810)
         assert buffers.map.any()
-
-
-def test_frames_have_its_shape_within_bounds():
-    packer = FramePacker(configuration="c", bundle="b", serial_number="s", run="r", shape=SHAPE)
-    values = np.linspace(0.0, 1.0, 810, dtype=np.float32)
-    packer.put_map(memoryview(values).cast("B"))
-    packer.put_texts("vd2t", (), ())
-    frame = unpack_frame(bytes(packer.message()), 0)
-    assert np.array_equal(frame.map, values.reshape(SHAPE))
-    assert frame.regions == (Region(0, 18, 0, 45),)
-    fields = msgpack.unpackb(bytes(packer.message()))
-    wrong = [[30, 45], [18, 45, 1], [-18, -45], [810, 1], [18.0, 45], [True, 810], 810]
-    for change in (*({"shape": shape} for shape in wrong), {"regions": [[0, 19, 0, 45]]}):
-        with pytest.raises(FrameError):
-            unpack_frame(msgpack.packb(fields | change), 0)
-    short = msgpack.packb({key: value for key, value in fields.items() if key not in ("shape", "map")})
-    assert np.array_equal(unpack_frame(short, 0, frame).map, frame.map)
-
-
-def test_a_prediction_of_a_stretched_sheet_of_any_proportions_passes():
-    flat = np.linspace(1.0, 2.0, 104)
-    square = replace(SECOND, outline=replace(SECOND.outline, size_mm=(155.0, 155.0)))
-    for skin, along, across in ((SECOND, 0.08, 1.88), (square, 0.98, 0.98)):
-        cloud = skin.grid.flat_cloud_mm() * np.array([1.2, 1.1, 1.0]).reshape(3, 1, 1)
-        explained = 1.2**along * 1.1**across
-        check_prediction(cloud, flat * explained * 1.28, flat, None, skin)  # exp(0.25) = 1.284
-        with pytest.raises(ValueError, match=r"expected \S+ to \S+ times for this cloud"):
-            check_prediction(cloud, flat * explained * 1.29, flat, None, skin)
-    gauge = replace(SECOND, layer=Layer(gauge_factor=Quantity(2.0)))
-    cloud = SECOND.grid.flat_cloud_mm() * np.array([1.2, 1.0, 1.0]).reshape(3, 1, 1)
-    check_prediction(cloud, flat * 1.2**2.08, flat, None, gauge)
-    with pytest.raises(ValueError, match="times for this cloud"):
-        check_prediction(cloud, flat * 1.2**2.08, flat, None, SECOND)
 
 
 def test_a_reference_of_another_skin_is_refused(hello, counts, tmp_path):

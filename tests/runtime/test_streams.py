@@ -205,18 +205,3 @@ def test_withheld_frames_are_told_too_and_what_happened_stands_in_the_state(virt
     assert states[-1].status["withheld_by_reason"]["frozen"] == len(frozen)
     assert {item.reference for item in states} == {captured.stored(runtime.skin.reference)}
     assert states[-1].as_dict()["serial"] == "VIRTUAL-0001"
-
-
-def test_nothing_is_made_while_nobody_asks(virtual_skin, running, tmp_path):
-    with virtual_skin(rate_hz=100.0) as port, running(port, tmp_path) as runtime:
-        with eitskin.subscribe(runtime.publisher.endpoint, "all", touches=True) as frames:
-            first = next(frames)
-            until(frames, lambda frame: frame.number > first.number + 20)
-            assert frames.passed_over == frames.rejected == 0
-        sending = runtime.publisher.streams
-        assert not sending.asked
-        assert set(sending.numbers.values()) == {0}
-        with eitskin.subscribe_streams(runtime.publisher.endpoint, clouds=False, state=False) as streams:
-            until(streams, lambda item: isinstance(item, WireFrame))
-        assert sending.numbers["wire"] > 0
-        assert sending.numbers["cloud"] == sending.numbers["state"] == 0

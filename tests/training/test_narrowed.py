@@ -10,7 +10,6 @@ import torch
 
 from eitskin_proto.errors import MismatchError
 from eitskin_training import train
-from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe, recipe
 from eitskin_training.samples.batches import inputs
@@ -81,11 +80,3 @@ def test_only_the_same_shape_is_narrowed(data: Any, start: Start, tmp_path: Path
     assert not fits(start, wider)
     with pytest.raises(MismatchError, match="network to start from"):
         train.train(data, wider, tmp_path, start=start)
-
-
-@pytest.mark.parametrize("ranks", [(1, 2, 3), (0, 2, 3, 4), (1, 2, 3, 4, 5)])
-def test_ranks_are_one_a_layer(ranks: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match="ranks are"):
-        Architecture(widths=(8, 8), ranks=ranks)
-    with pytest.raises(ValueError, match="ranks are"):
-        Architecture(voltage_channel="paper", widths=(8, 8), ranks=(1, 2, 3, 4))

@@ -3,7 +3,6 @@
 import os
 import resource
 import socket
-import stat
 from pathlib import Path
 
 import pytest
@@ -81,13 +80,3 @@ def test_what_the_system_refuses_is_said_of_the_file_that_was_asked_for_and_leav
     assert caught.value.filename == str(tmp_path / "none" / "a")
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_permissions_follow_the_umask(tmp_path: Path) -> None:
-    before = os.umask(0o027)
-    try:
-        write_bytes(tmp_path / "a", b"x")
-        write_bytes(tmp_path / "b", b"x", mode=0o600)
-    finally:
-        os.umask(before)
-    assert [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in "ab"] == [0o640, 0o600]

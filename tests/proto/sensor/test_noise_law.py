@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.noise_law import noise_law, noise_of, own_sd, shared_noise
+from eitskin_proto.sensor.noise_law import noise_law, noise_of, own_sd
 
 VOLTS = np.geomspace(0.02, 1.0, 104)
 
@@ -49,12 +49,6 @@ def test_a_shared_component_has_its_true_size_although_frames_are_as_few_as_rows
         assert shared.shape == (104, 1)
         sizes.append(np.sum(shared**2))
     assert np.mean(sizes) == pytest.approx(25.0, rel=0.2)
-
-
-def test_rows_that_share_all_of_their_noise_keep_a_little_of_their_own():
-    shared = shared_noise(np.ones((104, 104)), 100)
-    assert shared.shape == (104, 1)
-    assert np.all(own_sd(np.ones(104), shared) > 0.1)
 
 
 def test_too_few_frames_and_a_front_end_that_repeats_itself_are_refused():

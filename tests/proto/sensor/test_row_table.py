@@ -38,22 +38,6 @@ def test_each_order_of_adjacent_rows_gives_the_projects(source: str) -> None:
     np.testing.assert_allclose(found, _scan(ADJACENT_104), rtol=1e-12)
 
 
-def test_reciprocals_are_averaged_and_so_is_their_noise() -> None:
-    mapped = row_map(named("pyeit-208"), ADJACENT_104)
-    noise = np.random.default_rng(1).standard_normal((2000, 208))
-    found = np.zeros((2000, 104))
-    for one, out in zip(noise, found, strict=True):
-        mapped.apply(one, out)
-    np.testing.assert_allclose(found.std(axis=0), mapped.spread(np.ones(208)), rtol=0.1)  # 6 sigma of 2,000 draws
-    np.testing.assert_allclose(mapped.spread(np.ones(208)), np.sqrt(0.5))
-
-
-def test_amounts_have_no_sign_to_change() -> None:
-    mapped, found = row_map(named("pyeit-208"), ADJACENT_104, signed=False), np.zeros(104)
-    mapped.apply(np.abs(_scan(named("pyeit-208"))), found)
-    np.testing.assert_allclose(found, np.abs(_scan(ADJACENT_104)), rtol=1e-12)
-
-
 def test_rows_that_are_not_there_are_refused() -> None:
     with pytest.raises(ValueError, match="104 of 104 rows are measured neither directly"):
         row_map(named("opposite-192"), ADJACENT_104)

@@ -59,12 +59,6 @@ def test_a_known_order_is_named(volts, said):
     assert said in found.text
 
 
-def test_a_half_turn_that_leaves_the_levels_as_they_are_is_right():
-    even = levels(TABLE, 2.0 * np.pi * np.arange(16) / 16)
-    turned = levels((TABLE.astype(int) + 8) % 16, 2.0 * np.pi * np.arange(16) / 16)
-    assert read_wiring(measured(turned), even).right
-
-
 def test_a_failed_electrode_is_not_a_wrong_order():
     volts, rng = measured(MODEL), np.random.default_rng(5)
     failed = np.isin(TABLE, (3, 4)).any(axis=1)

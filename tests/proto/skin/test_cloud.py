@@ -30,23 +30,6 @@ def test_the_pose_of_the_scanner_does_not_matter(seed, make):
     assert np.abs(network_input(moved) - network_input(make())).max() < 1e-6  # float32 of numbers of order one
 
 
-def test_alignment_moves_rigidly_and_keeps_every_distance():
-    cloud, aligned = bent().reshape(3, -1), align_cloud(bent()).reshape(3, -1)
-    rng = np.random.default_rng(0)
-    first, second = rng.integers(0, 1350, (2, 500))
-    before = np.linalg.norm(cloud[:, first] - cloud[:, second], axis=0)
-    after = np.linalg.norm(aligned[:, first] - aligned[:, second], axis=0)
-    assert np.abs(before - after).max() < 1e-11
-
-
-def test_a_mirrored_sheet_is_not_turned_into_the_sheet():
-    mirrored = bent() * np.array([1.0, 1.0, -1.0]).reshape(3, 1, 1)
-    assert np.abs(align_cloud(mirrored) - align_cloud(bent())).max() > 1.0
-    # What is bent towards the viewer stays so: the rotation is proper.
-    assert align_cloud(bent())[2, 15, 22] > align_cloud(bent())[2, 15, 0]
-    assert align_cloud(mirrored)[2, 15, 22] < align_cloud(mirrored)[2, 15, 0]
-
-
 def test_alignment_is_the_best_of_all_nearby_poses():
     aligned, flat = align_cloud(bent()), flat_cloud()
     best = np.sum((aligned - flat) ** 2)

@@ -33,16 +33,6 @@ def test_the_paper_s_sheet_has_four_images_that_lie_on_one_another():
     assert found[2].electrodes[0] == 12
 
 
-def test_two_images_or_one_are_left_where_electrodes_are_off():
-    arc = PAPER.arc_length_mm
-    in_x = arc.copy()
-    in_x[[0, 4]] += (2.0, -2.0)  # stay each other's image in x
-    assert [(one.x, one.y) for one in images(_with(in_x))] == [(False, False), (True, False)]
-    alone = arc.copy()
-    alone[0] += 2.0
-    assert len(images(_with(alone))) == 1
-
-
 def test_a_ring_that_is_off_by_millimetres_is_nearly_symmetric_and_has_the_images_of_the_even_one():
     off_mm = np.random.default_rng(5).uniform(-0.4, 0.4, 16) * NEAR_MM
     skin = _with(PAPER.arc_length_mm + off_mm)

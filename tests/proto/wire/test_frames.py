@@ -51,18 +51,6 @@ def test_every_frame_survives_the_wire(frame):
     assert same(messages.unpack(payload), frame)
 
 
-def test_one_view_reads_frames_of_changing_shape_without_mixing_them():
-    view, rng = FrameView(), np.random.default_rng(1)
-    for full, drives, width in [(True, 0xFFFF, 4), (False, 0xFFFF, 3), (False, 0x11, 2), (False, 0xFFFF, 3)] * 2:
-        rows = row_count(full, drives)
-        limit = full_scale(width)
-        counts = rng.integers(-limit - 1, limit, rows, dtype=np.int32, endpoint=True)
-        payload = Frame(1, 2, counts, sample_bytes=width, flags=int(full), drives=drives).pack()
-        view.load(payload)
-        assert view.rows == rows
-        assert np.array_equal(view.counts, counts)
-
-
 @pytest.mark.parametrize("width", [2, 3, 4])
 def test_the_ends_of_the_scale_keep_their_sign(width):
     limit = full_scale(width)

@@ -49,17 +49,6 @@ def test_after_garbage_and_one_delimiter_the_next_packet_is_not_shifted(garbage,
     assert deframer.feed(encode(payload)) == [payload]
 
 
-def test_a_lost_byte_drops_one_packet_and_only_that_one():
-    first, second, third = (bytes([i]) * 120 for i in (1, 2, 3))
-    damaged = encode(second)
-    for lost in range(len(damaged) - 1):
-        deframer = Deframer()
-        stream = encode(first) + damaged[:lost] + damaged[lost + 1 :] + encode(third)
-        assert deframer.feed(stream) == [first, third]
-        assert deframer.corrupt == 1
-        assert deframer.discarded_bytes == len(damaged) - 2
-
-
 def test_memory_is_bounded_when_no_delimiter_ever_comes():
     deframer = Deframer(max_payload=100)
     for _ in range(1000):

@@ -26,15 +26,6 @@ def test_the_scan_time_follows_a_drifting_device_clock():
     assert abs(clock.drift_ppm - 80) < 5
 
 
-def test_a_reset_of_the_device_starts_the_estimate_anew():
-    clock = DeviceClock()
-    for index in range(1000):
-        clock.scanned_ns(index * 5000, index * 5_000_000)
-    clock.restart()
-    assert clock.scanned_ns(10, 9_000_000_000) == 9_000_000_000
-    assert clock.drift_ppm == 0.0
-
-
 def asked(true_ns, offset_ns, out_ns, back_ns, extra_us=123_456):
     """Return the sample of a question whose answer was made at a true time, with its way there and back."""
     return TimeSample(((true_ns - offset_ns) // 1000 + extra_us) % 2**32, true_ns - out_ns, true_ns + back_ns)

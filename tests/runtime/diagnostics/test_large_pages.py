@@ -49,11 +49,6 @@ def test_memory_in_use_gets_large_pages_and_keeps_what_it_holds(memory, monkeypa
     assert 1024 * huge_kB(begin) >= got
 
 
-def test_a_whole_process_may_be_laid_on_large_pages(memory):
-    assert large_pages.use_large_pages() >= 0
-    assert memory[:] == bytes(range(256)) * (BYTES // 256)
-
-
 @pytest.mark.parametrize("content", [None, "", "many\n"])
 def test_a_system_without_them_is_left_alone(monkeypatch, tmp_path, content):
     path = tmp_path / "size"

@@ -55,18 +55,6 @@ def test_a_message_over_the_limit_takes_no_memory_and_no_answer(server, raw):
     assert raw(msgpack.packb({"command": "status"}))["ok"] is True
 
 
-def test_a_runtime_that_is_not_there_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("eitskin.messaging.reachability.runtime_folders", list)
-    with pytest.raises(ControlError, match="is the runtime running"):
-        request(f"ipc://{tmp_path}/nobody", "status", timeout_s=0.1)
-    with pytest.raises(
-        ControlError, match=r"there is no .*/nobody; .*eitskin run --port PORT --control ipc://.*/nobody"
-    ):
-        eitskin.send_cloud(f"ipc://{tmp_path}/nobody", flat_cloud(), timeout_s=0.1)
-    with pytest.raises(EndpointError):
-        request("nothing", "status", timeout_s=0.1)
-
-
 def test_tcp_control_needs_keys_even_on_loopback(recorder, tmp_path):
     with pytest.raises(EndpointError, match="--curve-keys"):
         ControlServer("tcp://127.0.0.1:*", recorder)

@@ -51,16 +51,6 @@ def test_a_frame_for_which_nothing_was_computed_has_a_map_of_zeros_whatever_the_
     assert not unpack_frame(packed(messages, record), 0).map.any()
 
 
-def test_a_message_goes_without_a_map_only_if_the_last_one_had_it(messages, record):
-    first = packed(messages, record, short=True)
-    assert unpack_frame(first, 0).skipped == ()
-    second = packed(messages, record, short=True)
-    frame = unpack_frame(second, 0, unpack_frame(first, 0))
-    assert (frame.number, frame.skipped) == (2, ("map:unchanged",))
-    assert len(second) < len(first) - 5000
-    assert len(packed(messages, record)) > 5000  # no subscriber may leave it out unasked
-
-
 def test_a_taker_of_messages_in_this_process_keeps_a_copy(messages, record):
     here = LastMessage()
     messages.begin(record, short=here.short)

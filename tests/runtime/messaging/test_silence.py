@@ -1,12 +1,10 @@
 """A subscriber to whom nothing comes: where it waited, who is there, what to do; the endpoint it takes unasked."""
 
-import socket
-
 import pytest
 import zmq
 
 import eitskin
-from eitskin.errors import EndpointError, NoFrame
+from eitskin.errors import NoFrame
 from eitskin.messaging import endpoints
 from eitskin.messaging.publish import Publisher
 from eitskin.messaging.streams.envelope import packed
@@ -42,13 +40,6 @@ def test_an_endpoint_where_nobody_ever_was_is_named_with_what_to_do(session):
     assert "\n" not in text
 
 
-def test_a_socket_that_was_left_behind_is_told_from_none(session):
-    path = session / "frames"
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as left:
-        left.bind(str(path))
-    assert "its socket is left over" in said_to(f"ipc://{path}")
-
-
 def test_somebody_who_says_nothing_is_told_from_nobody(session):
     publisher = Publisher(f"ipc://{session}/frames")
     try:
@@ -82,11 +73,6 @@ def test_skins_of_a_robot_are_named_with_what_shows_one_and_all(alone):
         "'eitskin status --all'"
     ) in text
     assert "--port" not in text
-
-
-def test_an_endpoint_that_is_none_says_what_one_looks_like():
-    with pytest.raises(EndpointError, match=r"expected ipc:///path or tcp://address:port"):
-        eitskin.subscribe("here")
 
 
 @pytest.fixture

@@ -83,15 +83,6 @@ def test_a_bundle_for_something_else_is_refused_with_found_expected_and_command(
     assert "eitskin export" in text
 
 
-def test_a_graph_whose_metadata_names_another_grid_is_refused(tmp_path, tiny, parts):
-    from eitskin.model.geometry import GeometryGraph
-
-    model = parts["geometry.onnx"].replace(PAPER.grid_id.encode(), b"feedfeedfeedfeed")
-    path = write(tmp_path / "b.eitskin", parts | {"geometry.onnx": model}, checksums=True)
-    with pytest.raises(MismatchError, match="feedfeedfeedfeed"):
-        GeometryGraph(load_bundle(path))
-
-
 def test_files_that_are_no_bundles_are_refused_in_one_line(tmp_path, parts):
     missing = tmp_path / "none.eitskin"
     text = tmp_path / "text.eitskin"

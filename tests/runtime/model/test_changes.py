@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.gate import RELEASE_FRAMES, SLOW_FRAMES, ChangeDetector, Filters, Gate, RememberingGate
+from eitskin.model.gate import SLOW_FRAMES, ChangeDetector, Filters, RememberingGate
 
 WHITENED, COUNT, LIMIT, STILL = 60, 24, 7.0, 0.25
 NOISE = 0.2
@@ -78,19 +78,6 @@ def test_a_moving_sheet_is_no_touch_and_hides_none():
         assert judged(changes, way[100:95:-1] + PRESS, rng).any()
 
 
-def test_what_a_strong_press_leaves_behind_is_no_touch():
-    rng = np.random.default_rng(5)
-    rest = sheet(rng)
-    changes = watching(rest, rng)
-    strong = 12.0 * PRESS
-    assert judged(changes, np.tile(rest + strong, (100, 1)), rng, touched=True).all()
-    after = judged(changes, np.tile(rest + 0.08 * strong, (300, 1)), rng)
-    assert not after.any()
-    assert not changes.held
-    assert changes.seen >= 300 - 2 * RELEASE_FRAMES
-    assert judged(changes, np.tile(rest + 0.08 * strong + PRESS, (5, 1)), rng).any()
-
-
 def test_noise_however_strong_is_no_touch():
     for noise in (0.02, 0.2, 3.0):
         rng = np.random.default_rng(6)
@@ -118,16 +105,6 @@ def shipped():
     if arrays is None:
         pytest.skip("the shipped bundle has no gate; 'eitskin export' makes one")
     return arrays
-
-
-def test_a_gate_that_remembers_says_of_one_frame_what_any_gate_says(shipped):
-    rng = np.random.default_rng(9)
-    plain, remembering = Gate(shipped), RememberingGate(shipped)
-    for change in 0.05 * rng.standard_normal((20, 1)) * rng.standard_normal((20, 104)):
-        plain.change[:] = remembering.change[:] = change
-        remembering.reset()
-        assert remembering.touched() == plain.touched()
-        assert remembering.logit == plain.logit
 
 
 def test_a_common_factor_is_no_change(shipped):

@@ -3,7 +3,6 @@
 import numpy as np
 
 from eitskin.model.denormals import SMALLEST, flushed
-from eitskin.model.gate import Gate
 from eitskin.model.onnx_graph import GRAPH, INITIALISER, content, fields_of, without_small_weights
 
 DENORMAL = np.float32(1e-40)
@@ -39,16 +38,3 @@ def test_a_networks_denormal_weights_are_0_before_it_is_loaded(tiny):
     assert DENORMAL.tobytes() not in mended
     assert len(mended) == len(model)
     assert sum(a != b for a, b in zip(mended, damaged, strict=True)) <= 8
-
-
-def test_a_gates_denormal_weights_count_as_0(tiny):
-    arrays = {name: np.array(value) for name, value in tiny.gate_arrays().items()}
-    zeros = dict(arrays)
-    arrays["w1"] = np.full_like(arrays["w1"], 1e-39)
-    zeros["w1"] = np.zeros_like(arrays["w1"])
-    logits = []
-    for found in (Gate(arrays), Gate(zeros)):
-        found.change[:] = 1e5
-        found.touched()
-        logits.append(found.logit)
-    assert logits[0] == logits[1]

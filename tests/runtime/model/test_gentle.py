@@ -55,23 +55,6 @@ def test_only_where_the_own_map_shows_faint_touches_alone_the_other_network_runs
         assert np.array_equal(whole, touched(pixels).ravel())
 
 
-def test_between_the_bounds_either_map_has_its_share_without_a_jump():
-    pixel = GRID.size_mm[0] * GRID.size_mm[1] / GRID.n_pixels
-    other = touched(12, row=3)
-    for shown in (
-        *SHOWN_BOUNDS_MM2,
-        0.5 * sum(SHOWN_BOUNDS_MM2),
-        SHOWN_BOUNDS_MM2[0] + 0.01,
-        SHOWN_BOUNDS_MM2[1] - 0.01,
-    ):
-        own = touched(9, value=shown / (9 * pixel))
-        one, whole, _ = engine(own, other)
-        one.infer()
-        share = min(max((shown - SHOWN_BOUNDS_MM2[0]) / (SHOWN_BOUNDS_MM2[1] - SHOWN_BOUNDS_MM2[0]), 0.0), 1.0)
-        expected = share * own + (1.0 - share) * other if share < 1.0 else own
-        np.testing.assert_allclose(whole, expected.ravel(), atol=1e-3)
-
-
 def blob(side_px, width_px, at=(15.0, 22.0)):
     """A map of a square touch whose edges are logistic."""
     found = 1.0

@@ -46,10 +46,6 @@ def test_touches_show_which_change_conductance_as_the_skin_says(sign, seen):
         assert image.min() >= 0.0
 
 
-def test_an_untouched_flat_sheet_has_an_empty_map():
-    assert not map_of(arrays()[0], np.zeros(ROWS)).any()
-
-
 def test_a_frame_makes_no_array():
     change, out = np.full(ROWS, 0.01, dtype=np.float32), np.zeros(PIXELS, dtype=np.float32)
     engine = SparseEngine(arrays()[0], change, out)

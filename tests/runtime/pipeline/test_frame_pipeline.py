@@ -87,20 +87,3 @@ def test_lost_frames_resets_and_saturation_are_events_of_their_frame(pipeline, c
     assert pipeline.record.events == ("device_reset",)
     assert go(pipeline, payload(counts, 1))
     assert pipeline.record.events == ()
-
-
-def test_maps_of_frames_with_one_number_are_told_apart(pipeline, counts, touched):
-    assert go(pipeline, payload(touched, 5))
-    before = pipeline.record.map_key
-    assert go(pipeline, payload(counts, 3))  # a reset
-    assert go(pipeline, payload(counts, 4))
-    assert go(pipeline, payload(touched, 5))
-    assert pipeline.record.map_sequence == before[1]
-    assert pipeline.record.map_key != before
-
-
-def test_the_device_time_goes_on_over_the_wrap_of_its_counter(pipeline, counts):
-    for sequence in range(6):
-        device_us = (2**32 - 12_000 + sequence * 5000) % 2**32
-        assert go(pipeline, Frame(sequence=sequence, device_us=device_us, counts=counts).pack())
-    assert pipeline.record.device_us == 2**32 - 12_000 + 25_000

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.pipeline.frame_pipeline import AUDIT_FRAMES, WITHOUT_ROWS, GateAudit, Pipeline
-from eitskin.reference.captured import Reference
+from eitskin.pipeline.frame_pipeline import AUDIT_FRAMES, WITHOUT_ROWS, GateAudit
 
 from .passing import go, payload
 
@@ -61,22 +60,6 @@ class Looks(GateAudit):
         return True
 
 
-def test_no_frame_has_the_map_of_one_that_was_looked_at_and_went_out_as_untouched(tiny, hello, touched, counts):
-    pipeline = Pipeline(tiny, hello, skip_unchanged=True)
-    pipeline.use_reference(Reference(counts * 1e-9, np.abs(counts) * 1e-11, 100, "TEST-1", 0xABCD, "paper", ""))
-    engine, gate = Sees(pipeline.buffers), Blind()
-    engine.name = pipeline.engines[0].name
-    pipeline.gate, pipeline.engines[0], pipeline.audit = gate, engine, Looks(1351, 1350)
-    published, rng = {}, np.random.default_rng(0)
-    for sequence in range(1, AUDIT_FRAMES + 4):
-        gate.touched = lambda sees=sequence % AUDIT_FRAMES != 0: sees
-        assert go(pipeline, payload(touched + rng.integers(-9, 9, 104), sequence))
-        record = pipeline.record
-        shown = 0.0 if record.map_is_zero else float(pipeline.buffers.map.max())
-        assert published.setdefault(record.map_sequence, shown) == shown
-    assert set(published.values()) == {0.0, 1.0}
-
-
 class Sheet:
     """Knows whether rows are missing."""
 
@@ -89,12 +72,3 @@ def test_while_rows_are_missing_frames_are_looked_at_more_often(sheet, each):
     audit = GateAudit(9, 1350)
     assert [audit.is_due(sheet) for _ in range(3 * each)] == [n % each == each - 1 for n in range(3 * each)]
     assert not any(GateAudit(None, 1350).is_due(sheet) for _ in range(3 * each))
-
-
-def test_only_a_network_may_overrule_the_gate(tiny, hello, touched, counts):
-    pipeline = Pipeline(tiny, hello, solver="tikhonov")
-    pipeline.use_reference(Reference(counts * 1e-9, counts * 0.0, 2, "TEST-1", 0xABCD, "paper", ""))
-    pipeline.gate, pipeline.audit = Blind(), GateAudit(9, 1350)
-    for sequence in range(1, 2 * AUDIT_FRAMES):
-        assert go(pipeline, payload(touched, sequence))
-        assert pipeline.record.solver == "none"

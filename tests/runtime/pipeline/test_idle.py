@@ -74,22 +74,6 @@ def test_the_device_idles_while_untouched_and_wakes_at_a_touch(virtual_skin, wat
     assert waited_us < RETRY_NS / 1000  # a scan after the request, which was made once; the rest is how busy we are
 
 
-def test_a_new_reference_is_captured_from_whole_scans(virtual_skin, watchful):
-    import threading
-
-    with virtual_skin(rate_hz=100.0) as port, Skin(port, bundle=watchful, idle_after_s=0.1) as skin:
-        skin.capture_reference(5)
-        answers = []
-        asking = threading.Thread(target=lambda: answers.append(skin.recapture(20)))
-        for frame in skin.frames(timeout_s=120.0):
-            if "acquisition:idle" in frame.skipped and not asking.ident:
-                asking.start()
-            if "reference" in frame.events:
-                break
-        asking.join(60)
-        assert [(answer["frames"], answer["weak_rows"], answer["remarks"]) for answer in answers] == [(20, [], [])]
-
-
 def test_a_bundle_without_an_idle_gate_and_other_drives_are_refused(virtual_skin, tiny, watchful, hello):
     with pytest.raises(BundleError, match="no idle gate"):
         IdleGate(tiny.gate_arrays(), replace(hello, idle_drives=DRIVES))

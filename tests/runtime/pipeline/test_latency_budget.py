@@ -1,8 +1,6 @@
-import itertools
-
 import pytest
 
-from eitskin.pipeline.latency_budget import HOLD_FRAMES, LONGEST_HOLD, LatencyBudget, in_ns
+from eitskin.pipeline.latency_budget import HOLD_FRAMES, LatencyBudget, in_ns
 
 SLOW, FAST, FAIR = 2_000_000, 100_000, 800_000
 BUDGET = 1_000_000
@@ -27,16 +25,6 @@ def test_room_is_taken_back_step_by_step():
         budget.judge(FAST, inferred=True)
         levels.append(budget.level)
     assert [levels.index(level) for level in (3, 2, 1, 0)] == [0, HOLD_FRAMES, 2 * HOLD_FRAMES, 3 * HOLD_FRAMES]
-
-
-def test_the_ladder_does_not_flutter_between_two_levels():
-    budget = LatencyBudget(BUDGET, 3)
-    # fp32 is always over budget, int8 is always easy
-    overruns_at = [frame for frame in range(40_000) if budget.judge(SLOW if budget.level == 0 else FAST, inferred=True)]
-    gaps = [after - before for before, after in itertools.pairwise(overruns_at)]
-    assert gaps == sorted(gaps)
-    assert gaps[-1] >= LONGEST_HOLD
-    assert len(overruns_at) < 15
 
 
 def test_a_budget_is_of_milliseconds_and_within_a_quarter_of_an_hour():

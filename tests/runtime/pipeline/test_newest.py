@@ -61,20 +61,3 @@ def test_the_newest_frame_is_computed_whatever_comes_behind_it(pipeline, frames,
     assert pipeline.intake.counter.lost == 0
     pipeline.intake.name_events()
     assert "device:front_end_failed" in pipeline.record.events
-
-
-def test_what_a_full_line_kept_since_nobody_read_it_is_not_the_first_frame(pipeline, frames):
-    line = Line([frames(1)])
-    source, take = FrameSource(line, pipeline), line.payloads
-    assert next(pipeline.record.sequence for _ in source.accepted(None)) == 1
-
-    def half_a_second_later(timeout_s):
-        found = take(timeout_s)
-        line.read_ns += 500_000_000
-        return found
-
-    line.payloads = half_a_second_later
-    line.batches.extend([[frames(2)], [frames(3)], [], [frames(4)], [], [frames(99)]])
-    assert next(pipeline.record.sequence for _ in source.accepted(None)) == 99
-    assert pipeline.intake.withheld["stale"] == 3
-    assert pipeline.intake.counter.lost == 94

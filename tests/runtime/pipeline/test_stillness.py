@@ -55,17 +55,6 @@ def test_a_change_that_grows_slowly_adds_up_until_it_is_seen(stillness):
     assert not any(seen[60:])  # by then 6e-3, two sigmas
 
 
-def test_a_map_is_computed_anew_now_and_then_whatever_happens(stillness):
-    zero = np.zeros(104, np.float32)
-    assert not stillness.still(zero)  # nothing is kept yet
-    stillness.keep(zero)
-    answers = [stillness.still(zero) for _ in range(REFRESH_FRAMES)]
-    assert answers == [True] * (REFRESH_FRAMES - 1) + [False]
-    stillness.keep(zero)
-    stillness.reset()
-    assert not stillness.still(zero)
-
-
 @pytest.fixture
 def packer():
     packer = FramePacker(configuration="paper/1", bundle="b", serial_number="s", run="r", shape=PAPER.grid.shape)

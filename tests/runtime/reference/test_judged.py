@@ -46,9 +46,9 @@ def capture(frames, hello, checks=None, *, force=False):
 
 
 @pytest.mark.parametrize("kind", ["N2", "N3"])
-@pytest.mark.parametrize("count", [10, 30, 100])
+@pytest.mark.parametrize("count", [10, 100])
 def test_honest_captures_are_taken_without_a_word_and_again_against_the_first(bundle, flat, hello, kind, count):
-    for seed in range(20):
+    for seed in range(8):
         first = capture(frames_of(flat, kind, count, seed), hello, reference_checks(bundle))
         again = capture(frames_of(flat, kind, count, 100 + seed), hello, reference_checks(bundle, first))
         assert (first.judgement.refusals, first.judgement.remarks) == ((), ())
@@ -57,6 +57,7 @@ def test_honest_captures_are_taken_without_a_word_and_again_against_the_first(bu
         assert again.judgement.touched is False
 
 
+@pytest.mark.slow
 def test_gross_bends_are_refused_against_the_model_and_most_against_an_older_reference(bundle, flat, bends, hello):
     older = capture(frames_of(flat), hello)
     gross = 0
@@ -114,7 +115,7 @@ def test_a_touch_that_comes_while_it_is_captured_is_refused(flat, hello):
         capture(frames_of(frames), hello)
 
 
-@pytest.mark.parametrize("count", [2, 5, 8, 9, 11, 47, 100])
+@pytest.mark.parametrize("count", [2, 9, 100])
 def test_noise_that_is_the_same_in_all_rows_is_no_movement(flat, count):
     moved = 0
     for seed in range(50):

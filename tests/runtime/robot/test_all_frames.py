@@ -96,22 +96,6 @@ def test_all_frames_of_all_skins_come_by_name_and_in_order(robot):
         assert {frame.serial_number for frame in own} == {name}
 
 
-def test_a_skin_with_many_frames_waiting_takes_turns_with_one_that_has_few(robot):
-    path, skins = robot
-    with eitskin.subscribe_all(path, "all", timeout_s=PATIENCE_S) as frames:
-        wait_for(skins)
-        skins["left"].send(200)
-        skins["right"].send(5)
-        waiting = frames._subscriptions["right"].socket
-        for _ in range(5):
-            assert waiting.poll(int(PATIENCE_S * 1000))
-            assert "right" in {next(frames).skin for _ in range(3)}  # at the latest after whose turn it was before
-            if frames.received["right"] == 5:
-                break
-        assert frames.received["right"] == 5
-        assert frames.received["left"] <= 10
-
-
 def test_the_newest_of_each_comes_however_slow_the_loop_is(robot):
     path, skins = robot
     with eitskin.subscribe_all(path, timeout_s=PATIENCE_S) as frames:

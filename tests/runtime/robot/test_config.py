@@ -133,13 +133,6 @@ def test_a_file_of_another_kind_or_version_is_refused(robot, head):
         robot(skin(), head)
 
 
-def test_one_port_by_two_paths_is_found(robot, tmp_path):
-    (tmp_path / "tty").touch()
-    (tmp_path / "by-id").symlink_to(tmp_path / "tty")
-    with pytest.raises(RobotError, match="share the port"):
-        robot(skin("a", f"{tmp_path}/tty") + skin("b", f"{tmp_path}/by-id"))
-
-
 def test_a_file_that_is_missing_too_long_or_no_file_is_said(tmp_path):
     with pytest.raises(FileNotFoundError):
         load_robot(tmp_path / "none.toml")

@@ -19,14 +19,6 @@ def rolled(radius):
     return np.stack([radius * np.sin(angle), FLAT[1], radius * np.cos(angle)])
 
 
-def turned(cloud):
-    """A cloud in another pose, with the rotation and the way."""
-    rotation, _ = np.linalg.qr(RNG.standard_normal((3, 3)))
-    rotation *= np.sign(np.linalg.det(rotation))
-    way = RNG.uniform(-200, 200, 3)
-    return np.einsum("ij,jrc->irc", rotation, cloud) + way[:, None, None], rotation, way
-
-
 def touched(cloud, image):
     packed = TouchWatch(GRID).update(image.ravel(), 1, Surface(cloud, GRID), 0)
     (touch,) = unpack_touches(packed[0], 92, *packed[1:]).touches
@@ -54,19 +46,6 @@ def test_on_a_cylinder_place_and_direction_are_the_formulas(radius):
     border = np.array(Surface(rolled(radius), GRID).at([0.0, 150.0], [50.0, 50.0]))
     ends = np.array([-75.0, 75.0]) / radius
     assert np.abs(border[:, 3] - np.sin(ends)).max() <= 0.6 * DX / radius  # straight on, half a pixel
-
-
-def test_a_rigid_motion_moves_centre_and_direction_with_it_and_nothing_else():
-    cloud = rolled(40.0)
-    image = square(61.0, 33.0)
-    still = touched(cloud, image)
-    for _ in range(5):
-        moved, rotation, way = turned(cloud)
-        touch = touched(moved, image)
-        assert touch.place_mm == pytest.approx(rotation @ still.place_mm + way, abs=1e-4)
-        assert touch.normal == pytest.approx(rotation @ still.normal, abs=1e-6)
-        assert (touch.centre_mm, touch.area_mm2) == (still.centre_mm, still.area_mm2)
-        assert touch.surface_mm2 == pytest.approx(still.surface_mm2, rel=1e-6)
 
 
 def test_a_collapsed_surface_has_no_direction_and_no_area_and_nothing_is_not_a_number():

@@ -89,13 +89,6 @@ def test_a_faint_touch_is_not_new_but_one_that_fades_goes_on(film):
     assert ids(film.show(0.55 * square(50.0, 50.0))) == [1]
 
 
-def test_numbers_are_never_used_twice_also_when_nobody_asked_for_a_while(film):
-    film.show(square(50.0, 50.0))
-    film.watch.reset()
-    found = film.show(square(50.0, 50.0))
-    assert said(found) == [("born", 2, 0)]
-
-
 def test_noise_for_ever_gives_bounded_lists_and_no_number_twice(film):
     rng = np.random.default_rng(0)
     born, ended = set(), set()

@@ -10,7 +10,7 @@ import pytest
 
 from eitskin_proto.errors import SkinError
 from eitskin_sim.dataset import cluster as cluster_module
-from eitskin_sim.dataset.cluster import Certificates, is_exposed
+from eitskin_sim.dataset.cluster import Certificates
 from eitskin_sim.dataset.generate import generate
 from eitskin_sim.dataset.plan import make_plan
 from eitskin_tools import cli
@@ -156,47 +156,3 @@ def test_tls_without_certificates_is_refused_in_one_line(
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert f"a scheduler at tls:// needs certificates: {missing}" in said
-
-
-@pytest.mark.parametrize(
-    ("scheduler", "expected"),
-    [
-        ("tcp://127.0.0.1:8786", False),
-        ("tcp://[::1]:8786", False),
-        ("tls://10.0.0.1:8786", False),
-        ("tcp://10.0.0.1:8786", True),
-        ("tcp://127.0.0.1.example.org:8786", True),
-    ],
-)
-def test_only_loopback_addresses_and_tls_are_out_of_reach(scheduler: str, expected: bool) -> None:
-    assert is_exposed(scheduler) is expected
-
-
-def test_a_cluster_that_anybody_may_be_is_warned_of(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-    monkeypatch.setattr(cluster_module, "CONNECT_S", 0.5)
-    for scheduler, warnings in (("tcp://localhost:9", 1), ("tcp://127.0.0.1:9", 0)):
-        assert cli.main(words(tmp_path / "d", scheduler, Certificates())) == 1
-        said = capsys.readouterr().err
-        assert said.count("warning: tcp://localhost:9 is not encrypted and authenticates nobody") == warnings
-        assert said.count("\n") == 1 + warnings
-
-
-@pytest.mark.parametrize(
-    "scheduler", ["here", "inproc://1", "ws://10.0.0.1:80", "tcp://10.0.0.1", "tcp://:8786", "tls://a:b", "tcp://[:1"]
-)
-def test_what_is_no_address_is_bad_usage(scheduler: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-    assert cli.main(words(tmp_path / "d", scheduler, Certificates())) == 2
-    assert f"--scheduler is {scheduler!r}; expected tls://HOST:PORT or tcp://HOST:PORT" in capsys.readouterr().err
-
-
-def test_certificates_that_nothing_would_use_are_bad_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-    found = Certificates(ca=tmp_path / "ca.pem")
-    assert cli.main(words(tmp_path / "d", "tcp://127.0.0.1:9", found)) == 2
-    assert "--tls-ca: expected --scheduler tls://HOST:PORT, found tcp://127.0.0.1:9" in capsys.readouterr().err
-    assert cli.main(["dataset", "--set", "paper", "--out", str(tmp_path / "d"), "--tls-ca", "x"]) == 2
-    assert "--tls-ca need --scheduler" in capsys.readouterr().err

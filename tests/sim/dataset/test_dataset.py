@@ -96,12 +96,6 @@ def test_an_interrupted_run_goes_on_and_ends_the_same(folder: Path, copy: Path) 
     assert files(copy) == files(folder)
 
 
-def test_a_finished_data_set_is_not_made_again(copy: Path) -> None:
-    before = {path.name: path.stat().st_mtime_ns for path in copy.glob("*.npz")}
-    generate(PLAN, copy)
-    assert {path.name: path.stat().st_mtime_ns for path in copy.glob("*.npz")} == before
-
-
 def test_a_folder_with_something_else_in_it_is_left_alone(copy: Path, tmp_path: Path) -> None:
     with pytest.raises(DataSetError, match="holds another data set"):
         generate(make_plan("paper", 1, deformations=2, touch_sets=20), copy)

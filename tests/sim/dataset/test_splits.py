@@ -42,16 +42,6 @@ def test_no_bend_is_in_two_splits_and_family_b_is_never_trained_on(plan: Plan) -
         assert bool(bend.bumps_mm) == (split == "other") or bend == Bend()
 
 
-def test_every_sample_of_the_free_set_has_a_touch_set_of_its_own() -> None:
-    plan = make_plan("free", 1, deformations=5, per_deformation=50, kept=2)
-    shown = [plan.shown(number) for number in range(9)]
-    assert np.array_equal(np.concatenate(shown), np.arange(plan.touch_sets))
-    assert plan.counts == tuple(len(own) for own in shown) == (50,) * 9
-    held = plan.validation()
-    assert [int(held[own].sum()) for own in shown] == [5] * 5 + [50] * 4
-    assert all(held[own[-5:]].all() for own in shown)
-
-
 def test_deformations_that_are_made_together_are_of_one_group_and_one_split() -> None:
     plan = make_plan("free", 1, deformations=5, per_deformation=50, kept=2)
     for shard in plan.shards():
@@ -123,12 +113,3 @@ def test_family_a_draws_all_parameters_apart_some_scaled_and_some_flat() -> None
     away = np.abs(np.corrcoef(table, rowvar=False) - np.eye(len(bounds())))
     assert away.max() < 0.8  # 16 independent draws: 0.26 rms, 0.75 at three sigma; one common parameter gives 1
     check_bend(bends[0], Sheet())
-
-
-def test_family_b_has_two_bumps_of_6_mm() -> None:
-    for bend in draw("B", 3, 2):
-        if bend != Bend():
-            assert len(bend.bumps_mm) == 2
-            assert all(abs(bump[2]) <= 6.0 and 12.0 <= bump[3] <= 25.0 for bump in bend.bumps_mm)
-    with pytest.raises(ValueError, match="family 'C' is unknown"):
-        draw("C", 1, 0)  # type: ignore[arg-type]

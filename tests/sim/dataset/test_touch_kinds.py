@@ -1,7 +1,6 @@
 """Data sets of touches both ways: what they keep of every touch, and that those of hard touches are as before."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -91,15 +90,6 @@ def test_a_unit_set_keeps_the_contrast_of_every_touched_unit(tmp_path: Path) -> 
     touched = data.units[data.touch_set].any(axis=1)
     assert change[touched].min() > 0.01  # before, every one of them was untouched
     assert change[~touched].max(initial=0.0) < 1e-6
-
-
-def test_units_have_the_contrasts_of_the_skin() -> None:
-    hydrogel = named("hydrogel")
-    skin = replace(hydrogel, touches=replace(hydrogel.touches, lowering_contrast=(0.5, 0.6)))
-    plan = make_plan("units", 3, deformations=1, kept=0, touch_sets=40, touches="skin", skin=skin)
-    assert plan.touches == "skin"
-    contrast = unit_contrasts(plan).contrast
-    assert 0.5 <= contrast.min() < contrast.max() <= 0.6
 
 
 @pytest.mark.heavy

@@ -12,7 +12,6 @@ from eitskin_sim.devices.device import IDEAL
 from eitskin_sim.devices.draws import (
     MAX_DRIFT,
     MAX_ELECTRODE_OFFSET_MM,
-    OFFSETS_V,
     draw_device,
     draw_drift,
     draw_moment,
@@ -47,15 +46,6 @@ def test_a_skin_without_doubts_has_the_ideal_device_alone() -> None:
     assert moment.scan_noise_mm == pytest.approx(0.1)
 
 
-def test_an_offset_is_common_to_all_rows_and_nothing_else_is_drawn_otherwise() -> None:
-    for seed in range(5):
-        usual, foreign = (draw_device(LAB, rng(seed), offset=offset).device.front_end for offset in (False, True))
-        more = np.subtract(foreign.offset_per_pair_V, usual.offset_per_pair_V)
-        assert np.ptp(more) < 1e-12
-        assert OFFSETS_V[0] <= -more[0] <= OFFSETS_V[1]
-        assert replace(foreign, offset_per_pair_V=usual.offset_per_pair_V) == usual
-
-
 def test_electrodes_are_off_as_the_skin_says_and_never_beyond_what_is_seen() -> None:
     nominal = Electrodes()
     drawn = [draw_device(LAB, rng(seed)).device.electrodes for seed in range(200)]
@@ -82,13 +72,6 @@ def test_a_scan_is_behind_or_ahead_and_as_noisy_as_the_skin_says() -> None:
     amplitude = np.array([one.scan_amplitude for one in moments])
     assert 0.95 <= amplitude.min() < 0.96
     assert 1.04 < amplitude.max() <= 1.05
-
-
-def test_a_true_size_shows_in_every_bend_and_in_the_reference() -> None:
-    drawn = replace(draw_device(LAB, rng(5)), scale=(1.02, 0.99), reference_stretch=(1.0, 1.01))
-    assert drawn.bent(Bend(stretch_along=1.1)).stretch_along == pytest.approx(1.122)
-    assert drawn.reference_bend.stretch_along == pytest.approx(1.02)
-    assert drawn.reference_bend.stretch_across == pytest.approx(0.99 * 1.01)
 
 
 def test_skins_that_the_generators_have_no_mesh_for_are_refused() -> None:

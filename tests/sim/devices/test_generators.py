@@ -117,10 +117,3 @@ def test_untouched_readings_are_those_of_the_fine_mesh(device: Device, sheet: In
     again = drive_differences(responses_of(corrected(drive_differences(sheet.at_terminals), ratio)))
     assert again == pytest.approx(fine, rel=1e-9)
     assert np.abs(drive_differences(sheet.at_terminals) / fine - 1.0).max() > 1e-4
-
-
-def test_what_a_front_end_reads_needs_no_zero_of_the_potentials(device: Device, sheet: InvertedSheet) -> None:
-    differences = drive_differences(sheet.at_terminals)
-    assert np.abs(differences.sum(axis=-1)).max() < 1e-9 * np.abs(differences).max()
-    direct = device.front_end.read(sheet.at_terminals)
-    assert readings(device, differences) == pytest.approx(direct, rel=1e-6)

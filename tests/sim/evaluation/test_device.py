@@ -25,7 +25,7 @@ from eitskin_sim.evaluation.mismatch import (
 )
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.nominal import nominal_scene
-from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Touch
+from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.scene import SceneError, check_scene
 from eitskin_sim.scene.shapes import Disc, Rect
 from eitskin_sim.surface.measured_cloud import measured_cloud
@@ -76,29 +76,6 @@ def test_every_deviation_is_there_and_the_scene_can_be_solved():
     as_they_are = device.scene(SCENE, as_it_is=True).touches
     assert [one.contrast for one in as_they_are] == [None, None]
     assert as_they_are[0].shapes[0].x1_mm == pytest.approx(75.0 * 148 / 150)
-
-
-def test_draws_keep_their_direction_whatever_their_size_and_differ_between_devices():
-    def off(size, number=0, seed=0):
-        return np.subtract(
-            draw_device(Mismatch(electrodes_mm=size), seed, number).electrodes.arc_length_mm, Electrodes().arc_length_mm
-        )
-
-    assert np.allclose(off(2.0), 2 * off(1.0))
-    assert 0.5 < off(1.0).std() < 1.5
-    assert np.abs(off(1.0) - off(1.0, number=1)).max() > 0.1
-    assert np.abs(off(1.0) - off(1.0, seed=1)).max() > 0.1
-    spread = draw_device(Mismatch(impedance_factor=10.0, impedance_spread=0.5), 0, 0).electrodes.impedances_ohm_m2()
-    assert 0.25 < np.log(spread / 1e-3).std() < 0.8
-
-
-def test_electrodes_of_a_longer_sheet_move_with_it():
-    arc = np.array(draw_device(Mismatch(length_mm=153.0), 0, 0).electrodes.arc_length_mm)
-    nominal = np.array(Electrodes().arc_length_mm)
-    below, right = nominal < 150.0, (nominal > 150.0) & (nominal < 250.0)
-    assert np.allclose(arc[below], nominal[below] * 1.02)
-    assert np.allclose(arc[right], nominal[right] + 3.0)
-    assert np.allclose(506.0 - arc[nominal > 400.0], 500.0 - nominal[nominal > 400.0])
 
 
 def test_a_scan_shows_what_the_scanner_does():

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.skin.parts import Ring
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
@@ -92,14 +91,6 @@ def test_a_follower_sees_each_sheet_untouched_before_its_touch_and_corrects_it()
     np.testing.assert_array_equal(solved[0], solved[1] / 2.0)
 
 
-def test_a_reference_may_be_noisy_or_stretched():
-    rows = [("none", IDEAL), ("noisy", Mismatch(reference_snr_db=40.0)), ("long", Mismatch(reference_stretch=0.03))]
-    (ideal, noisy, stretched), _ = seen(rows, [HARD])
-    assert np.std(noisy.flat_reference / ideal.flat_reference - 1.0) == pytest.approx(0.01, rel=0.3)
-    assert np.array_equal(noisy.voltages, ideal.voltages)
-    assert np.abs(stretched.flat_reference / ideal.flat_reference - 1.0).max() > 0.02
-
-
 def test_a_press_keeps_its_contrast_and_tells_the_solver_that_it_lowers():
     (hard, press), _ = seen([("contrast", Mismatch(contrast=10.0, border_mm=2.0))], [HARD, PRESS])
     (_, plain), _ = seen([("none", IDEAL)], [HARD, PRESS])
@@ -131,32 +122,9 @@ def test_a_solver_that_is_told_of_another_skin_sees_the_same_voltages_and_its_ow
     assert np.abs(told.sheet.predicted() / plain.sheet.predicted() - 1.0).max() > 0.02
 
 
-def test_rows_see_the_same_noise():
-    plan = runs.Plan(noise="N2", snr_db=50.0)
-    rows = [("none", IDEAL), ("scan", Mismatch(scan_noise_mm=1.0)), ("none again", IDEAL)]
-    (one, scan, two), _ = seen(rows, [HARD], plan)
-    assert np.array_equal(one.voltages, two.voltages)
-    assert np.array_equal(one.voltages, scan.voltages)
-    assert not np.array_equal(one.sheet.cloud_mm, scan.sheet.cloud_mm)
-
-
 def test_a_touch_is_missed_beyond_15_mm():
     outcomes = [runs.Outcome(0.9, np.array([3.0, 20.0]), True), runs.Outcome(0.1, np.array([np.inf]), False)]
     found = runs.figures(outcomes)
     assert found["missed"] == pytest.approx(2 / 3)
     assert found["localisation_rms_mm"] == pytest.approx(3.0)
     assert (found["cc"], found["cc_worst"], found["gate_missed"]) == (0.5, 0.1, 0.5)
-
-
-def test_gains_are_divided_out_by_the_reference_and_offsets_are_not():
-    rows = [("none", IDEAL), ("gains", Mismatch(gain_percent=5.0)), ("offsets", Mismatch(offset_V=0.05))]
-    (plain, gains, offsets), _ = seen(rows, [HARD])
-    change = plain.voltages / plain.flat_reference
-    assert not np.allclose(gains.voltages, plain.voltages, rtol=0.01)
-    assert np.allclose(gains.voltages / gains.flat_reference, change, rtol=1e-9)
-    off = offsets.voltages - plain.voltages
-    assert np.allclose(off, offsets.flat_reference - plain.flat_reference, atol=1e-9)
-    pairs = TABLE[:, 1]
-    assert all(np.ptp(off[pairs == pair]) < 1e-9 for pair in set(pairs.tolist()))
-    assert 0.02 < off.std() < 0.1
-    assert not np.allclose(offsets.voltages / offsets.flat_reference, change, rtol=1e-3)

@@ -3,7 +3,6 @@
 import json
 import math
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -39,7 +38,6 @@ def test_two_separate_units_are_found_exactly(phantoms, name):
     ("touch", "kind"),
     [
         ({"contrast": 0.4}, "lower"),
-        ({"contrast": 2.5}, "raise"),
         ({"contrast": 1.0, "dent_mm": 8}, "lower"),  # it stretches the sheet, and does nothing else
         ({"contrast": 2.5, "dent_mm": 1}, "raise"),
     ],
@@ -111,20 +109,6 @@ def test_the_flat_reference_is_the_devices_own_before_what_came_late():
     np.testing.assert_allclose(gauged / even, 1.2, rtol=0.02)
 
 
-def test_solvers_can_be_told_another_shape(phantoms):
-    clouds = {}
-    for kind in get_args(harness.CloudKind):
-
-        def look(case, kind=kind):
-            clouds[kind] = case.sheet.cloud_mm
-            return np.zeros(PAPER.grid.shape)
-
-        harness.evaluate_all(phantoms[:1], [harness.Run(look, "pre")], harness.Conditions(cloud=kind))
-    assert np.abs(clouds["flat"][2] - clouds["flat"][2].mean()).max() < 1.0  # 0.1 mm of noise on a plane
-    assert np.ptp(clouds["scan"][2]) > 20.0  # bent by 90 degrees
-    assert np.abs(clouds["other"] - clouds["scan"]).max() > 5.0
-
-
 def test_summary_takes_the_worst_deformation_and_the_root_of_the_mean_square(monkeypatch):
     drawn = trials.single(10.0, 2, 2)
     monkeypatch.setattr(harness, "voltages_of", lambda scene: np.ones(104))  # nothing here looks at voltages
@@ -163,19 +147,3 @@ def test_bad_arguments_are_refused(phantoms):
         evaluate(phantoms, solver, reference="later")
     with pytest.raises(ValueError, match="'N9'"):
         evaluate(phantoms, solver, noise="N9")
-
-
-def test_an_untouched_sheet_has_no_cc_and_is_left_out_of_the_mean(monkeypatch):
-    touched = {"name": "touched", "scene": {"touches": [{"disc_mm": [70, 45, 6]}]}}
-    phantoms = parse_phantoms([touched, {"name": "bare", "scene": {}}])
-    monkeypatch.setattr(harness, "voltages_of", lambda scene: np.ones(104))  # nothing here looks at voltages
-    results = evaluate(phantoms, lambda _: harness.truth_map(phantoms[0]), noise="none")
-    found = reports.report("cheat", "none", results)
-    one, bare = found["phantoms"]
-    assert (bare["cc"], bare["rie"], bare["true_touches"], bare["touches"]) == (None, None, 0.0, 1.0)
-    assert bare["psnr_db"] > 10.0, "how far a map is from nothing is defined"
-    assert (found["mean"]["cc"], found["mean"]["rie"]) == (one["cc"], one["rie"]) == (pytest.approx(1.0), 0.0)
-    summed = reports.summary(results, 1)
-    assert (summed["cc"], summed["worst_deformation"]) == (pytest.approx(1.0), 0)
-    assert summed["deformations"][1]["cc"] is None
-    json.dumps([found, summed, reports.report("cheat", "none", results[1:])], allow_nan=False)

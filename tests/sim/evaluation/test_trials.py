@@ -37,18 +37,6 @@ def test_shift_moves_every_touch_by_its_own_part_of_a_pixel_and_keeps_an_l_whole
     assert shifted(phantom, 0.5, np.random.default_rng(0)) == moved
 
 
-def test_shift_stays_on_the_sheet_and_apart():
-    near = [
-        {"name": "n", "scene": {"touches": [{"rect_mm": [0, 0, 10, 10]}, {"rect_mm": [11, 0, 20, 10]}]}},
-    ]
-    (phantom,) = parse_phantoms(near)
-    for seed in range(50):
-        scene = shifted(phantom, 1.0, np.random.default_rng(seed)).scene
-        check_scene(scene)
-        first, second = (touch.shapes[0].bounds_mm for touch in scene.touches)
-        assert second[0] > first[2] or second[1] > first[3] or first[1] > second[3]
-
-
 def test_shift_of_units_or_by_more_than_a_pixel_is_refused(phantoms):
     with pytest.raises(ValueError, match="units of the grid"):
         shifted(phantoms[0], 0.5, np.random.default_rng(0))

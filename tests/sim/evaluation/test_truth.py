@@ -45,13 +45,6 @@ def test_a_truth_that_would_be_empty_is_refused(scene: dict[str, Any], truth: st
         assert "\n" not in str(raised.value)
 
 
-def test_a_sheet_that_is_off_by_a_little_is_the_device_as_it_is() -> None:
-    longer = {"sheet": {"size_mm": [155, 100]}, "touches": [{"rect_mm": [143, 40, 155, 52]}]}
-    check_truths(phantoms(longer))
-    check_truths(phantoms({}, "units"))
-    check_truths(phantoms({"sheet": {"size_mm": [165, 90]}}))
-
-
 def test_a_touch_is_on_the_map_of_its_own_skin() -> None:
     far = {"touches": [{"disc_mm": [180, 50, 8]}]}
     own = parse_phantoms([{"scene": far}], SECOND)

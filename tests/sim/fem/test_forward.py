@@ -3,9 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eitskin_sim.fem.forward import Factor, assemble, reciprocity_error
+from eitskin_sim.fem.forward import assemble, reciprocity_error
 from eitskin_sim.fem.mesh import TensorMesh, graded_lines
-from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.fem.solve import factorise_scene, solve_scene
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
 from eitskin_sim.scene.shapes import Disc, Rect
@@ -70,16 +69,6 @@ def test_electrode_may_go_round_a_corner_when_it_lies_on_the_border() -> None:
     assert reciprocity_error(factor) < 1e-12
 
 
-def test_touch_under_a_face_contact_lowers_its_effective_impedance() -> None:
-    touch = (Touch((Rect(8.0, 0.0, 18.0, 10.0),)),)
-    scene = Scene(touches=touch, element_size_mm=COARSE)
-    factor = factorise_scene(scene)
-    under = factor.system.contacts.electrode == 0
-    plain = 1.0 / scene.electrodes.impedances_ohm_m2()[0]
-    assert np.all(factor.density[under] > 0.9 * plain)
-    assert np.all(factor.density[~under] < 0.3 * plain)
-
-
 def test_mesh_that_misses_an_electrode_or_the_sheet_is_refused() -> None:
     sheet, electrodes = Sheet(), Electrodes()
     with pytest.raises(ValueError, match="add a line there"):
@@ -100,11 +89,3 @@ def test_lines_hold_every_fixed_position_and_halve_with_the_density() -> None:
     steps = np.diff(coarse)
     assert np.max(np.maximum(steps[1:] / steps[:-1], steps[:-1] / steps[1:])) < np.exp(0.8) * 1.01
     assert len(fine) == pytest.approx(2 * len(coarse), rel=0.1)
-
-
-def test_factor_takes_any_blocks() -> None:
-    system = factorise_scene(Scene(element_size_mm=6.0)).system
-    ones = np.ones(len(system.contacts.element))
-    direct = Factor(system, 1.0 * system.stiffness, system.contacts.density(ones))
-    np.testing.assert_array_equal(direct.voltages(), system.factorise().voltages())
-    assert system.mesh.n_elements == scene_mesh(Scene(element_size_mm=6.0)).n_elements

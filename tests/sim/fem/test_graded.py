@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from eitskin_sim.fem.borders.cut_elements import factorise, touch
+from eitskin_sim.fem.borders.cut_elements import factorise
 from eitskin_sim.fem.borders.graded import kink, plateau
 from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.jacobian import cell_mesh, cell_of_element, jacobian
@@ -50,14 +50,6 @@ def test_every_sign_border_and_shape_agrees_with_a_mesh_twice_as_fine(shape: Sha
         coarse, fine = change(own, 3.0), change(own, 1.5)
         assert off(coarse, fine) < 0.01
         assert off(sharp, fine) > apart
-
-
-def test_the_square_of_the_measured_figures_gives_as_much_either_way() -> None:
-    square = (Rect(65.0, 40.0, 85.0, 60.0),)
-    lower, higher = (change((Touch(square, contrast=c),), 3.0, Bend()) for c in (0.5, 2.0))
-    rms = [float(np.sqrt(np.mean(found**2))) for found in (lower, higher)]
-    assert rms == pytest.approx([0.047, 0.047], abs=0.0015)
-    assert np.corrcoef(lower, higher)[0, 1] < -0.99
 
 
 def test_the_kink_of_a_border_becomes_the_sharp_one_and_its_slope_is_linear_in_the_resistivity() -> None:
@@ -107,16 +99,6 @@ def test_a_weak_touch_changes_voltages_by_the_jacobian_to_first_order(cells, bor
     assert np.linalg.norm(left[1]) < 0.04 * 0.05
     assert np.linalg.norm(left[1]) / np.linalg.norm(left[0]) == pytest.approx(4.0, rel=0.1)
     assert np.linalg.norm(left[2] - left[1]) < 0.3 * np.linalg.norm(left[1])  # third order, 4 % of log c apart
-
-
-def test_graded_blocks_stay_symmetric_semidefinite_and_blind_to_a_constant() -> None:
-    system = assemble(cell_mesh(Sheet(), Electrodes()), Sheet(), Electrodes(), bend_metric(BEND, Sheet()))
-    for contrast in (0.2, 50.0):
-        blocks = touch(system, (Touch((DISC,), contrast=contrast, border_mm=6.0),)).blocks
-        scale = np.abs(blocks).max(axis=(1, 2))
-        assert np.max(np.abs(blocks - np.swapaxes(blocks, 1, 2)).max(axis=(1, 2)) / scale) < 1e-12
-        assert np.max(np.abs(blocks.sum(axis=2)).max(axis=1) / scale) < 1e-9
-        assert np.min(np.linalg.eigvalsh(blocks)[:, 0] / scale) > -1e-9
 
 
 # A wall of 2 mm over 4 mm stretches by half a percent; it must show, and less than the touch that makes it.

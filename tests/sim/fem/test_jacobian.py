@@ -58,9 +58,3 @@ def test_coarse_jacobian_is_within_its_stated_error() -> None:
         for size_mm in (COARSE_MM, 1.5)
     )
     assert np.linalg.norm(coarse - fine) < 1.5e-3 * np.linalg.norm(fine)
-
-
-def test_mesh_without_the_grid_is_refused() -> None:
-    mesh = cell_mesh(Sheet(), Electrodes(), PAPER.grid.units, 6.0)
-    with pytest.raises(ValueError, match="it must be within 1e-06"):
-        cell_of_element(mesh, PAPER.grid.shape)

@@ -106,7 +106,6 @@ def singular(error: Exception) -> Callable[..., Useless]:
     return factorise
 
 
-@pytest.mark.parametrize("law", ["constant", "modes"])
 @pytest.mark.parametrize(
     ("found", "says"),
     [
@@ -122,8 +121,7 @@ def test_a_scene_that_cannot_be_solved_is_one_line_exit_one_and_no_file(
     monkeypatch: pytest.MonkeyPatch,
     found: Callable[..., Useless],
     says: str,
-    law: str,
 ) -> None:
     monkeypatch.setattr(forward, "splu", found)  # what a matrix does to it depends on the library's release
-    said = refused(tmp_path, capsys, {"element_size_mm": 10}, "--contact-law", law)
+    said = refused(tmp_path, capsys, {"element_size_mm": 10})
     assert f"eitskin simulate: the scene cannot be solved: {says}" in said

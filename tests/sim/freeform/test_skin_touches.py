@@ -44,28 +44,6 @@ def test_borders_are_sharp_where_the_skin_says_so(border_mm: tuple[float, float]
     assert np.mean(drawn(skin(border_mm=border_mm))[:, 7] == 0.0) == sharp
 
 
-@pytest.mark.parametrize(
-    ("contrast", "size_mm"), [((0.9, 0.95), (6.0, 8.0)), ((0.2, 0.25), (24.0, 25.0)), ((0.4, 0.6), (12.0, 12.0))]
-)
-def test_where_no_measured_strength_fits_sizes_are_drawn_by_themselves(
-    contrast: tuple[float, float], size_mm: tuple[float, float]
-) -> None:
-    pieces = drawn(skin(lowering_contrast=contrast, size_mm=size_mm))
-    assert within(pieces[:, 6], contrast)
-    assert within(pieces[:, 3:5], size_mm)
-
-
-def test_where_all_sizes_of_hard_touches_are_the_skin_s_half_have_their_shapes_too() -> None:
-    own = skin(kind="raise", raising_contrast=(3.0, 9.0), size_mm=(5.0, 25.0), border_mm=(1.0, 4.0))
-    table = pool_of("skin", 320, np.random.default_rng(1), own)
-    assert within(table.pieces[:, 6], (3.0, 9.0))
-    hard = table.pieces[:, 7] == 0.0
-    assert within(table.pieces[~hard, 3:5], (5.0, 25.0))
-    assert table.pieces[hard, 3:5].max() > 30.0, "bars"
-    assert np.sum(np.diff(table.first) == 2) > 10, "L's"
-    assert np.sum(hard) - np.sum(np.diff(table.first) == 2) == 160
-
-
 def test_both_ways_each_with_its_own_contrasts() -> None:
     pieces = drawn(skin(kind="both", raising_contrast=(3.0, 9.0), lowering_contrast=(0.3, 0.4)))
     lowers = pieces[:, 6] < 1.0

@@ -44,11 +44,6 @@ def test_metric_is_that_of_the_surface_by_central_differences(bend: Bend) -> Non
     np.testing.assert_allclose(metric(bend, SHEET, POINTS), differences(bend), atol=5e-9)
 
 
-def test_a_wrong_metric_would_be_seen() -> None:
-    other = Bend(angle_deg=180, axis_deg=30, skew=0.7, twist_deg=40.1)
-    assert np.abs(metric(EVERYTHING, SHEET, POINTS) - differences(other)).max() > 1e-4
-
-
 def test_flat_sheet_stays_where_it_is() -> None:
     expected = np.column_stack([POINTS, np.zeros(len(POINTS))])
     np.testing.assert_allclose(surface(Bend(), SHEET, POINTS), expected, atol=1e-12)

@@ -12,8 +12,8 @@ from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Ellipse, Rect
-from eitskin_sim.shapes.parameters import NAMES, areas_mm2, free, parameters_of, pieces_of, strengths_mm2
-from eitskin_sim.shapes.sheet import TouchedSheet, _Sum
+from eitskin_sim.shapes.parameters import NAMES, free, parameters_of, pieces_of
+from eitskin_sim.shapes.sheet import TouchedSheet
 
 Array = npt.NDArray[np.float64]
 
@@ -117,12 +117,6 @@ def test_voltages_are_those_of_a_scene(contrast: float, border_mm: float) -> Non
     assert np.linalg.norm(found - true) < 0.1 * np.linalg.norm(true)
 
 
-def test_strength_is_log_contrast_times_area() -> None:
-    assert np.allclose(areas_mm2(MIXED[:4]), [120.0, 308.0, 48.0 * np.pi, 30.25 * np.pi])
-    assert np.allclose(strengths_mm2(MIXED[:1]), 120.0 * np.log(50.0))
-    assert strengths_mm2(MIXED)[1] < 0.0
-
-
 def test_a_sheet_solved_whole_reads_as_one_solved_where_it_is_touched(monkeypatch: pytest.MonkeyPatch) -> None:
     pieces = np.array([[0, 60.0, 45.0, 50.0, 40.0, 10.0, 50.0, 0.0], [0, 120.0, 70.0, 20.0, 10.0, 0.0, 0.3, 0.0]])
     own = sheet()
@@ -136,17 +130,3 @@ def test_a_sheet_solved_whole_reads_as_one_solved_where_it_is_touched(monkeypatc
     wanted = free(pieces)
     rates = [own.jacobian(one, wanted)[0] for one in found]
     assert np.allclose(*rates, rtol=1e-7, atol=1e-9)
-
-
-def test_blocks_are_summed_where_elements_share_unknowns_and_none_is_left_out() -> None:
-    rng = np.random.default_rng(3)
-    blocks, place = rng.standard_normal((5, 3, 3)), np.array([[0, 1, 2], [2, -1, 3], [4, 3, 0], [-1, 5, 1], [5, 4, 2]])
-    dense = np.zeros((7, 7))
-    for block, own in zip(blocks, place, strict=True):
-        kept = own >= 0
-        dense[np.ix_(own[kept], own[kept])] += block[np.ix_(kept, kept)]
-    right = rng.standard_normal((7, 4))
-    adding = _Sum(np.arange(7), place)
-    nothing = adding.of(np.zeros_like(blocks))
-    assert adding.of(blocks) @ right == pytest.approx(dense @ right)
-    assert not (nothing @ right).any(), "a sum stays what it was when others are made"

@@ -32,29 +32,13 @@ def test_tikhonov_solves_the_stacked_least_squares(power):
     assert np.allclose(tikhonov_matrix(operator, 1e-3, power) @ data, expected, rtol=1e-10, atol=1e-12)
 
 
-def test_tikhonov_of_orthonormal_rows_is_the_transpose_shrunk():
-    operator = np.linalg.qr(np.random.default_rng(1).standard_normal((30, 20)))[0].T
-    assert np.allclose(tikhonov_matrix(operator, 0.25, 0.0), operator.T / 1.25, atol=1e-12)
-
-
-@pytest.mark.parametrize("rms", [1e-6, 1e-9, 1e-16])
-def test_sbl_goes_by_data_however_small(units, rms):
-    data = np.random.default_rng(2).standard_normal(len(units.relative_jacobian))
-    usual, small = (
-        sbl_image(units.relative_jacobian, size * data, units.shape, upper=SATURATED_CONTRAST) / size
-        for size in (1e-3, rms)
-    )
-    assert np.allclose(small, usual, rtol=1e-3, atol=1e-3 * usual.max())
-
-
 @pytest.mark.parametrize("factor", [0.0, -1.0, float("nan")])
 def test_tikhonov_without_regularisation_is_refused(factor):
     with pytest.raises(ValueError, match="above 0"):
         tikhonov_matrix(np.eye(3), factor)
 
 
-@pytest.mark.parametrize("upper", [np.inf, 0.3])
-@pytest.mark.parametrize("factor", [0.5, 0.1, 0.01])
+@pytest.mark.parametrize(("factor", "upper"), [(0.5, np.inf), (0.01, 0.3)])
 def test_l1_meets_its_optimality_conditions(factor, upper):
     operator, data = problem()
     image = l1_image(operator, data, factor=factor, upper=upper, iterations=20_000)
@@ -72,25 +56,7 @@ def test_l1_of_an_orthonormal_operator_is_soft_thresholding():
     assert np.allclose(l1_image(np.eye(4), data, factor=0.1), np.maximum(data - 0.3, 0.0), atol=1e-12)
 
 
-def test_l1_at_full_penalty_leaves_nothing_and_one_step_below_leaves_something():
-    operator, data = problem()
-    largest = np.abs(operator.T @ data).max() / (operator.T @ data).max()  # the penalty counts both signs
-    assert not l1_image(operator, data, factor=1.0).any()
-    assert l1_image(operator, data, factor=0.9 / largest).any()
-
-
-def test_l1_steps_never_end_above_the_start():
-    operator, data = problem(seed=3)
-
-    def cost(image):
-        penalty = 0.05 * np.abs(operator.T @ data).max()
-        return 0.5 * np.sum((operator @ image - data) ** 2) + penalty * image.sum()
-
-    costs = [cost(l1_image(operator, data, factor=0.05, iterations=n)) for n in (0, 5, 50, 400, 4000)]
-    assert np.all(np.diff(costs) <= 1e-9)
-
-
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_likelihood_rises_with_every_step_without_coupling(seed):
     operator, data = problem(20, 30, seed)
     found = learn(operator, data, (5, 6), coupling=0.0, iterations=30, tolerance=0.0)
@@ -125,7 +91,7 @@ def test_bounded_map_meets_its_optimality_conditions(lower, upper):
 
 @pytest.mark.parametrize("rounds", [1, 25])
 @pytest.mark.parametrize("upper", [np.inf, 1.0, 0.05])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_bounded_minimum_is_found_by_either_way_of_changing_cells(monkeypatch, seed, upper, rounds):
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((40, 40)) * np.exp(rng.uniform(-3, 3, 40))  # scales of cells differ 400-fold
@@ -160,7 +126,7 @@ def test_no_data_gives_an_empty_image_and_a_wrong_grid_is_refused():
         sbl_image(operator, data, (4, 6))
 
 
-@pytest.mark.parametrize("unit", [0, 60, 125, 13])
+@pytest.mark.parametrize("unit", [0, 60])
 def test_every_solver_finds_a_faint_touch_where_it_is(units, unit):
     # A change too small to saturate is what the operators linearise: data made of one column has one answer.
     data = 0.5 * units.relative_jacobian[:, unit]

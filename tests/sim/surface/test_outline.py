@@ -2,7 +2,6 @@
 
 import json
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from eitskin_sim.surface.edge import fit_edge
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.ordered_cloud import DOUBTFUL_RMS, PointCloudError, organise
 from eitskin_sim.surface.predict import predict
-from eitskin_sim.surface.rows import find_rows
 from eitskin_tools import cli
 
 pytestmark = pytest.mark.slow
@@ -120,12 +118,6 @@ def test_prediction_from_points_is_as_good_over_many_draws():
     assert median_off(2.0, 0.1, draws) < 0.019
 
 
-def test_prediction_gets_better_with_density():
-    draws = draw("A", 5, 20262)
-    by_spacing = [median_off(spacing, 0.1, draws) for spacing in (3.0, 1.5, 0.75)]
-    assert all(sparse > 1.2 * dense for sparse, dense in pairwise(by_spacing)), by_spacing
-
-
 def test_doubt_grows_with_spacing_and_noise_and_is_that_of_the_draws():
     bend = draw("A", 3, 5)[2]
 
@@ -164,15 +156,6 @@ def test_stray_points_beyond_a_side_leave_it_where_it_is():
     ]
     places = [np.polynomial.polynomial.polyval(np.linspace(0.0, 1.0, 21), edge.coefficients) for edge in edges]
     assert np.abs(places[1] - places[0]).max() < 0.15
-
-
-def test_rows_are_found_in_grids_and_in_nothing_else():
-    rng = np.random.default_rng(0)
-    rows = np.repeat(0.3 + 2.0 * np.arange(8), 50)
-    assert find_rows(rows + 0.1 * rng.standard_normal(400), 0.25) == pytest.approx((0.3, 2.0), abs=0.05)
-    assert find_rows(rng.uniform(0.0, 16.0, 400), 0.25) is None
-    assert find_rows(rows + rng.uniform(-0.8, 0.8, 400), 0.25) is None
-    assert find_rows(rows[:3], 0.25) is None
 
 
 @pytest.mark.filterwarnings("error")

@@ -19,6 +19,7 @@ def clouds(bends):
     return [measured_cloud(bend, rng).astype(np.float64) for bend in bends]
 
 
+@pytest.mark.slow
 def test_every_drawn_cloud_passes_without_a_word(clouds):
     assert [doubts for cloud in clouds for doubts in check_sheet(cloud)[1]] == []
 

@@ -55,13 +55,3 @@ def test_rates_are_quotients_of_the_metrics_of_moved_surfaces() -> None:
     flat = rates.reshape(-1, rates.shape[-1])
     along = np.linalg.lstsq(flat, quotient, rcond=None)[0]
     assert np.linalg.norm(flat @ along - quotient) < 1e-5 * np.linalg.norm(quotient), "the ways of noise are all there"
-
-
-def test_what_no_metric_shows_stays_as_it_was_fitted() -> None:
-    """A flat sheet that is turned and moved is smoothed to the same, turned and moved."""
-    cloud = np.asarray(PAPER.grid.flat_cloud_mm(), dtype=np.float64)
-    cloud = cloud + NOISE_MM * np.random.default_rng(9).standard_normal(cloud.shape)
-    turn = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
-    moved = np.einsum("ij,jrc->irc", turn, cloud) + np.array([10.0, -20.0, 5.0])[:, None, None]
-    one, other = (smoothed(fit_cloud(each), NOISE_MM).surface.metric(PLACES) for each in (cloud, moved))
-    assert other == pytest.approx(one, abs=1e-5)

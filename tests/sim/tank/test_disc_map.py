@@ -38,18 +38,6 @@ def test_the_border_is_the_rim_and_its_angles_come_back():
     assert np.allclose(disc.rim_to_arc_mm(angle + 720.0), arc, atol=1e-6)
 
 
-def test_the_map_of_a_square_has_its_symmetry():
-    disc = DiscMap(SIDE_MM, 30.0)
-    at = inside()
-    turned = np.stack([100.0 - at[:, 1], at[:, 0]], axis=-1)
-    expected = disc.to_disc(at)
-    assert np.allclose(disc.to_disc(turned), np.stack([-expected[:, 1], expected[:, 0]], axis=-1), atol=1e-10)
-    assert np.allclose(disc.to_disc([[50.0, 50.0], [100.0, 50.0]]), [[0.0, 0.0], [30.0, 0.0]], atol=1e-9)
-    corner = disc.to_disc([[0.0, 0.0]])
-    assert np.allclose(corner, -30.0 / np.sqrt(2.0), atol=1e-6)
-    assert disc.scale([[0.0, 0.0]])[0] < 1e-6
-
-
 def test_areas_add_up_to_the_disc():
     disc = DiscMap(SIDE_MM, 30.0)
     points, weights = np.polynomial.legendre.leggauss(60)

@@ -5,7 +5,7 @@ import pytest
 
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.unit_grid.patterns import rich_touch_sets, squares, touch_classes
-from eitskin_sim.unit_grid.skeleton import condense_at, unit_system
+from eitskin_sim.unit_grid.skeleton import unit_system
 from eitskin_sim.unit_grid.units import UnitGenerator
 
 BEND = Bend(angle_deg=70.0, axis_deg=-30.0, twist_deg=10.0, stretch_along=1.08, stretch_across=0.97, nonuniformity=0.05)
@@ -32,16 +32,6 @@ def test_sets_of_any_contrasts_are_those_of_a_factorisation(generator: UnitGener
         for row, own, sigma in zip(generator.voltages(units, contrast), units, contrast, strict=True):
             assert row == pytest.approx(naive(own, sigma), rel=1e-8)
             assert (np.abs(row / generator.untouched_V - 1.0).max() > 0.01) == own.any()
-
-
-@pytest.mark.parametrize("unit", [0, 1, 8])
-def test_a_unit_at_many_conductivities_is_what_it_is_at_each(unit: int) -> None:
-    parts, system = unit_system(BEND)
-    sigmas = (0.1, 1.0, 50.0)
-    together = condense_at(unit, parts, system, sigmas).schur
-    for sigma, found in zip(sigmas, together, strict=True):
-        alone = condense_at(unit, parts, system, (sigma,)).schur[0]
-        assert found == pytest.approx(alone, rel=1e-9, abs=1e-12 * np.abs(alone).max())
 
 
 def test_one_contrast_of_50_is_what_it_was_and_one_below_1_is_no_silence(generator: UnitGenerator) -> None:

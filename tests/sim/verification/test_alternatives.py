@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.sim.verification.frames import ELL, NOTHING, SQUARE, changed, flat_model, frame_of, shares_of
+from tests.sim.verification.frames import ELL, NOTHING, SQUARE, changed, frame_of, shares_of
 
 from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE
 from eitskin_sim.verification import alternatives
@@ -16,7 +16,7 @@ def budget() -> Budget:
     return Budget(100.0, lambda: 0.0)
 
 
-@pytest.mark.parametrize("contrast", [60.0, 2.5])
+@pytest.mark.parametrize("contrast", [2.5])
 def test_two_touches_are_found_where_one_lies_between(contrast: float) -> None:
     """One of a weaker contrast, too, as it comes out where it is stretched over both."""
     between = BETWEEN.copy()
@@ -72,15 +72,6 @@ def test_what_is_as_strong_at_the_usual_contrast_is_found_along_the_valley() -> 
     found = alternatives.of_usual_contrast(frame, begun, budget())
     assert found.cost < begun.cost
     assert found.pieces[0, 3:5] == pytest.approx(SQUARE[0, 3:5], abs=1.5)
-
-
-def test_small_touches_of_another_contrast_read_alike() -> None:
-    small = np.array([[0, 60.0, 45.0, 5.0, 5.0, 0.0, 50.0, 0.0]])
-    wide = alternatives.scaled_to_contrast(small, np.log([2.0]))
-    assert wide[0, 6] == pytest.approx(2.0)
-    assert wide[0, 3] * wide[0, 4] / 3.0 == pytest.approx(25.0 * 49.0 / 51.0)
-    one, other = (flat_model().solve(pieces)[1] for pieces in (small, wide))
-    assert np.abs(one - other).max() < 0.2 * np.abs(one).max()
 
 
 def test_what_the_network_shows_as_one_is_one_body_unless_the_frame_speaks_against_it() -> None:

@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from tests.sim.verification.frames import Array, correlation, flat_verifier, frame_of, read, shares_of
+from tests.sim.verification.frames import Array, correlation, flat_verifier, read, shares_of
 
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.shapes.parameters import areas_mm2
-from eitskin_sim.verification.fit import Budget
-from eitskin_sim.verification.gentler_contrasts import likely_touches
 from eitskin_sim.verification.network_map import map_of
 from eitskin_sim.verification.shape_verdict import ShapeVerdict
 
@@ -45,15 +43,6 @@ def test_a_larger_gentle_touch_is_found_a_contrast_at_a_time() -> None:
     assert correlation(found.map(), map_of(larger)) > correlation(map_of(found.pieces), map_of(larger)) + 0.02
 
 
-def test_a_contrast_that_the_frame_speaks_against_ends_the_search_for_gentler_ones() -> None:
-    hard = HARD.copy()
-    hard[0, 3:5] = 16.0
-    budget = Budget(100.0, lambda: 0.0)
-    frame = frame_of(hard)
-    assert len(likely_touches(frame, frame.at(hard), budget)) == 1
-    assert budget.fits == 1
-
-
 def test_a_hard_touch_has_one_contrast_and_a_press_may_be_gentler() -> None:
     found = verified(HARD)
     assert len(found.likely) == 1
@@ -62,9 +51,3 @@ def test_a_hard_touch_has_one_contrast_and_a_press_may_be_gentler() -> None:
     softer = verified(press, "lower")
     assert len(softer.likely) == 2
     assert correlation(softer.map(), map_of(press)) > correlation(map_of(softer.pieces), map_of(press))
-
-
-def test_what_goes_both_ways_and_what_is_not_there_has_no_other_contrast() -> None:
-    for kind, pieces in (("both", GENTLE), ("raise", np.zeros((0, 8)))):
-        frame = frame_of(pieces, kind)  # type: ignore[arg-type]
-        assert likely_touches(frame, frame.at(pieces), Budget(1.0)) == ((1.0, pytest.approx(pieces)),)

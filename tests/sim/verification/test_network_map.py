@@ -2,19 +2,17 @@
 
 import numpy as np
 import pytest
-from tests.sim.verification.frames import ELL, OTHER, SQUARE, changed, shares_of
+from tests.sim.verification.frames import ELL, SQUARE, changed, shares_of
 
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.gap import gap_mm
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Rect
-from eitskin_sim.verification import network_map
 from eitskin_sim.verification.network_map import (
     joints_of,
     map_of,
     rectangles_of,
-    shown_as_large,
     starts_of,
     turned_rectangle,
     without_cracks,
@@ -63,22 +61,6 @@ def test_a_start_has_the_contrast_of_the_skin_and_a_press_a_graded_border() -> N
     assert press[0, 7] > 0.0
     (none,) = starts_of(shares_of(), touch_prior("lower"))
     assert none.shape == (0, 8)
-
-
-def test_shares_of_the_stream_are_maps() -> None:
-    none = np.zeros(0, dtype=np.intp)
-    assert network_map.shares_of(none, none, np.zeros(0), 0, GRID).shape == (0, *GRID.shape)
-    columns = GRID.shape[1] + 2
-    pixels = np.array([columns + 1, 2 * columns + 3])
-    found = network_map.shares_of(pixels, np.array([0, 1]), np.array([0.5, 1.0]), 2, GRID)
-    assert (found[0, 0, 0], found[1, 1, 2], found.sum()) == (0.5, 1.0, 1.5)
-
-
-def test_a_touch_is_shown_as_large_where_the_nearest_one_has_its_sides() -> None:
-    shown = shares_of(SQUARE, changed(OTHER, length=30.0))
-    assert shown_as_large(SQUARE[0], shown, GRID)
-    assert not shown_as_large(changed(SQUARE, length=8.0)[0], shown, GRID)
-    assert not shown_as_large(SQUARE[0], shares_of(), GRID)
 
 
 def test_a_crack_within_one_touch_of_the_map_is_closed_and_gaps_between_two_stay() -> None:

@@ -24,16 +24,6 @@ def test_the_stated_deviation_is_that_of_the_noise(law: str) -> None:
     assert np.allclose(found, stated, rtol=0.06, atol=1e-9)
 
 
-def test_noise_that_rows_share_is_part_of_the_covariance() -> None:
-    rng = np.random.default_rng(4)
-    shared = 0.02 * rng.standard_normal((len(REFERENCE), 2))
-    noise = Noise("measured", measured=np.full(len(REFERENCE), 1e-3), shared=shared)
-    draws = 1e-3 * rng.standard_normal((400, len(REFERENCE))) + rng.standard_normal((400, 2)) @ shared.T
-    white = Whitener(noise.sd(CHANGE, REFERENCE), noise.shared, floor=0.0)
-    assert np.mean(white.chi_squared(draws)) == pytest.approx(len(REFERENCE), rel=0.05)
-    assert np.allclose(noise.of_mean(4).shared, shared / 2.0)
-
-
 def test_measured_noise_is_taken_as_it_is_stated() -> None:
     sd = np.full(ROWS, 0.01)
     assert np.array_equal(Noise("measured", measured=sd).sd(CHANGE, REFERENCE), sd)
@@ -44,15 +34,6 @@ def test_measured_noise_is_taken_as_it_is_stated() -> None:
     with pytest.raises(ValueError, match="'N7' is unknown; expected one of"):
         Noise("N7")  # type: ignore[arg-type]
     assert "measured" in LAWS
-
-
-def test_draws_of_the_covariance_have_the_chi_squared_of_their_rows() -> None:
-    rng = np.random.default_rng(2)
-    columns, sd = rng.standard_normal((ROWS, 5)), np.full(ROWS, 0.1)
-    white = Whitener(sd, columns, floor=0.0)
-    draws = sd * rng.standard_normal((3000, ROWS)) + rng.standard_normal((3000, 5)) @ columns.T
-    p = np.array([p_value(float(one), ROWS) for one in white.chi_squared(draws)])
-    assert stats.kstest(p, "uniform").pvalue > 1e-3
 
 
 def test_what_lies_along_a_column_is_found_as_its_amplitude() -> None:

@@ -232,6 +232,7 @@ def test_what_was_seen_at_rest_explains_what_is_touched_there(own: ShapeVerifier
     assert own.deformation.model.rest is None, "another deformation is known by its scan alone"
 
 
+@pytest.mark.slow
 def test_a_sheet_that_has_changed_since_is_verified_by_its_scan(own: ShapeVerifier, sheet: TouchedSheet) -> None:
     assert own.use_untouched(at_rest(sheet), 50)
     rested = own.deformation.model

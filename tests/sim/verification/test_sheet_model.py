@@ -39,6 +39,7 @@ def amplitudes(model: SheetModel, gauge: float = 0.0, wave: tuple[int, float] | 
     return found
 
 
+@pytest.mark.slow
 def test_noise_bends_the_fitted_surface_as_the_fits_of_every_point_say() -> None:
     """Noise of one point at a time, through the fit itself, adds up to the same covariance."""
     at = np.array([[3.0, 4.0], [75.0, 50.0], [140.0, 90.0], [20.0, 80.0]])
@@ -77,6 +78,7 @@ def test_the_scans_columns_are_the_scatter_of_models_of_noisy_scans(cloud: Array
     assert np.median(found / stated) == pytest.approx(1.0, abs=0.35)
 
 
+@pytest.mark.slow
 def test_a_model_made_again_about_a_gauge_factor_is_that_of_such_a_sheet(model: SheetModel) -> None:
     again = model.about(amplitudes(model, gauge=1.0))
     stated = ideal(PAPER)

@@ -1,25 +1,10 @@
 """How likely touches are before anything is measured: what a skin states, derivatives, and joints."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from tests.sim.verification.frames import ELL, OTHER, SQUARE, changed
 
-from eitskin_proto.skin.parts import Touches
-from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.verification.touch_prior import Joints, count_bodies, fitted_parameters, touch_prior
-
-
-def test_contrast_and_size_are_what_the_skin_states() -> None:
-    weak = replace(PAPER, touches=Touches(raising_contrast=(1.6, 2.5), size_mm=(8.0, 12.0)))
-    prior, plain = touch_prior("raise", weak), touch_prior("raise")
-    assert np.exp(prior.log_contrast) == pytest.approx(2.0)
-    assert prior.mean_contrast_sd < 0.4 < plain.mean_contrast_sd
-    assert prior.size_mm == pytest.approx(np.sqrt(96.0))
-    assert prior.size_log_sd < plain.size_log_sd
-    assert touch_prior("lower").log_contrast < 0.0 < plain.log_contrast
-    assert (touch_prior("lower").sign, plain.sign, touch_prior("both").sign) == (-1, 1, 0)
 
 
 @pytest.mark.parametrize(("pieces", "joints"), [

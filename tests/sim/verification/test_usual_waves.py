@@ -52,28 +52,6 @@ def test_a_shape_says_where_its_material_lies_and_bumps_that_it_lies_anywhere(us
     assert np.median(bumped) > 3.0 * np.median(stated)
 
 
-@pytest.mark.parametrize("axis", [0, 1])
-def test_mirrored_amplitudes_move_the_mirrored_material(axis: int) -> None:
-    waves, rng = waves_of(PAPER), np.random.default_rng(4)
-    amplitudes = 0.3 * waves.sd * rng.standard_normal(len(waves.sd))
-    size = np.array(PAPER.outline.size_mm)
-    at = rng.uniform(0.0, size, (50, 2))
-
-    def metric(xy_mm: Array) -> Array:
-        x, y = (xy_mm / size).T
-        return np.stack([1.2 + 0.1 * x + 0.05 * y * y, 0.05 * x * y, 1.0 - 0.1 * y + 0.05 * x], axis=-1)
-
-    def turned(xy_mm: Array) -> Array:
-        there = xy_mm.copy()
-        there[:, axis] = size[axis] - there[:, axis]
-        return metric(there) * np.array([1.0, -1.0, 1.0])
-
-    there = at.copy()
-    there[:, axis] = size[axis] - there[:, axis]
-    found = waves.moved(turned, waves.mirrored(axis) * amplitudes)(at)
-    assert found == pytest.approx(waves.moved(metric, amplitudes)(there) * np.array([1.0, -1.0, 1.0]), abs=1e-9)
-
-
 def flat_metric(xy_mm: Array) -> Array:
     return np.tile([1.0, 0.0, 1.0], (len(xy_mm), 1))
 

@@ -84,6 +84,7 @@ def test_every_packet_crosses_the_bare_line_once_and_takes_time() -> None:
 
 
 @pytest.mark.process
+@pytest.mark.slow
 def test_footprint_measures_fresh_interpreters(capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
     import argparse
 

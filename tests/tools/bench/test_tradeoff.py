@@ -9,7 +9,7 @@ from eitskin_sim.evaluation.device_runs import Plan
 from eitskin_sim.evaluation.harness import Conditions, solve_l1
 from eitskin_sim.evaluation.metrics import correlation
 from eitskin_sim.measurement.noise import Kind
-from eitskin_tools.bench.tradeoff import of_devices, of_phantoms, variants
+from eitskin_tools.bench.tradeoff import of_devices, variants
 from eitskin_tools.cli import main
 
 pytestmark = pytest.mark.heavy
@@ -43,17 +43,6 @@ def test_every_variant_has_an_error_and_a_time_and_the_front_is_not_beaten(
     for one in front:
         assert not any(other["error"] < one["error"] and other["p50"] < one["p50"] for other in rows)
     assert picture.stat().st_size > 10_000
-
-
-def test_phantoms_that_nothing_touches_have_no_error(tmp_path: Path) -> None:
-    path = tmp_path / "phantoms.json"
-    path.write_text(json.dumps([*PHANTOMS, {"name": "free", "truth": PHANTOMS[0]["truth"], "scene": {}}]))
-    panels = list(of_phantoms(str(path), "N2", 1))
-    assert sum(len(one.cases) for one in panels) == len(PHANTOMS)
-    assert all(truth.any() for one in panels for _, truth in one.cases)
-    path.write_text(json.dumps([{"scene": {}}]))
-    with pytest.raises(ValueError, match="holds no phantom that anything touches"):
-        list(of_phantoms(str(path), "N2", 1))
 
 
 def test_phantoms_are_asked_for(capsys: pytest.CaptureFixture[str]) -> None:

@@ -51,19 +51,6 @@ def test_it_learns_the_touches_and_labels_that_it_knows_on_devices_of_the_twin(n
     assert adapted(name, seed=1).digest != adapted(name).digest
 
 
-def test_it_learns_the_presses_that_were_calibrated():
-    bundle = load_bundle(files.find("press", files.BUNDLE), lazily=True)
-
-    def touches(twin, kind="lower"):
-        found = adaptation.adapted(bundle.path, twin, bundle.manifest, kind, Adaptation(), bundle.skin)
-        return found.data["touches"].touches
-
-    stamped = replace(TWIN, touches=replace(TWIN.touches, lowering_contrast=(0.5, 0.6)))
-    assert touches(TWIN) == "press"  # the file says what the bundle's own skin said
-    assert touches(stamped) == "skin"
-    assert touches(stamped, "raise") == "hard"  # the bundle knows other touches than the skin has
-
-
 def test_a_sheet_of_another_map_is_refused_before_its_data_is_made(monkeypatch):
     fits = adapted("press")
     fits = replace(fits, data={name: replace(one, deformations=2) for name, one in fits.data.items()})
@@ -73,11 +60,6 @@ def test_a_sheet_of_another_map_is_refused_before_its_data_is_made(monkeypatch):
     with pytest.raises(MismatchError, match=r"network to start from: map: found 30 x 45 .*, expected 18 x 45 pixels"):
         steps.check(found)
     steps.check(fits)
-
-
-def test_a_bundle_that_does_not_say_how_it_was_trained_is_refused():
-    with pytest.raises(ValueError, match="does not record how it was trained"):
-        adaptation.adapted(Path("old.eitskin"), TWIN, {"labels": "area"}, "raise", Adaptation())
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from eitskin_proto.skin.toml import named, to_toml
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build import steps
 from eitskin_tools.build.making import FINAL_STAGES_S, Pace, scale, seconds
-from eitskin_tools.build.recipe import MissingElectrodesWork, TrainingStage
+from eitskin_tools.build.recipe import TrainingStage
 from eitskin_tools.build.steps import MISSING_RUN, fitted_to, plan_of
 from eitskin_tools.cli import main
 from eitskin_tools.command_line import files
@@ -162,17 +162,6 @@ def test_hours_scale_deformations_and_epochs_alike():
 
 LESSON = "\n[missing_electrodes]\nfitting_steps = 3\nsteps = 2\n"
 """What the stages learned is taught to go on without electrodes, once."""
-
-
-def test_the_lesson_is_part_of_what_names_a_build():
-    without, found = recipes.parse(tomllib.loads(TINY)), recipes.parse(tomllib.loads(TINY + LESSON))
-    assert without.missing_electrodes is None
-    assert "missing_electrodes" not in without.as_dict()
-    assert found.missing_electrodes == MissingElectrodesWork(fitting_steps=3, steps=2)
-    assert found.digest != without.digest
-    assert recipes.load("units").missing_electrodes == MissingElectrodesWork()
-    with pytest.raises(ValueError, match=r"\[missing_electrodes\]"):
-        recipes.parse(tomllib.loads(TINY + "\n[missing_electrodes]\nepochs = 3\n"))
 
 
 @pytest.mark.slow

@@ -9,11 +9,6 @@ from eitskin_tools.console.run_log import RunLog
 from eitskin_tools.console.run_status import SILENT_S, RunStatus
 
 
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
-
-
 class Skin:
     """Counters that a test moves, and a clock that it moves with them."""
 
@@ -66,16 +61,6 @@ def test_a_loss_a_withheld_frame_and_a_failed_electrode_are_said_at_once_with_th
     assert "touched" in lines[1]
     assert "2 withheld (corrupt: 2)" in lines[1]
     assert "electrode 5 detached (rows estimated)" in lines[2]
-
-
-def test_a_terminal_gets_one_line_that_is_rewritten():
-    stream = Terminal()
-    skin, status = looked_at(stream)
-    for _ in range(5):
-        skin.pass_second()
-        status.check()
-    assert stream.getvalue().count("\r") == 5
-    assert "\n" not in stream.getvalue()
 
 
 def test_json_is_one_object_a_line_with_rate_and_reasons():

@@ -12,7 +12,6 @@ from eitskin.acquisition.serial_port import SerialPort
 from eitskin.errors import SkinError, TransportError
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
 from eitskin_proto.wire import config_toml
-from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
 from eitskin_tools.flash.full_scan import full_scan, scanning_all_rows
 from eitskin_tools.flash.procedure import FlashError
@@ -55,14 +54,6 @@ def test_all_rows_are_scanned_with_the_same_front_end_as_fast_as_line_and_electr
                 replace(full, rate_mHz=full.rate_mHz + 20).check(line)
         for name in ("frequency_hz", "current_ua", "settle_us", "averages", "gain", "sample_bytes", "skin"):
             assert getattr(full, name) == getattr(own, name), name
-
-
-def test_a_device_that_scans_them_anyway_is_not_written_to(device):
-    procedure.write(Exchange(device), config_toml.named("full208"))
-    generation = Exchange(device).hello().generation
-    with scanning_all_rows(lambda: device, pytest.fail):
-        pass
-    assert Exchange(device).hello().generation == generation
 
 
 @pytest.mark.parametrize("error", [SkinError("nobody presses"), KeyboardInterrupt(), OSError("disk full")])

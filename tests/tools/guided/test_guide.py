@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.cloud import flat_cloud
-from eitskin_tools.guided import WINDOW, CalibrationGuide, FrameWindow, GuideError, Plan
+from eitskin_tools.guided import CalibrationGuide, GuideError, Plan
 
 ROWS = np.arange(104)
 FLAT = np.where(ROWS % 3, -1.0, 1.0) * 1e-3 * 40.0 ** (-ROWS / 103.0)
@@ -118,19 +118,3 @@ def test_a_scan_that_cannot_be_read_is_asked_for_again():
     sheet = Sheet([("Name the scan", "none.npz"), ("name another", "bent.npz")])
     assert len(guided(sheet, load=load)["bent_V"]) == 1
     assert asked == ["none.npz", "bent.npz"]
-
-
-def test_a_sheet_that_moves_is_not_at_rest_and_noise_alone_is():
-    rng = np.random.default_rng(3)
-    still = moving = 0
-    for _ in range(200):
-        watch, slow = FrameWindow(), FrameWindow()
-        for k in range(WINDOW):
-            noise = NOISE * rng.standard_normal(104)
-            watch.add(FLAT * (1.0 + noise))
-            slow.add(FLAT * (1.0 + noise + 0.02 * k / WINDOW * np.cos(ROWS)))
-        still += watch.steady
-        moving += slow.steady
-    assert still == 200
-    assert moving == 0
-    assert not FrameWindow().steady

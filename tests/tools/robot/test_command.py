@@ -65,12 +65,6 @@ def test_more_electrodes_than_can_be_left_out_are_refused_before_anything_starts
     assert "expected at most 4" in said
 
 
-def test_a_cpu_that_there_is_not_is_refused(robot, capsys):
-    assert "CPU [4000]" in refused(capsys, "run", "--config", robot("realtime.affinity = [4000]"))[1]
-    path = robot('verify.mode = "always"', "verify.affinity = [4000]")
-    assert "verify.affinity: CPU [4000], expected some of [" in refused(capsys, "run", "--config", path, "--check")[1]
-
-
 def test_a_folder_that_cannot_be_made_or_is_open_to_others_is_refused(robot, capsys, tmp_path):
     path = robot(f'bundle = "{GOLDEN}/tiny.eitskin"')
     (tmp_path / "sockets").touch()

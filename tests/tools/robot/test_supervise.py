@@ -16,7 +16,7 @@ from .conftest import HERE, PATIENCE_S, gone
 pytestmark = pytest.mark.process
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_all_end_when_it_is_told_to_and_nothing_is_left(family, number):
     with met_by(signal.SIG_DFL, signal.SIGHUP), family(a="good", b="other") as found:
         assert found.ready()["skins"] == ["a", "b"]

@@ -11,7 +11,6 @@ from tests.runtime.made_up_skin import virtual_skin
 from eitskin.acquisition.usb_port import PRODUCT_ID, VENDOR_ID
 from eitskin_tools import cli
 from eitskin_tools.commands.service import FILES, text_of
-from eitskin_tools.service.watchdog import EXIT_STATUS
 
 UNITS = ("eitskin.service", "eitskin@.service")
 
@@ -49,15 +48,6 @@ def test_a_unit_has_directives_once_each_and_nothing_left_to_fill_in(name):
     assert cli._parser("run").parse_args(words).config
 
 
-@pytest.mark.parametrize("name", UNITS)
-def test_who_stood_still_is_started_again_and_who_was_asked_for_nonsense_is_not(name):
-    service = dict(parsed(text_of(name, "robot", "/usr/bin/eitskin"))["Service"])
-    assert service["Restart"] == "on-failure"
-    kept_down = service["RestartPreventExitStatus"].split()
-    assert str(EXIT_STATUS) not in kept_down
-    assert kept_down == ["2"], "bad usage alone: a second start would say the same"
-
-
 def analyse(*words):
     program = shutil.which("systemd-analyze")
     if program is None:
@@ -80,13 +70,6 @@ def test_systemd_takes_the_units(written):
     unit = written / "eitskin.service"
     unit.write_text(unit.read_text().replace("ProtectClock=", "ProtectClocks="))
     assert "ProtectClocks" in analyse("--man=no", "verify", str(unit)).stderr
-
-
-@pytest.mark.process
-def test_systemd_finds_the_units_well_closed(written):
-    for name in UNITS:
-        found = analyse("security", "--offline=true", "--threshold=30", str(written / name))
-        assert found.returncode == 0, found.stdout[-300:] + found.stderr
 
 
 def test_the_rule_names_the_ids_that_are_looked_for_and_the_unit_that_is_shipped():

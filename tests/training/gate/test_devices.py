@@ -17,7 +17,7 @@ from eitskin_sim.fem.solve import factorise_scene, solve_scene
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Disc
-from eitskin_training.gate import filters, fit, material, moments, observer, presses, rates, untouched
+from eitskin_training.gate import filters, fit, moments, observer, presses, rates, untouched
 from eitskin_training.gate.touches import Probe
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.samples.batches import TrainingData
@@ -112,23 +112,6 @@ def test_filters_find_what_stands_out_of_a_moment_of_any_scale() -> None:
     out = np.maximum(np.maximum(logs @ first, 0.0) @ second + bias, 0.0).sum(axis=1)
     np.testing.assert_array_equal(out > 1e-9, ratios > limit + 1e-9)
     assert filters.ratios(np.full((1, 12), 1e6), own) == pytest.approx(filters.ratios(np.full((1, 12), 2e6), own), 1e-5)
-
-
-def test_every_frame_drifts_by_its_own_factor(data: TrainingData, bends: Bends) -> None:
-    rng = np.random.default_rng(0)
-    flat = replace(bends, train=np.zeros((2, 104)))
-    drawn, _ = material.Material.of(data, flat, rng).draw(3000, rng, touched=0.0)
-    factors = np.log1p(drawn).mean(axis=1)
-    # "With one of 3 %, half of the samples are off by less than 0.5 %, and one in a hundred by 12 % or more."
-    assert 0.002 < np.median(np.abs(factors)) < 0.01
-    assert 0.005 < np.mean(np.abs(factors) > 0.1) < 0.03
-
-
-def test_a_samples_own_drift_is_no_part_of_its_touch(data: TrainingData, bends: Bends) -> None:
-    drift = np.random.default_rng(2).uniform(0.9, 1.1, len(data.voltages)).astype(np.float32)
-    moved = replace(data, drift=drift, voltages=data.voltages * drift[:, None])
-    plain, found = (material.Material.of(one, bends, np.random.default_rng(0)) for one in (data, moved))
-    np.testing.assert_allclose(found.touches, plain.touches, atol=1e-5)
 
 
 def test_the_signal_of_a_press_is_that_of_a_solved_one() -> None:

@@ -83,15 +83,6 @@ def test_half_of_what_is_drawn_is_touched_and_the_other_half_are_bends(data: Tra
     assert np.median(np.log1p(np.maximum(drawn[touched == 1], -0.99)).std(axis=1)) > 0.01
 
 
-def test_an_interval_knows_how_many_bends_it_is_from() -> None:
-    assert rates.rate_and_interval(np.zeros(100)) == (0.0, [0.0, 0.03])
-    rate, (low, high) = rates.rate_and_interval(np.array([1.0] * 10 + [0.0] * 90))
-    assert rate == pytest.approx(0.1)
-    assert high - low == pytest.approx(2 * 1.96 * np.sqrt(0.1 * 0.9 / 99), rel=1e-6)
-    # Ten times the frames of the same bends are no more evidence: the interval takes one number a bend.
-    assert rates.rate_and_interval(np.array([0.0]))[1] == [0.0, 1.0]
-
-
 def test_a_threshold_lets_its_share_of_untouched_frames_through(data: TrainingData, bends: Bends) -> None:
     def size(dv: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.float64]]:
         return np.asarray(np.abs(dv).mean(axis=1))

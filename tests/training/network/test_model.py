@@ -33,14 +33,6 @@ def test_the_two_halves_equal_the_whole_network(name: str) -> None:
     torch.testing.assert_close(halves, whole, rtol=0, atol=1e-6)
 
 
-def test_clouds_given_once_count_as_clouds_given_for_every_sample() -> None:
-    model = VD2T(recipe("tiny").architecture, PAPER).eval()
-    dv, clouds = inputs()
-    which = torch.tensor([0, 1, 1, 0, 2, 2, 2, 0])
-    with torch.inference_mode():
-        torch.testing.assert_close(model(dv, clouds[:3], which), model(dv, clouds[which]), rtol=0, atol=1e-6)
-
-
 def test_the_cloud_changes_the_map_unless_it_is_left_out() -> None:
     dv, clouds = inputs()
     for use_cloud in (True, False):

@@ -85,22 +85,3 @@ def test_lost_rows_are_zero_and_as_frequent_as_the_recipe_says() -> None:
     lost = (dv == 0).sum(axis=1)
     assert lost.max() == 4
     assert np.mean(lost > 0) == pytest.approx(0.2, abs=0.02)
-
-
-def test_of_a_range_of_noise_each_sample_has_a_level_of_its_own(toy_data: Any) -> None:
-    data = toy_data("area", samples=3000)
-    rows = np.arange(len(data.voltages))
-    clean = relative_change(data.voltages, data.reference)
-
-    def levels_db(snr_db: Any) -> Any:
-        noisy = noisy_change(data, rows, ("N2",), snr_db, np.random.default_rng(2))
-        size = np.sqrt(np.mean(np.square((noisy - clean) / (1.0 + clean)), axis=1))
-        return -20.0 * np.log10(size)
-
-    spread = 20.0 * np.log10(np.e) / np.sqrt(2 * 104)  # of a level that is found from 104 rows
-    found = levels_db((40.0, 60.0))
-    assert abs(found.mean() - 50.0) < 0.5
-    assert abs(found.std() - np.hypot(20.0 / np.sqrt(12.0), spread)) < 0.3
-    assert found.min() > 40.0 - 5 * spread
-    assert found.max() < 60.0 + 5 * spread
-    assert abs(levels_db(50.0).std() - spread) < 0.1

@@ -9,9 +9,7 @@ import pytest
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.normalise import relative_change
-from eitskin_proto.skin.cloud import flat_cloud, network_input
 from eitskin_sim.calibration.recording import LaterReading, Recording
-from eitskin_sim.surface.predict import predicted_log
 from eitskin_training.samples import presses
 from eitskin_training.samples.joined import join, load_all
 
@@ -95,17 +93,3 @@ def test_units_and_damaged_files_are_refused(tmp_path: Path, toy_data: Any) -> N
     np.savez(tmp_path / presses.NAME, labels=np.zeros(3))
     with pytest.raises(SkinError, match=r"presses\.npz is damaged"):
         presses.load(tmp_path)
-
-
-def test_presses_of_a_scanned_sheet_are_told_of_the_twin_bent_as_scanned(tmp_path: Path, toy_data: Any) -> None:
-    data = toy_data("area", bends=3)
-    stretched = flat_cloud() * np.array([1.03, 1.0, 1.0])[:, None, None]
-    presses.write(tmp_path, replace(recorded(), cloud_mm=stretched), data)
-    found = presses.load(tmp_path)
-    (lies,) = predicted_log([stretched])
-    assert np.allclose(found.log_predicted, lies)
-    assert np.allclose(found.untouched, data.reference * np.exp(lies))
-    assert np.allclose(found.clouds[0], network_input(stretched))
-    dv = found.voltages / found.untouched
-    assert np.allclose(dv, [one.voltages_V / REFERENCE for one in recorded().presses], atol=0.02)  # their noise differs
-    assert np.abs(lies).max() > 0.02, "else nothing was tried"

@@ -46,15 +46,6 @@ def test_streams_begin_like_neither_frames_nor_touches():
             unpack_frame(message, 0)
 
 
-@pytest.mark.parametrize("order", [(1, 2), (0, 2), (0, 0, 1, 2), (2, 1, 0), (0, 1, 0, 1, 2)])
-def test_parts_that_do_not_come_one_after_the_other_are_no_body(order):
-    messages = packed("cloud", 3, "r", b"y" * (2 * PIECE + 5))
-    joiner = BodyJoiner()
-    found = [joiner.add(opened(messages[part])) for part in order]
-    whole = b"y" * (2 * PIECE + 5)
-    assert found[-1] == (whole if order[-3:] == (0, 1, 2) else None)
-
-
 @pytest.mark.parametrize(
     "fields",
     [

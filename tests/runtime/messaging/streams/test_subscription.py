@@ -6,7 +6,7 @@ import zmq
 
 import eitskin
 from eitskin.errors import NoFrame
-from eitskin.messaging.streams.envelope import NAMES, TOPICS
+from eitskin.messaging.streams.envelope import NAMES
 
 from ..publishing import send, wait_for
 from .test_bodies import CLOUD, CONDITIONS, STATE, WIRE
@@ -113,16 +113,6 @@ def test_one_message_that_is_kept_is_the_frame(publisher, sending, packer):
             assert found["v"] == 1
     finally:
         context.destroy(0)
-
-
-def test_messages_that_are_none_are_counted_and_left(publisher, sending):
-    with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60, clouds=False, state=False) as streams:
-        wait_until_asked(publisher, ("wire", "conditions"))
-        publisher.send(memoryview(TOPICS["wire"] + b"nonsense"))
-        sending.send("wire", b"\x80")
-        sending.send("wire", WIRE.body())
-        assert next(streams).payload == WIRE.payload
-        assert streams.rejected == 2
 
 
 def test_who_comes_later_makes_all_be_told_again(publisher, sending):

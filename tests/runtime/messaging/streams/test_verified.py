@@ -7,7 +7,6 @@ import pytest
 
 from eitskin.errors import FrameError
 from eitskin.messaging.streams.verified import (
-    ADDED,
     FIRST_BYTE,
     TOPIC,
     UNKNOWABLE,
@@ -28,7 +27,6 @@ UNIT = dataclasses.replace(TOUCH, shape="unit", unit=63, **dict.fromkeys(UNKNOWA
 COUNTS = {"checked": 5, "flagged": 1, "skipped": 2}
 HEAD = pack_head(9, "abcd1234", COUNTS)
 MESSAGE = HEAD + pack_verdict(7, 5000, 2, "ready", "", (10, 20, 30, 40_030), (104.5, 104, 0.47, False), (TOUCH, UNIT))
-STATE = HEAD + pack_verdict(7, 5000, 2, "preparing", "", (10, 20, 0, 0))
 
 
 def altered(**fields):
@@ -46,23 +44,10 @@ def test_a_verdict_comes_back_as_it_was():
     assert (dict(found.counts), found.received_ns, found.frame) == (COUNTS, 50, None)
 
 
-def test_a_touch_of_an_older_release_is_read_without_what_that_did_not_tell():
-    older = {name: value for name, value in TOUCH.fields().items() if name not in ADDED}
-    (found,) = unpack_verified(altered(touches=[older])).touches
-    assert found == dataclasses.replace(TOUCH, **dict.fromkeys(ADDED))
-    assert not set(ADDED) & set(UNIT.fields())
-
-
 def test_a_flagged_verdict_says_why():
     told = pack_verdict(7, 5000, 2, "ready", "contested", (10, 20, 30, 40), (104.5, 104, 0.046, True), (TOUCH,))
     found = unpack_verified(HEAD + told)
     assert (found.flagged, found.why, found.trusted) == (True, "contested", False)
-
-
-def test_a_message_without_a_verdict_says_how_the_verifier_is():
-    found = unpack_verified(STATE)
-    assert (found.state, found.verified, found.trusted, found.spent_s) == ("preparing", False, False, 0.0)
-    assert found.touches is found.flagged is found.p_value is None
 
 
 def test_its_first_bytes_are_constant_and_select_it():
