@@ -194,22 +194,3 @@ def test_inputs_are_standardised_by_the_training_data(toy_data: Any, tmp_path: P
     moving = x.std(dim=0) > 0.5
     assert moving.float().mean() > 0.9
     torch.testing.assert_close(x.std(dim=0)[moving], torch.ones(int(moving.sum())), rtol=0, atol=1e-3)
-
-
-@pytest.mark.slow
-def test_runs_are_drawn_side_by_side(toy_data: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("matplotlib")
-    from eitskin_tools.cli import main
-
-    data = toy_data("area", samples=300)
-    runs = [str(tmp_path / name) for name in ("slow", "fast")]
-    for run, rate in zip(runs, (1e-5, 5e-3), strict=True):
-        train.train(data, tiny(epochs=2, learning_rate=rate), Path(run))
-    assert main(["curves", *runs, "--plot", str(tmp_path / "both.png"), "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)["runs"]
-    assert [(row["run"], row["epochs"]) for row in rows] == [("slow", 2), ("fast", 2)]
-    assert rows[1]["validation_loss"] < rows[0]["validation_loss"]
-    assert (tmp_path / "both.png").read_bytes().startswith(b"\x89PNG")
-    assert main(["curves", str(tmp_path / "nothing")]) == 1
-    assert "history.json is missing" in capsys.readouterr().err
-    assert main(["curves", runs[0], runs[0]]) == 2

@@ -91,7 +91,6 @@ COMMANDS: Final[dict[str, Command]] = {
     ),
     "dataset": Command(RESEARCH, "make training data", "dataset --set paper --out data"),
     "train": Command(RESEARCH, "train the network VD2T", "train --recipe units --data data --out run"),
-    "curves": Command(RESEARCH, "compare the losses of training runs", "curves run"),
     "export": Command(RESEARCH, "export a trained network as a bundle", "export run --out mine.eitskin"),
     "pair": Command(RESEARCH, "add a smaller network to a bundle", "pair mine.eitskin small.eitskin --out two.eitskin"),
     "card": Command(RESEARCH, "measure how accurate a bundle is by contrast and by mismatch", "card mine.eitskin"),

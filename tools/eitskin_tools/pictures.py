@@ -259,10 +259,10 @@ def png(pixels: npt.NDArray[np.uint8]) -> bytes:
     """
     height, width, _ = pixels.shape
     rows = np.pad(pixels.reshape(height, -1), ((0, 0), (1, 0)))  # each begins with 0, the filter that changes nothing
-    parts = {b"IHDR": struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0), b"IDAT": zlib.compress(rows), b"IEND": b""}
+    head, data = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0), zlib.compress(rows.tobytes())
     chunks = [
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in parts.items()
+        for kind, data in ((b"IHDR", head), (b"IDAT", data), (b"IEND", b""))
     ]
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 

@@ -127,7 +127,6 @@ WRITING_WITH_TORCH = {
     "build": ["build", "paper", "--out"],
     "adapt-skin": ["adapt-skin", "press", "--skin", "lab", "--out"],
     "export": ["export", ABSENT, "--out"],
-    "curves --plot": ["curves", ABSENT, "--plot"],
 }
 
 FILLING = {

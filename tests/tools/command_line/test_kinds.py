@@ -2,14 +2,13 @@
 
 import io
 import json
+import re
 import zipfile
-from importlib import resources
 
 import numpy as np
 import pytest
 from tests.tools.command_line.test_files import WRITING, WRITING_WITH_TORCH, said, taken
 
-from eitskin_proto.configurations import __name__ as configurations
 from eitskin_proto.files.reading import FileError
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.cloud_file import Surface, save_surface
@@ -22,11 +21,6 @@ def arrays(*names):
     stream = io.BytesIO()
     np.savez(stream, **{name: np.zeros(2) for name in names})
     return stream.getvalue()
-
-
-def cloud(folder):
-    save_surface(folder / "made.npz", Surface(flat_cloud()))
-    return (folder / "made.npz").read_bytes()
 
 
 def array():
@@ -42,15 +36,13 @@ def archive(name):
     return stream.getvalue()
 
 
-FILES = {
+OTHERS = {
     kinds.REFERENCE: json.dumps({"format": "eitskin-reference", "version": 1}, indent=1).encode()[:-9],
     kinds.SKIN: b"# a sheet\n\n" + to_toml(PAPER).encode(),
-    kinds.RECIPE: b'format = "eitskin-recipe"\n',
-    kinds.ROBOT: b'# an arm\n[[skins]]\nname = "elbow"\n',
-    kinds.CONFIGURATION: resources.files(configurations).joinpath("paper.toml").read_bytes(),
     kinds.BUNDLE: archive("manifest.json"),
     kinds.VOLTAGES: arrays("voltages", "voltages208", "scene"),
     kinds.GUIDED: arrays("reference_V", "reference_frames", "press_V"),
+    kinds.PRESSES: arrays("xy_mm", "size_mm", "voltages_V"),
     kinds.DEMO_RECORD: arrays("received_ns", "scalars"),
     kinds.CONVERTED: arrays("voltages_V", "reference_V", "serial", "map", "solver", "wall_ns"),
     kinds.COMPUTED: arrays("seq", "map", "solver", "wall_ns"),
@@ -59,25 +51,30 @@ FILES = {
     kinds.PICTURE: b'<?xml version="1.0"?>\n<!DOCTYPE svg PUBLIC "x">\n<svg xmlns="x">',
     kinds.ARRAY: array(),
     kinds.LOG: b'{"event": "boot", "host_ns": 1}\n',
-    kinds.POINTS: b"ply\nformat ascii 1.0\n",
-    kinds.OTHER_ARCHIVE: arrays("anything"),
-    kinds.OTHER_JSON: b'[\n{"phantom": 1}]',
-    None: b"a letter to somebody",
+    "a robot's skins": b'# an arm\n[[skins]]\nname = "elbow"\n',
+    "a recipe": b'format = "eitskin-recipe"\n',
+    "arrays": arrays("anything"),
+    "a list": b'[\n{"phantom": 1}]',
+    "a letter": b"a letter to somebody",
 }
-"""Kind -> the beginning of such a file, which is often all that there is."""
-
-ALL = {**FILES, kinds.CLOUD: b""}
+"""Kind -> the beginning of such a file, which is often all that there is; by a name, what no command writes."""
 
 
-def name_of(kind):
-    return "unknown" if kind is None else kind.what
-
-
-@pytest.mark.parametrize("kind", ALL, ids=name_of)
-def test_a_file_is_known_by_what_it_holds(kind, tmp_path):
+@pytest.mark.parametrize("kind", [kind for kind in OTHERS if not isinstance(kind, str)], ids=lambda kind: kind.what)
+def test_a_file_is_replaced_by_its_own_kind_and_no_other(kind, tmp_path):
     path = tmp_path / "whatever.json"
-    path.write_bytes(FILES[kind] if kind in FILES else cloud(tmp_path))
-    assert kinds.kind_of_file(path) is kind
+    for other, content in {kind: b"", **OTHERS}.items():
+        path.write_bytes(content)
+        if other is kind or not content:
+            kinds.check_replaced(path, kind)
+        else:
+            with pytest.raises(FileError, match=f"something other than {re.escape(kind.what)}"):
+                kinds.check_replaced(path, kind)
+
+
+def test_a_cloud_is_known_by_its_arrays(tmp_path):
+    save_surface(tmp_path / "made.npz", Surface(flat_cloud()))
+    kinds.check_replaced(tmp_path / "made.npz", kinds.CLOUD)
 
 
 @pytest.mark.parametrize(
@@ -85,21 +82,9 @@ def test_a_file_is_known_by_what_it_holds(kind, tmp_path):
 )  # which replaces nothing at all
 def test_a_file_of_another_kind_stays_as_it_is(command, tmp_path, capsys):
     path = tmp_path / "out.png"
-    path.write_bytes(FILES[kinds.ROBOT])
+    path.write_bytes(b"a letter to somebody")
     words = [*taken(command), str(path)]
     found = said(capsys, [*words, *(["--force"] if command == "reference" else [])])
-    assert f"{path} is a robot's list of skins, expected " in found
-    assert "to replace, or a new name; name another, or move it away" in found
-    assert path.read_bytes() == FILES[kinds.ROBOT]
-
-
-@pytest.mark.parametrize("kind", [kind for kind in FILES if kind is not kinds.REFERENCE], ids=name_of)
-def test_a_reference_replaces_references_alone_and_what_is_empty(kind, tmp_path):
-    path = tmp_path / "reference.json"
-    kinds.check_replaced(path, kinds.REFERENCE)
-    for content in (b"", FILES[kinds.REFERENCE]):
-        path.write_bytes(content)
-        kinds.check_replaced(path, kinds.REFERENCE)
-    path.write_bytes(FILES[kind])
-    with pytest.raises(FileError, match="expected a reference to replace"):
-        kinds.check_replaced(path, kinds.REFERENCE)
+    assert f"{path} holds something other than " in found
+    assert "which would be lost; name another file, or move it away" in found
+    assert path.read_bytes() == b"a letter to somebody"

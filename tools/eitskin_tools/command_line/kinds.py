@@ -19,8 +19,6 @@ HEAD_BYTES: Final = 1 << 16
 ANY_LENGTH: Final = 1 << 62
 """Bytes: what is looked at is bounded, so the file may be as long as it likes."""
 
-UNKNOWN: Final = "a file that eitskin does not know"
-
 
 @dataclass(frozen=True, slots=True)
 class FileKind:
@@ -32,19 +30,18 @@ class FileKind:
     """Regular expression of what the beginning of one holds."""
     holds: tuple[str, ...] = ()
     """Names that a ZIP file of this kind has; then ``looks`` is left out."""
+    lacks: str = ""
+    """A name that it does not have, but another kind with these names has."""
 
     def fits(self, head: bytes, names: frozenset[str]) -> bool:
         """Return whether a file is of this kind, by its beginning and, of a ZIP file, the names in it."""
         if self.holds:
-            return names.issuperset(self.holds)
+            return names.issuperset(self.holds) and self.lacks not in names
         return re.search(self.looks, head, re.MULTILINE) is not None
 
 
 REFERENCE: Final = FileKind("a reference", rb'\A\s*\{[^\0]*"eitskin-reference"')
 SKIN: Final = FileKind("a skin's description", rb"^[ \t]*format[ \t]*=[ \t]*[\"']eitskin-skin[\"']")
-ROBOT: Final = FileKind("a robot's list of skins", rb"^[ \t]*\[\[skins\]\]")
-RECIPE: Final = FileKind("a bundle's recipe", rb"^[ \t]*format[ \t]*=[ \t]*[\"']eitskin-recipe[\"']")
-CONFIGURATION: Final = FileKind("a device's configuration", rb"^[ \t]*hardware[ \t]*=[ \t]*[\"']eitskin-")
 BUNDLE: Final = FileKind("a bundle", holds=("manifest.json",))
 CLOUD: Final = FileKind("a cloud of 'eitskin surface'", holds=("magic.npy", "cloud.npy"))
 VOLTAGES: Final = FileKind("voltages of 'eitskin simulate'", holds=("voltages.npy", "voltages208.npy"))
@@ -52,7 +49,9 @@ GUIDED: Final = FileKind("a recording to calibrate from", holds=("reference_V.np
 PRESSES: Final = FileKind("presses at known places", holds=("xy_mm.npy", "size_mm.npy"))
 DEMO_RECORD: Final = FileKind("what 'eitskin demo' noted", holds=("received_ns.npy", "scalars.npy"))
 CONVERTED: Final = FileKind("a converted recording (.npz)", holds=("voltages_V.npy", "reference_V.npy", "serial.npy"))
-COMPUTED: Final = FileKind("maps of 'eitskin reinfer'", holds=("map.npy", "solver.npy", "wall_ns.npy"))
+COMPUTED: Final = FileKind(
+    "maps of 'eitskin reinfer'", holds=("map.npy", "solver.npy", "wall_ns.npy"), lacks="serial.npy"
+)
 PARQUET: Final = FileKind("a Parquet file", rb"\APAR1")
 RECORDING: Final = FileKind("a recording (.mcap)", rb"\A\x89MCAP0")
 PICTURE: Final = FileKind(
@@ -61,15 +60,6 @@ PICTURE: Final = FileKind(
 )
 ARRAY: Final = FileKind("an array of numbers (.npy)", rb"\A\x93NUMPY")
 LOG: Final = FileKind("a log of 'eitskin virtual-skin'", rb'\A\{"event": ')
-POINTS: Final = FileKind("points of a scan (.ply)", rb"\Aply\r?\n")
-OTHER_ARCHIVE: Final = FileKind("an archive of other arrays or files", rb"\APK")
-OTHER_JSON: Final = FileKind("another JSON file", rb"\A\s*[\[{]\s*[\[\]{}\"0-9]")
-
-KINDS: Final = (
-    REFERENCE, BUNDLE, CLOUD, VOLTAGES, GUIDED, PRESSES, DEMO_RECORD, CONVERTED, COMPUTED, PARQUET, RECORDING, PICTURE,
-    ARRAY, LOG, POINTS, OTHER_ARCHIVE, OTHER_JSON, SKIN, RECIPE, ROBOT, CONFIGURATION,
-)  # fmt: skip
-"""The first that fits is what a file is."""
 
 
 def check_replaced(path: Path, written: FileKind) -> None:
@@ -88,15 +78,14 @@ def check_replaced(path: Path, written: FileKind) -> None:
             return
     except FileNotFoundError:
         return
-    if (known := kind_of_file(path)) is not written:
-        what = UNKNOWN if known is None else known.what
+    if not is_of(path, written):
         raise FileError(
-            f"{path} is {what}, expected {written.what} to replace, or a new name; name another, or move it away"
+            f"{path} holds something other than {written.what}, which would be lost; name another file, or move it away"
         )
 
 
-def kind_of_file(path: Path) -> FileKind | None:
-    """Return what a file is, or None.
+def is_of(path: Path, kind: FileKind) -> bool:
+    """Return whether a file is of a kind.
 
     Raises:
         OSError: It cannot be read.
@@ -104,7 +93,7 @@ def kind_of_file(path: Path) -> FileKind | None:
     with opened(path, ANY_LENGTH) as stream:
         head = stream.read(HEAD_BYTES)
         names = _names(stream) if head.startswith(b"PK") else frozenset[str]()
-    return next((kind for kind in KINDS if kind.fits(head, names)), None)
+    return kind.fits(head, names)
 
 
 def _names(stream: BinaryIO) -> frozenset[str]:

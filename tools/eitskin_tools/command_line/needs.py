@@ -37,7 +37,6 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "build": ("scipy", "torch", "onnx", "onnxscript"),
     "card": ("scipy",),
     "train": ("scipy", "torch"),
-    "curves": ("torch",),
     "adapt": ("scipy", "torch"),
     "export": ("scipy", "torch", "onnx", "onnxscript"),
     "bench frame": ("scipy",),
