@@ -110,7 +110,8 @@ def test_an_endpoint_that_is_none_is_refused_at_once():
 
 def test_a_page_that_reads_nothing_costs_neither_a_subscriber_nor_another_page_a_frame(endpoint):
     with Runtime(endpoint, Scene(disc(50.0, 40.0)), rate_hz=200.0), Viewer([Source(PAPER, endpoint)]) as viewer:
-        ask = f"GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{viewer.server.port}\r\n\r\n".encode()
+        token = f"Authorization: Bearer {viewer.server.token}"
+        ask = f"GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{viewer.server.port}\r\n{token}\r\n\r\n".encode()
         with (
             socket.create_connection(("127.0.0.1", viewer.server.port)) as stalled,
             socket.create_connection(("127.0.0.1", viewer.server.port)) as read,

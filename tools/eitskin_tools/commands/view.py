@@ -60,13 +60,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C and return 0."""
     _check(arguments)
-    from eitskin_tools.view.server import new_token
-
     for number in endings():
         signal.signal(number, signal.default_int_handler)  # a script's "&" has it ignore Ctrl-C, which ends it
     with contextlib.ExitStack() as stack:
         stack.enter_context(contextlib.suppress(KeyboardInterrupt))
-        where = {"host": arguments.host, "port": arguments.port, "token": new_token(), "allowed": arguments.allow_host}
+        where = {"host": arguments.host, "port": arguments.port, "allowed": arguments.allow_host}
         what, address = _recorded(arguments, where, stack) if arguments.file else _live(arguments, where, stack)
         say(f"viewing {what} at {address} until Ctrl-C")
         sys.stdout.flush()

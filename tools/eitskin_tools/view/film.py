@@ -103,16 +103,13 @@ class FilmServer(PageServer):
         film: The recording.
         host: Address to serve on.
         port: 0 for any that is free.
-        token: Required from a page; empty only on loopback.
+        allowed: Further host names that a request may state.
 
     Raises:
         PortUnavailable: The address cannot be bound.
-        ValueError: It can be reached from other machines, and there is no token.
     """
 
-    def __init__(
-        self, film: Film, *, host: str = "127.0.0.1", port: int = 0, token: str = "", allowed: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, film: Film, *, host: str = "127.0.0.1", port: int = 0, allowed: Sequence[str] = ()) -> None:
         super().__init__()
         self._film = film
         about = {
@@ -121,7 +118,7 @@ class FilmServer(PageServer):
         }  # fmt: skip
         self.board.post("skin", skin_message(film.skin, 0, Pose(), about))
         self.board.post("status", status_message("live", film.ending))
-        self.serve(host, port, token, film=film, allowed=allowed)
+        self.serve(host, port, allowed, film=film)
 
     def __enter__(self) -> Self:
         overview = Overview(self._film.seconds, self._film.first_ns)

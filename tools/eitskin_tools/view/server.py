@@ -51,14 +51,13 @@ class ViewServer(ThreadingHTTPServer):
         host: Address to bind to.
         port: 0 for any that is free.
         board: The messages to pages.
-        token: Required from a page, or empty.
+        token: Required from a page for all but its files; empty if it shows nothing else.
         recorder: The :class:`~eitskin_tools.view.viewer.Recorder`; None if pages cannot record.
         film: The :class:`~eitskin_tools.view.film.Film` whose parts pages fetch; None for live skins.
         allowed: Further host names that a request may state, such as a proxy's.
 
     Raises:
         PortUnavailable: The address cannot be bound.
-        ValueError: It can be reached from other machines, and there is no token.
     """
 
     daemon_threads = True
@@ -76,8 +75,6 @@ class ViewServer(ThreadingHTTPServer):
         film: Any = None,
         allowed: Sequence[str] = (),
     ) -> None:
-        if not token and not is_loopback(host):
-            raise ValueError(f"{host} can be reached from other machines; expected a token")
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self.host, self.board, self.token = host, board, token
         self.recorder, self.film, self.allowed = recorder, film, {name.lower() for name in allowed}
@@ -299,11 +296,6 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def new_token() -> str:
-    """Return a token that nobody can guess: 128 bits."""
-    return secrets.token_urlsafe(16)
-
-
 def split_host(host: str) -> tuple[str, str]:
     """Return the name and the port of a Host header; the port may be empty."""
     if host.startswith("["):
@@ -412,14 +404,13 @@ class PageServer:
         self.stack = contextlib.ExitStack()
         """Closed together with the server."""
 
-    def serve(self, host: str, port: int, token: str, **more: Any) -> None:
-        """Bind the address.
+    def serve(self, host: str, port: int, allowed: Sequence[str], **more: Any) -> None:
+        """Bind the address, with a token that nobody can guess: 128 bits.
 
         Raises:
             PortUnavailable: It cannot be bound.
-            ValueError: It can be reached from other machines, and there is no token.
         """
-        self.server = ViewServer(host, port, self.board, token, **more)
+        self.server = ViewServer(host, port, self.board, secrets.token_urlsafe(16), allowed=allowed, **more)
         self.address = self.server.address
         """The address to open in a browser."""
         self._thread = threading.Thread(target=self.server.serve_forever, args=(0.1,), name="view-server", daemon=True)

@@ -22,14 +22,12 @@ class Viewer(PageServer):
         sources: The skins.
         host: Address to serve on.
         port: 0 for any that is free.
-        token: Required from a page; empty only on loopback.
         recordings: Folder for recordings started on the page; None if the page cannot record.
         allowed: Further host names that a request may state.
 
     Raises:
         PortUnavailable: The address cannot be bound.
         EndpointError: ZeroMQ cannot make sense of an endpoint.
-        ValueError: The address can be reached from other machines, and there is no token.
     """
 
     def __init__(
@@ -38,7 +36,6 @@ class Viewer(PageServer):
         *,
         host: str = "127.0.0.1",
         port: int = 0,
-        token: str = "",
         recordings: Path | None = None,
         allowed: Sequence[str] = (),
     ) -> None:
@@ -55,7 +52,7 @@ class Viewer(PageServer):
         for feed in self.feeds:
             self.stack.callback(feed.stop)  # all at once, before the first is waited for
         try:
-            self.serve(host, port, token, recorder=self._recorder, allowed=allowed)
+            self.serve(host, port, allowed, recorder=self._recorder)
         except BaseException:
             self._recorder.close()
             raise

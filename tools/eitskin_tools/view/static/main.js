@@ -12,7 +12,7 @@ import { Skin, boxOf } from "./skins.js";
 import { follow } from "./stream.js";
 import * as strips from "./strips.js";
 
-const GONE = "The viewer has stopped or cannot be reached. Start 'eitskin view' again; this page reconnects by itself.";
+const GONE = "The viewer has stopped or cannot be reached. If you start it again, open the address that it prints.";
 const SLOW_MS = 200; // strips and lists, five times a second
 const $ = (id) => document.getElementById(id);
 
