@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from eitskin_tools.bench import peer, skip
+from eitskin_tools.bench import skip
 from eitskin_tools.bench import tradeoff as front
 
 
@@ -20,19 +20,6 @@ def test_skips_are_flat_rows_with_the_time_of_each_way() -> None:
     assert is_flat(rows)
     assert rows[0] == {"what": "untouched", "cpu_saved_us": 6.0, "cpu_left": 0.25, "with_us": 2.0, "without_us": 8.0}
     assert skip.summary(skips) == {"untouched_cpu_left": 0.25}
-
-
-def test_readers_are_flat_rows() -> None:
-    ours = {"sent": 9, "age_us": {"p50": 80.0, "p99": 90.0}, "flipped": {"sent": 5, "corrupt_accepted": 0}}
-    readers = {"eitskin": ours, "eitskin, stream": {"sent": 9, "age_us": {"p50": 300.0, "p99": 400.0}}}
-    rows = peer.flat_rows(readers)
-    assert is_flat(rows)
-    assert rows[0] == {
-        "what": "eitskin", "sent": 9, "age_us_p50": 80.0, "age_us_p99": 90.0, "flipped_sent": 5,
-        "flipped_corrupt_accepted": 0,
-    }  # fmt: skip
-    assert peer.summary(readers)["eitskin"] == {"age_p50_us": 80.0, "corrupt_accepted": 0}
-    assert peer.summary(readers)["eitskin, stream"]["corrupt_accepted"] is None
 
 
 def test_variants_of_all_panels_are_flat_rows() -> None:

@@ -3,42 +3,30 @@
 All rows come from one run on one core. The ratios use ``cpu_s``, which counts on a machine that does other work too. A
 row's ``note`` names the set-up that its seconds include. "naive" factorises the same mesh for every sample, and its
 voltages check ours.
-
-Fewer free sets, at deformations of no data set, measure the error of the generators' mesh: |dV - dV_scene| / |dV_scene|
-over the 104 rows, with dV the change of voltage from the untouched sheet and the scene solved on a mesh of 1.5 mm that
-follows the touches' borders. A third of the scenes, solved on meshes of 1 mm, give the scenes' own error.
 """
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from time import perf_counter, process_time
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from eitskin_sim.dataset.plan import DEFORMATIONS_PER_POOL, VALIDATION_SHARE, make_plan
 from eitskin_sim.dataset.shards import make_shard, reference, shard_job, unit_contrasts, unit_sets
 from eitskin_sim.fem.forward import Factor
-from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.freeform.draws import set_pool
-from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh
+from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.parts import geometry
 from eitskin_sim.freeform.sheet import inverted_sheet, sheet_blocks
-from eitskin_sim.freeform.voltages import pool_voltages, set_voltages
+from eitskin_sim.freeform.voltages import pool_voltages
 from eitskin_sim.scene.family import draw, paper_bends
-from eitskin_sim.scene.parts import Bend, Scene
-from eitskin_sim.scene.touch_table import Array, TouchTable
+from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.unit_grid.patterns import paper_touch_sets
 from eitskin_sim.unit_grid.skeleton import unit_system
 from eitskin_sim.unit_grid.units import UnitGenerator
 from eitskin_tools.bench.harness import Row, report, say
 from eitskin_tools.errors import UsageError
-
-SCENE_MM: Final = 1.5
-FINER_MM: Final = 1.0
-DEFORMATIONS: Final = 3
-SEED: Final = 77
-"""Of deformations and sets; data sets have other seeds."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,13 +39,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--free", type=int, default=5_000, metavar="N", help="free touch sets at a deformation (default 5000)"
     )
     parser.add_argument("--checked", type=int, default=24, metavar="N", help="samples solved naively (default 24)")
-    parser.add_argument(
-        "--scenes",
-        type=int,
-        default=24,
-        metavar="N",
-        help="free sets solved on finer meshes too, 0 for none (default 24)",
-    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -66,16 +47,12 @@ def run(arguments: argparse.Namespace) -> int:
     for name in ("bends", "touch_sets", "free", "checked"):
         if getattr(arguments, name) < 1:
             raise UsageError(f"--{name.replace('_', '-')} must be at least 1")
-    if arguments.scenes < 0 or 0 < arguments.scenes < 3:
-        raise UsageError(f"--scenes is {arguments.scenes}; it must be 0, or 3 or more")
     rows = [*_paper(arguments), *_free(arguments)]
     rows += [row for kind in ("press", "raise", "both") for row in (*_units(arguments, kind), *_free(arguments, kind))]
     rows += [_files(arguments, devices) for devices in ("ideal", "random")]
-    errors = error_rows(arguments.scenes) if arguments.scenes else []
     naive = {row["what"]: row["samples_per_cpu_s"] for row in rows if row["method"] == "naive"}
     ours = {row["what"]: row for row in rows if row["method"] == "ours"}
     slowest = min(ours.values(), key=lambda row: float(row["samples_per_cpu_s"]))
-    default = next((row for row in errors if row["what"] == "free, default"), {})
     summary = {
         "paper_samples": ours["paper"]["samples"],
         "paper_seconds": ours["paper"]["seconds"],
@@ -88,9 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
         "free_largest_error": ours["free"]["largest_error"],
         "slowest": slowest["what"],
         "slowest_samples_per_cpu_s": slowest["samples_per_cpu_s"],
-        "free_dV_off_percent": default.get("median_percent"),
     }
-    return report(arguments, [*rows, *errors], summary)
+    return report(arguments, rows, summary)
 
 
 def _row(what: str, method: str, samples: int, times: tuple[float, float], note: str) -> Row:
@@ -202,60 +178,3 @@ def _files(arguments: argparse.Namespace, devices: str) -> Row:
     _, seconds = _timed(lambda: make_shard(shard_job(plan, list(range(DEFORMATIONS_PER_POOL)))))
     note = "whole files: untouched sheets, references and clouds included"
     return _row(f"free, press, {devices} device", "ours", DEFORMATIONS_PER_POOL * arguments.free, seconds, note)
-
-
-def error_rows(count: int) -> list[Row]:
-    """Return a row for the generators' mesh, and one for the scenes that it is compared with.
-
-    Args:
-        count: Touch sets in all, spread over three unseen deformations.
-    """
-    bends = draw("A", DEFORMATIONS + 1, SEED)[1:]
-    each = [len(own) for own in np.array_split(np.arange(count), len(bends))]
-    tables = []
-    for number, share in enumerate(each):
-        pool = set_pool({number: (4 * share + 40, 0)}, SEED)
-        table = pool.touches(pool.sets[number])
-        touched = np.flatnonzero(np.diff(table.first) > 0)[:share]
-        tables.append(table.chosen(touched))
-
-    def scene_change(size_mm: float, step: int = 1) -> Any:
-        return np.array(
-            [
-                solved / bare - 1.0
-                for bend, table in zip(bends, tables, strict=True)
-                for bare, solved in _scenes(bend, table.chosen(np.arange(0, len(table), step)), size_mm)
-            ]
-        )
-
-    say("dataset", f"{count} sets solved as scenes of {SCENE_MM:g} mm")
-    exact = scene_change(SCENE_MM)
-    rows = [_off("scene", SCENE_MM, scene_change(SCENE_MM, 3), scene_change(FINER_MM, 3), 0.0)]
-    start = process_time()
-    sheets = [inverted_sheet(bend) for bend in bends]
-    made = process_time() - start
-    found = [
-        set_voltages([sheet], table)[0] / sheet.untouched_V - 1.0 for sheet, table in zip(sheets, tables, strict=True)
-    ]
-    return [*rows, _off("free, default", ELEMENT_MM, np.concatenate(found), exact, made / len(bends))]
-
-
-def _scenes(bend: Bend, table: TouchTable, size_mm: float) -> Iterator[tuple[Array, Array]]:
-    """Yield the untouched voltages and the touched ones of every set."""
-    bare = solve_scene(Scene(bend=bend, element_size_mm=size_mm)).voltages
-    for number in range(len(table)):
-        yield bare, solve_scene(Scene(bend=bend, touches=table.touches(number), element_size_mm=size_mm)).voltages
-
-
-def _off(what: str, size_mm: float, found: Any, exact: Any, sheet_s: float) -> Row:
-    off = 100.0 * np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)
-    return {
-        "what": what,
-        "method": "dV error",
-        "element_mm": size_mm,
-        "sets": len(off),
-        "median_percent": round(float(np.median(off)), 2),
-        "mean_percent": round(float(np.mean(off)), 2),
-        "worst_percent": round(float(np.max(off)), 2),
-        "sheet_cpu_s": round(sheet_s, 2),
-    }

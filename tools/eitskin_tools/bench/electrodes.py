@@ -11,11 +11,10 @@ reference weighs the other rows, as in the runtime.
 """
 
 import argparse
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -42,7 +41,7 @@ from eitskin_sim.scene.parts import Bend, Phantom, Scene, Touch
 from eitskin_sim.scene.scene import load_phantoms
 from eitskin_sim.scene.shapes import Disc, Rect, Shape
 from eitskin_sim.surface.predict import flat_voltages
-from eitskin_tools.bench.harness import Row, chosen, report, row_text, say, several
+from eitskin_tools.bench.harness import Row, report, say
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 from eitskin_tools.evaluation.solvers import Request, named
@@ -89,6 +88,11 @@ VOLTS_PER_COUNT: Final = 2e-6
 ELEMENT_MM: Final = 4.5
 """Of the streams' mesh: 0.1 s a moment; the reference is of the same mesh."""
 
+SNR_DB: Final = 50.0
+
+MOMENTS: Final = 12
+"""Solved moments of a stream."""
+
 STEP_FRAMES: Final = 60
 """Between two moments: 0.3 s at 200 frames/s."""
 
@@ -100,90 +104,49 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--phantoms", metavar="FILE", help="measure the accuracy left on these too: a file, paper_units or paper_mm"
     )
     parser.add_argument("--streams", type=int, default=4, metavar="N", help="streams of each kind (default 4)")
-    parser.add_argument("--moments", type=int, default=12, metavar="N", help="solved moments of a stream (default 12)")
-    parser.add_argument(
-        "--noise", action="append", type=several(NOISES), metavar="NAME[,NAME]", help="of N1, N2, N3 (default N2)"
-    )
-    parser.add_argument("--snr-db", type=float, default=50.0, metavar="DB", help="signal to noise ratio (default 50)")
-    parser.add_argument(
-        "--only", action="append", type=several(PARTS), metavar="NAME[,NAME]", help=f"of {', '.join(PARTS)}"
-    )
+    parser.add_argument("--noise", choices=NOISES, default="N2", help="default: N2")
+    parser.add_argument("--only", choices=PARTS, help="one of the two")
     parser.add_argument("--quick", action="store_true", help="a thinned form")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure and report."""
-    if arguments.streams < 1 or arguments.moments < 2:
-        raise UsageError("--streams must be at least 1 and --moments at least 2")
-    parts = chosen(arguments.only, PARTS)
-    if arguments.only and "accuracy" in parts and arguments.phantoms is None:
-        raise UsageError("--only accuracy needs --phantoms FILE")
-    rows = rows_of_parts(arguments, parts)
-    return report(arguments, rows, _summary(rows))
-
-
-def rows_of_parts(arguments: argparse.Namespace, parts: tuple[str, ...]) -> list[Row]:
-    """Return every row that was asked for.
-
-    Args:
-        arguments: The options.
-        parts: Of ``PARTS``.
+    """Measure and report.
 
     Raises:
         BundleError: The bundle says nothing of healthy frames.
     """
+    if arguments.streams < 1:
+        raise UsageError("--streams must be at least 1")
+    if arguments.only == "accuracy" and arguments.phantoms is None:
+        raise UsageError("--only accuracy needs --phantoms FILE")
     bundle = load_bundle(arguments.bundle or default_path("units"))
     arrays = bundle.consistency_arrays()
     if arrays is None:
         raise BundleError(f"{bundle.path}: telling failed electrodes is {MISSING}")
     consistency = Consistency.of(arrays)
-    noises = tuple(name for part in arguments.noise or [("N2",)] for name in part)
-    makers: dict[str, Callable[[], list[Row]]] = {
-        "detection": lambda: _detection(arguments, consistency, noises),
-        "accuracy": lambda: _accuracy(arguments, bundle, consistency, noises),
-    }
     rows: list[Row] = []
-    for part in parts:
-        start_s = time.process_time()
-        found = makers[part]()
-        for row in found:
-            say("electrodes", row_text(row))
-        say("electrodes", f"{part}: {time.process_time() - start_s:.0f} CPU-s")
-        rows += found
-    return rows
+    if arguments.only != "accuracy":
+        rows += _detection(consistency, arguments.noise, arguments.streams, quick=arguments.quick)
+    if arguments.only != "detection" and arguments.phantoms is not None:
+        phantoms = load_phantoms(files.find(arguments.phantoms, files.PHANTOMS))
+        found = accuracy(phantoms, bundle, consistency, arguments.noise, 2 if arguments.quick else LOST_SETS)
+        rows += [{"noise": arguments.noise, **row} for row in found]
+    return report(arguments, rows, _summary(rows))
 
 
-def _detection(arguments: argparse.Namespace, consistency: Consistency, noises: tuple[Any, ...]) -> list[Row]:
+def _detection(consistency: Consistency, noise: Kind, count: int, *, quick: bool) -> list[Row]:
     flat = flat_response()
-    count, moments = (1, 3) if arguments.quick else (arguments.streams, arguments.moments)
+    count, moments = (1, 3) if quick else (count, MOMENTS)
     streams = [
         stream(family, number, moments, covering=covering)
         for family in ("A", "B")
         for covering in (False, True)
         for number in range(count)
     ]
-    few, electrodes = (streams[:1], range(0, 16, 5)) if arguments.quick else (streams[:: max(count, 1)], range(16))
-    rows: list[Row] = []
-    for noise in noises:
-        rows += false_alarms(consistency, flat, streams, noise, arguments.snr_db)
-        rows += detection(consistency, flat, few, noise, arguments.snr_db, electrodes)
-    return rows
-
-
-def _accuracy(
-    arguments: argparse.Namespace, bundle: Bundle, consistency: Consistency, noises: tuple[Any, ...]
-) -> list[Row]:
-    if arguments.phantoms is None:
-        return []
-    phantoms = load_phantoms(files.find(arguments.phantoms, files.PHANTOMS))
-    sets = 2 if arguments.quick else LOST_SETS
-    rows: list[Row] = []
-    for noise in noises:
-        conditions = Conditions(noise=noise, snr_db=arguments.snr_db)
-        found = accuracy(phantoms, bundle, consistency, conditions, sets)
-        rows += [{"noise": noise, **row} for row in found]
-    return rows
+    few, electrodes = (streams[:1], range(0, 16, 5)) if quick else (streams[::count], range(16))
+    say("electrodes", f"{len(streams)} streams")
+    return [*false_alarms(consistency, flat, streams, noise), *detection(consistency, flat, few, noise, electrodes)]
 
 
 def _summary(rows: list[Row]) -> Row:
@@ -280,7 +243,6 @@ class WatchedSkin:
         consistency: Of a bundle.
         flat: (16, 16) ohm.
         noise: Of every frame.
-        snr_db: Its level.
         rng: Draws it.
         full: Whether all 208 rows are scanned.
     """
@@ -290,14 +252,13 @@ class WatchedSkin:
         consistency: Consistency,
         flat: Array,
         noise: Kind,
-        snr_db: float,
         rng: np.random.Generator,
         *,
         full: bool = False,
     ) -> None:
         self._table = FULL_TABLE if full else TABLE
         self._clean = measure(flat, table=self._table)
-        self._noise: tuple[Kind, float, np.random.Generator] = noise, snr_db, rng
+        self._noise: tuple[Kind, np.random.Generator] = noise, rng
         frames = np.array([self._rows(self._noisy(self._clean)) for _ in range(REFERENCE_FRAMES)])
         self._reference = frames.mean(axis=0)
         self._health = Health(consistency)
@@ -310,7 +271,7 @@ class WatchedSkin:
 
     def show(self, response: Array, faults: Sequence[Fault] = ()) -> bool:
         """Show one frame and return whether something changed."""
-        volts = self._noisy(measure(response, faults, table=self._table, rng=self._noise[2]))
+        volts = self._noisy(measure(response, faults, table=self._table, rng=self._noise[1]))
         change = relative_change(self._rows(volts), self._reference).astype(np.float32)
         before = self.findings
         self._health.prepare(change)
@@ -328,13 +289,11 @@ class WatchedSkin:
         return np.asarray((volts[ROW_IN_FULL] + volts[RECIPROCAL_IN_FULL]) / 2.0)
 
     def _noisy(self, volts: Array) -> Array:
-        kind, snr_db, rng = self._noise
-        return add_noise(volts, self._clean, kind, snr_db, rng)
+        kind, rng = self._noise
+        return add_noise(volts, self._clean, kind, SNR_DB, rng)
 
 
-def false_alarms(
-    consistency: Consistency, flat: Array, streams: Sequence[Stream], noise: Kind, snr_db: float
-) -> list[Row]:
+def false_alarms(consistency: Consistency, flat: Array, streams: Sequence[Stream], noise: Kind) -> list[Row]:
     """Return how often a healthy stream has an electrode named, by family and by whether a touch covers one."""
     rows = []
     for family, covering, full in product(("A", "B"), (False, True), (False, True)):
@@ -342,7 +301,7 @@ def false_alarms(
         frames = alarms = 0
         for number, one in enumerate(chosen):
             rng = np.random.default_rng([number, covering])
-            watched = WatchedSkin(consistency, flat, noise, snr_db, rng, full=full)
+            watched = WatchedSkin(consistency, flat, noise, rng, full=full)
             for frame in range(one.frames):
                 alarms += watched.show(one.at(frame)) and bool(watched.findings)
             frames += one.frames
@@ -358,7 +317,6 @@ def detection(
     flat: Array,
     streams: Sequence[Stream],
     noise: Kind,
-    snr_db: float,
     electrodes: Sequence[int] = range(N_ELECTRODES),
 ) -> list[Row]:
     """Return, for every kind of failure, how many are named rightly and in time, and after how many frames."""
@@ -371,7 +329,7 @@ def detection(
             for electrode in electrodes:
                 fault = make(electrode)
                 rng = np.random.default_rng([number, electrode])
-                watched = WatchedSkin(consistency, flat, noise, snr_db, rng, full=ALL_ROWS in name)
+                watched = WatchedSkin(consistency, flat, noise, rng, full=ALL_ROWS in name)
                 begin = (7 * electrode + 11 * number) % max(one.frames - AFTER_FRAMES, 1)
                 after = next(
                     (n + 1 for n in range(AFTER_FRAMES) if watched.show(one.at(begin + n), (fault,))), AFTER_FRAMES + 1
@@ -427,7 +385,7 @@ def accuracy(
     phantoms: Sequence[Phantom],
     bundle: Bundle,
     consistency: Consistency,
-    conditions: Conditions,
+    noise: Kind,
     most_sets: int = LOST_SETS,
 ) -> list[Row]:
     """Return mean CC by remedy and number of lost electrodes; the worst set's beside it.
@@ -436,17 +394,17 @@ def accuracy(
         phantoms: All with the labels of the bundle.
         bundle: The network.
         consistency: Of the bundle.
-        conditions: Noise and seeds.
+        noise: Of the voltages.
         most_sets: Sets of two and of three electrodes.
     """
     network = named(Request("vd2t", bundle=bundle.path), bundle.labels).run
-    spread = spread_of(consistency.reference, conditions.noise, conditions.snr_db)
+    spread = spread_of(consistency.reference, noise, SNR_DB)
     plan: list[tuple[str, Lost, Run]] = [("intact", (), network)]
     for count in (1, 2, 3):
         for lost in lost_sets(count, most_sets):
             plan.append(("zeros", lost, Run(_zeroed(network.solver, lost), "pre")))
             plan.append(("imputed", lost, Run(_imputed(network.solver, lost, consistency, spread), "pre")))
-    results = evaluate_all(phantoms, [run for *_, run in plan], conditions)
+    results = evaluate_all(phantoms, [run for *_, run in plan], Conditions(noise, SNR_DB))
     scores = [float(np.mean([one.cc for _, scores in result for one in scores])) for result in results]
     intact = scores[0]
     rows = []

@@ -9,7 +9,6 @@ have cooled as on a robot, then back to back. All figures are percentiles.
 import argparse
 import io
 import json
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -62,7 +61,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="frames a second (default: 200 and 1000); may be repeated",
     )
     parser.add_argument("--solver", metavar="NAME", help="most accurate solver of the stream, as for 'eitskin run'")
-    parser.add_argument("--core", type=int, metavar="CPU", help="run the runtime, all its threads, on this CPU only")
     parser.add_argument("--streams", type=int, default=0, metavar="N", help="add N subscribers to measured voltages")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -73,14 +71,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--streams is {arguments.streams}, expected 0 to {MAX_STREAMS}")
     if arguments.frames < 100 or arguments.calls < 10:
         raise UsageError("--frames must be at least 100 and --calls at least 10: percentiles need values")
-    available = os.sched_getaffinity(0)
-    if arguments.core is not None and arguments.core not in available:
-        raise UsageError(f"--core {arguments.core} is not one of this process's CPUs: {sorted(available)}")
     rates = arguments.rate or RATES_HZ
     streams = {
         f"{rate:g}": stream(
-            rate, arguments.frames, arguments.bundle, core=arguments.core, solver=arguments.solver,
-            streams=arguments.streams,
+            rate, arguments.frames, arguments.bundle, solver=arguments.solver, streams=arguments.streams
         )
         for rate in rates
     }  # fmt: skip
@@ -98,7 +92,6 @@ def stream(
     frames: int,
     bundle: Path | None,
     *,
-    core: int | None = None,
     solver: str | None = None,
     streams: int = 0,
 ) -> dict[str, Any]:
@@ -108,21 +101,20 @@ def stream(
         rate_hz: Frames a second.
         frames: How many.
         bundle: To run; None for the shipped one.
-        core: CPU that the runtime, or the bare line's relay, runs on; None for any.
         solver: The most accurate one to use; None for the bundle's own choice.
         streams: Subscribers to what was measured, beside the one to frames.
     """
     say("frame", f"{frames} frames at {rate_hz:g} frames/s")
-    bare = [floor_ns(rate_hz, min(frames, LINE_FRAMES), core)]
+    bare = [floor_ns(rate_hz, min(frames, LINE_FRAMES))]
     seconds = frames / rate_hz
-    result = streamed(Options(seconds, rate_hz, bundle, solver, clouds=False, affinity=core, streams=streams))
-    bare.append(floor_ns(rate_hz, min(frames, LINE_FRAMES), core))
+    result = streamed(Options(seconds, rate_hz, bundle, solver, clouds=False, streams=streams))
+    bare.append(floor_ns(rate_hz, min(frames, LINE_FRAMES)))
     names = ("cpu_us_per_frame", "behind_us", "left_us", "skipped", "solvers", "withheld")
     runtime = {name: result.runtime.get(name) for name in names}
     found = timing(result.record, result.wire_ns)
     line = percentiles_us(np.concatenate(bare))
     over = {name: round(found["latency_us"][name] - line[name], 1) for name in ("p50", "p99")}
-    return {**found, "runtime": runtime, "core": core, "line_us": line, "over_line_us": over}
+    return {**found, "runtime": runtime, "line_us": line, "over_line_us": over}
 
 
 def inference(path: Path | None, calls: int) -> dict[str, Any]:

@@ -114,31 +114,6 @@ def busy_s() -> float:
     return (user + nice + system + interrupts + soft + stolen) / os.sysconf("SC_CLK_TCK")
 
 
-def several(names: Iterable[str]) -> Callable[[str], tuple[str, ...]]:
-    """Return the type of an option that takes several names at once: ``--only noise,inputs``."""
-    known = tuple(names)
-
-    def read(text: str) -> tuple[str, ...]:
-        found = tuple(part.strip() for part in text.split(","))
-        unknown = [part for part in found if part not in known]
-        if unknown:
-            raise argparse.ArgumentTypeError(f"{unknown[0]!r} is none of them; expected some of {', '.join(known)}")
-        return found
-
-    return read
-
-
-def chosen(given: Iterable[tuple[str, ...]] | None, names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names that were asked for, in their own order; all of them where none was.
-
-    Args:
-        given: What ``action="append"`` collected.
-        names: Those that there are.
-    """
-    wanted = {name for part in given or () for name in part}
-    return tuple(name for name in names if not wanted or name in wanted)
-
-
 def program(
     doc: str | None,
     add_arguments: Callable[[argparse.ArgumentParser], None],

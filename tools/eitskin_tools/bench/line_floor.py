@@ -42,13 +42,12 @@ END: Final = (1 << 64) - 1
 READY_S: Final = 30.0
 
 
-def floor_ns(rate_hz: float, frames: int, affinity: int | None = None) -> npt.NDArray[np.int64]:
+def floor_ns(rate_hz: float, frames: int) -> npt.NDArray[np.int64]:
     """Return (n,) the time from before the write to the line to after the subscriber's receive, of each that came.
 
     Args:
         rate_hz: Packets a second.
         frames: How many are sent.
-        affinity: The relay runs on this CPU only; None for any.
 
     Raises:
         SkinError: A process died, with what it said last.
@@ -57,11 +56,11 @@ def floor_ns(rate_hz: float, frames: int, affinity: int | None = None) -> npt.ND
     from eitskin_tools.virtual_skin.pty import PtyPort
 
     sent_ns = np.zeros(frames, dtype=np.int64)
-    module, pinned = "eitskin_tools.bench.line_floor", [] if affinity is None else [f"--affinity={affinity}"]
+    module = "eitskin_tools.bench.line_floor"
     with tempfile.TemporaryDirectory(prefix="eitskin-floor-") as name, process_group() as children, PtyPort() as port:
         folder = Path(name)
         endpoint, result = f"ipc://{folder}/frames", folder / "received.npy"
-        relay = Child("relay", module, ["relay", endpoint, str(port.path), *pinned], folder)
+        relay = Child("relay", module, ["relay", endpoint, str(port.path)], folder)
         children.append(relay)
         relay.line(relay.out, "ready", READY_S)
         listener = Child("listener", module, ["listener", endpoint, str(result), f"--frames={frames}"], folder)
@@ -139,17 +138,12 @@ def listener(endpoint: str, path: Path, frames: int) -> None:
 
 def main() -> int:
     """Run one of the two processes."""
-    import os
-
     parser = argparse.ArgumentParser(description="Relay packets, or listen to them.")
     parser.add_argument("role", choices=["relay", "listener"])
     parser.add_argument("endpoint")
     parser.add_argument("path")
     parser.add_argument("--frames", type=int, default=0)
-    parser.add_argument("--affinity", type=int)
     arguments = parser.parse_args()
-    if arguments.affinity is not None:
-        os.sched_setaffinity(0, [arguments.affinity])
     if arguments.role == "relay":
         relay(arguments.endpoint, arguments.path)
     else:

@@ -70,44 +70,19 @@ def run(arguments: argparse.Namespace) -> int:
         "flexitac read_latest()": theirs(python, "read_latest"),
         "eitskin": ours(),
     }
-    rows: dict[str, Row] = {}
+    rows: list[Row] = []
     for name, reader in readers.items():
         say("peer", f"{name}, {arguments.frames} frames at {arguments.rate:g} Hz")
-        rows[name] = {
-            **ages(reader, arguments.frames, arguments.rate),
-            "flipped": corruption(reader, arguments.flipped, arguments.rate),
-        }
+        found = ages(reader, arguments.frames, arguments.rate)
+        rows.append({"what": name, **found, **corruption(reader, arguments.flipped, arguments.rate)})
     whole = stream(arguments.rate, arguments.frames, None)
-    rows["eitskin, stream to a subscriber"] = {
-        "sent": whole["frames"] + whole["lost"],
-        "returned": whole["frames"],
-        "returned_hz": whole["rate_hz"],
-        "age_us": whole["latency_us"],
+    sent, returned = whole["frames"] + whole["lost"], whole["frames"]
+    age = {f"age_us_{name}": value for name, value in whole["latency_us"].items()}
+    rows.append({"what": "eitskin, stream to a subscriber", "sent": sent, "returned": returned, **age})
+    summary = {
+        row["what"]: {"age_p50_us": row["age_us_p50"], "corrupt_accepted": row.get("corrupt_accepted")} for row in rows
     }
-    more = {"peer": PACKAGE, "rate_hz": arguments.rate, "machine": machine()}
-    return report(arguments, flat_rows(rows), summary(rows), **more)
-
-
-def flat_rows(readers: dict[str, Row]) -> list[Row]:
-    """Return a row for each reader, with what each of its parts holds beside the rest."""
-    found = []
-    for name, row in readers.items():
-        flat = {"what": name}
-        for key, value in row.items():
-            flat |= {f"{key}_{part}": one for part, one in value.items()} if isinstance(value, dict) else {key: value}
-        found.append(flat)
-    return found
-
-
-def summary(readers: dict[str, Row]) -> Row:
-    """Return, by reader, the median age of its frames and how many damaged ones it took for intact."""
-    return {
-        name: {
-            "age_p50_us": row["age_us"]["p50"],
-            "corrupt_accepted": row["flipped"]["corrupt_accepted"] if "flipped" in row else None,
-        }
-        for name, row in readers.items()
-    }
+    return report(arguments, rows, summary, peer=PACKAGE, rate_hz=arguments.rate, machine=machine())
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +101,7 @@ class Reader:
 
 def ours() -> Reader:
     """Return eitskin's transport and framing."""
-    return Reader("eitskin", (sys.executable, "-m", __name__, "reader"))
+    return Reader("eitskin", (sys.executable, "-m", __name__))
 
 
 def theirs(python: Path, method: str) -> Reader:
@@ -151,14 +126,12 @@ def ages(reader: Reader, frames: int, rate_hz: float) -> Row:
     ]
     if not ages_ns:
         raise SkinError(f"the {reader.kind} reader returned not one frame of {frames}")
-    seconds = frames / rate_hz
     dropped = sum(sent is None for sent in sent_ns)
     return {
         "sent": frames - dropped,
         "dropped_by_full_line": dropped,
         "returned": len(received),
-        "returned_hz": round(len(received) / seconds, 1),
-        "age_us": percentiles_us(np.array(ages_ns)),
+        **{f"age_us_{name}": value for name, value in percentiles_us(np.array(ages_ns)).items()},
     }
 
 
@@ -173,40 +146,37 @@ def corruption(reader: Reader, frames: int, rate_hz: float) -> dict[str, int]:
     sent_ns, received = _run(reader, frames, rate_hz, flip=True)
     known = {hashlib.sha256(payload(number)).hexdigest() for number in range(frames)}
     return {
-        "sent": sum(sent is not None for sent in sent_ns),
-        "returned": len(received),
+        "flipped_sent": sum(sent is not None for sent in sent_ns),
         "corrupt_accepted": sum(row[1] not in known for row in received),
     }
 
 
 def _run(reader: Reader, frames: int, rate_hz: float, *, flip: bool) -> tuple[list[int | None], list[list[Any]]]:
     """Return when each frame was sent and what the reader printed."""
-    options = ["--frames", str(frames), "--rate", str(rate_hz), *(["--flip"] if flip else [])]
-    sensor = subprocess.Popen(
-        [sys.executable, "-m", __name__, "sensor", reader.kind, *options],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
-        assert sensor.stdin is not None
-        assert sensor.stdout is not None
-        port = sensor.stdout.readline().strip()
-        seconds = frames / rate_hz + DRAIN_S
-        with subprocess.Popen(
-            [*reader.command, port, str(seconds), *reader.options], stdout=subprocess.PIPE, text=True
-        ) as process:
+    seconds = str(frames / rate_hz + DRAIN_S)
+    with PtyPort() as port:
+        command = [*reader.command, str(port.path), seconds, *reader.options]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None
             if process.stdout.readline().strip() != "ready":
                 raise SkinError(f"the {reader.kind} reader did not start; its error is above")
-            sensor.stdin.write("go\n")
-            sensor.stdin.flush()
-            received = json.loads(process.stdout.read())
-        sent_ns = json.loads(sensor.stdout.readline())
-        sensor.communicate("done\n")
-    finally:
-        if sensor.poll() is None:
-            sensor.kill()
-            sensor.wait()
-    return sent_ns, received
+            packets = [on_the_wire(number, reader.kind) for number in range(frames)]
+            sent_ns = _send(port, [flipped(one, n) for n, one in enumerate(packets)] if flip else packets, rate_hz)
+            return sent_ns, json.loads(process.stdout.read())
+
+
+def _send(port: PtyPort, packets: Sequence[bytes], rate_hz: float) -> list[int | None]:
+    """Send packets at a rate and return when each went out; one that the line has no room for is dropped, None."""
+    sent_ns: list[int | None] = []
+    start = time.perf_counter()
+    for number, packet in enumerate(packets):
+        time.sleep(max(start + number / rate_hz - time.perf_counter(), 0.0))
+        now = time.perf_counter_ns()
+        sent_ns.append(now if port.write(packet) else None)
+    while port.unsent:
+        port.flush()
+        time.sleep(0.001)
+    return sent_ns
 
 
 def cache_folder() -> Path:
@@ -285,38 +255,5 @@ def read(port: str, seconds: float) -> None:
     print(json.dumps(found))
 
 
-def send(words: Sequence[str]) -> None:
-    """Print a port, wait for a line, send frames at a rate, and print when each went out.
-
-    Frames that the line has no room for are dropped whole, as a sensor's would be, and have no time.
-    """
-    parser = argparse.ArgumentParser(description="Send numbered frames on a pseudo-terminal.")
-    parser.add_argument("kind", choices=["flexitac", "eitskin"])
-    parser.add_argument("--frames", type=int, required=True)
-    parser.add_argument("--rate", type=float, required=True)
-    parser.add_argument("--flip", action="store_true", help="invert one bit of every frame")
-    arguments = parser.parse_args(words)
-    frames = [on_the_wire(number, arguments.kind) for number in range(arguments.frames)]
-    if arguments.flip:
-        frames = [flipped(frame, number) for number, frame in enumerate(frames)]
-    sent_ns: list[int | None] = []
-    with PtyPort() as port:
-        print(port.path, flush=True)
-        sys.stdin.readline()
-        start = time.perf_counter()
-        for number, frame in enumerate(frames):
-            time.sleep(max(start + number / arguments.rate - time.perf_counter(), 0.0))
-            now = time.perf_counter_ns()
-            sent_ns.append(now if port.write(frame) else None)
-        while port.unsent:
-            port.flush()
-            time.sleep(0.001)
-        print(json.dumps(sent_ns), flush=True)
-        sys.stdin.readline()  # the port stays until the reader is done
-
-
 if __name__ == "__main__":
-    if sys.argv[1] == "sensor":
-        send(sys.argv[2:])
-    else:
-        read(sys.argv[2], float(sys.argv[3]))
+    read(sys.argv[1], float(sys.argv[2]))

@@ -5,16 +5,11 @@ size of a touch whose border cuts elements; reciprocity; a bend that must change
 A test compares the voltages with independent triangles; ``tools/studies/solid_slab.py`` compares them with an
 independent solid, which takes minutes.
 
-Two rules for the elements that a border cuts are compared by the error that a 10 mm square shows ::
-
-    area fraction   a cut element has the mean of the two conductivities, by area
-    enriched        the rule of :mod:`eitskin_sim.fem.borders.cut_elements`, which eitskin uses
-
-The size is fitted to the exact change of the voltages with the size, on a mesh that follows the square.
+The size error of a 10 mm square whose border cuts elements is fitted to the exact change of the voltages with the size,
+on a mesh that follows the square.
 """
 
 import argparse
-from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
 from typing import Any, Literal
@@ -27,7 +22,7 @@ from eitskin_sim.fem.borders.cut_elements import touch
 from eitskin_sim.fem.forward import Factor, System, assemble, reciprocity_error
 from eitskin_sim.fem.jacobian import COARSE_MM, relative_jacobian
 from eitskin_sim.fem.mesh import TensorMesh, graded_lines
-from eitskin_sim.fem.meshing import REFERENCE_MM, electrode_lines, on_sheet, scene_mesh
+from eitskin_sim.fem.meshing import REFERENCE_MM, electrode_lines, on_sheet
 from eitskin_sim.fem.solve import Law, factorise_scene, solve_scene
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
@@ -38,7 +33,6 @@ Array = npt.NDArray[np.float64]
 SQUARE_MM = 10.0
 PLACES_MM = ((71.4, 33.1), (21.7, 14.3), (103.26, 57.62))
 """Lower left corners, off every line of the meshes."""
-RULES = ("area fraction", "enriched")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and print."""
-    rows = _convergence() + _borders() + _invariants() + _jacobians()
+    rows = [*_convergence(), size_error(3.0), size_error(2.0), *_invariants(), *_jacobians()]
     return report(arguments, rows, _summary(rows))
 
 
@@ -69,12 +63,6 @@ def _convergence() -> list[Row]:
             row |= {"n_nodes": found.n_nodes, "v_error_max": float(np.abs(found.voltages / fine - 1).max())}
             rows.append({**row, "seconds": round(perf_counter() - start, 3)})
     return rows
-
-
-def _borders() -> list[Row]:
-    rows = size_errors(3.0) + size_errors(2.0)
-    touches = (Touch((Rect(71.4, 33.1, 81.4, 43.1),)), Touch((Rect(21.7, 14.3, 34.2, 26.9),), 20.0))
-    return rows + cut_convergence(Scene(touches=touches), (6.0, 3.0, 2.0, 1.5))
 
 
 def _invariants() -> list[Row]:
@@ -111,52 +99,33 @@ def _summary(rows: list[Row]) -> dict[str, float]:
         "reciprocity": by["reciprocity"][0]["error_max"],
         "isometric": max(r["error_max"] for r in by["isometric"]),
     }
-    found |= {f"size_error_mm_{r['rule']}".replace(" ", "_"): r["size_error_max_mm"] for r in by["border rule"][:2]}
-    return found
+    return {**found, "size_error_mm": by["cut border"][0]["size_error_max_mm"]}
 
 
-def size_errors(largest_mm: float, conductivity: float = 50.0) -> list[dict[str, Any]]:
-    """Return a row for each rule: the worst and mean size error in mm, and the error of dV, over the places."""
+def size_error(largest_mm: float, conductivity: float = 50.0) -> Row:
+    """Return the worst and mean size error in mm of a square that cuts elements, and the worst error of dV."""
     system = _blind_system(largest_mm)
     untouched = system.factorise().voltages()
     exact_untouched = solve_scene(Scene()).voltages
-    errors: dict[str, list[tuple[float, float]]] = {rule: [] for rule in RULES}
+    sizes, errors = [], []
     for x, y in PLACES_MM:
         exact, larger = (
             solve_scene(Scene(touches=(_square(x, y, grow, conductivity),))).voltages / exact_untouched - 1
             for grow in (0.0, 0.1)
         )
         slope = (larger - exact) / 0.2
-        for rule in RULES:
-            off = _solve(system, _square(x, y, 0.0, conductivity), rule) / untouched - 1 - exact
-            size = float(slope @ off / (slope @ slope))
-            errors[rule].append((abs(size), float(np.linalg.norm(off) / np.linalg.norm(exact))))
-    return [
-        {
-            "what": "border rule",
-            "rule": rule,
-            "element_mm": largest_mm,
-            "conductivity_S_per_m": conductivity,
-            "size_error_max_mm": max(size for size, _ in found),
-            "size_error_mean_mm": float(np.mean([size for size, _ in found])),
-            "dv_error_max": max(dv for _, dv in found),
-        }
-        for rule, found in errors.items()
-    ]
-
-
-def cut_convergence(scene: Scene, sizes_mm: Sequence[float]) -> list[dict[str, Any]]:
-    """Return a row for each element size: dV of a scene's touches on meshes blind to them, against one that follows."""
-    follow = replace(scene, element_size_mm=1.0)
-    exact = solve_scene(follow).voltages / solve_scene(follow.untouched()).voltages - 1
-    rows = []
-    for size in sizes_mm:
-        system = assemble(scene_mesh(replace(scene.untouched(), element_size_mm=size)), scene.sheet, scene.electrodes)
-        touched = touch(system, scene.touches)
-        found = Factor(system, touched.blocks, touched.density).voltages() / system.factorise().voltages() - 1
-        error = float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
-        rows.append({"what": "cut convergence", "element_size_mm": size, "cut": len(touched.cut), "dv_error": error})
-    return rows
+        touched = touch(system, (_square(x, y, 0.0, conductivity),))
+        off = Factor(system, touched.blocks, touched.density).voltages() / untouched - 1 - exact
+        sizes.append(abs(float(slope @ off / (slope @ slope))))
+        errors.append(float(np.linalg.norm(off) / np.linalg.norm(exact)))
+    return {
+        "what": "cut border",
+        "element_mm": largest_mm,
+        "conductivity_S_per_m": conductivity,
+        "size_error_max_mm": max(sizes),
+        "size_error_mean_mm": float(np.mean(sizes)),
+        "dv_error_max": max(errors),
+    }
 
 
 def _square(x: float, y: float, grow: float, conductivity: float) -> Touch:
@@ -171,10 +140,3 @@ def _blind_system(largest_mm: float) -> System:
         for fixed, extent in zip(electrode_lines(sheet, electrodes), sheet.size_mm, strict=True)
     ]
     return assemble(TensorMesh(*lines), sheet, electrodes)
-
-
-def _solve(system: System, item: Touch, rule: str) -> Array:
-    touched = touch(system, (item,))
-    enriched = rule == "enriched"
-    blocks = touched.blocks if enriched else touched.sigma[:, None, None] * system.stiffness
-    return Factor(system, blocks, touched.density).voltages()

@@ -2,12 +2,10 @@
 
 ::
 
-    skip             what is skipped                       error
-    untouched        inference, while nothing touches      false alarms and misses
-    cloud_unchanged  the geometry graph                    none: the same map
-    no_subscriber    everything but the gate               none: the same map for the next subscriber
-    unchanged        inference, while only noise changes   likeness to the map that was not computed
-    idle             most drives of the device             false alarms and misses, and the soonest full frame
+    skip       what is skipped                       error
+    untouched  inference, while nothing touches      false alarms and misses
+    unchanged  inference, while only noise changes   likeness to the map that was not computed
+    idle       most drives of the device             false alarms and misses, and the soonest full frame
 
 Costs are thread CPU times of the runtime's own pipeline with and without the skip, in turns in one run. Making a
 frame's payload is not counted. False alarms and misses are those that the bundle's manifest states, measured at
@@ -196,11 +194,10 @@ class FrameRunner:
         frames: Makes payloads.
         pipeline: Takes them.
         voltages: (n, 104) V; shown over and over.
-        wanted: Whether there is a subscriber.
     """
 
-    def __init__(self, frames: Frames, pipeline: Pipeline, voltages: Array, *, wanted: bool = True) -> None:
-        self._make, self._voltages, self._wanted, self._sequence = frames.payload, voltages, wanted, 0
+    def __init__(self, frames: Frames, pipeline: Pipeline, voltages: Array) -> None:
+        self._make, self._voltages, self._sequence = frames.payload, voltages, 0
         self.pipeline = pipeline
         self._ready = b""
         self.prepare(0)
@@ -213,7 +210,7 @@ class FrameRunner:
     def __call__(self) -> bool:
         """Take the prepared frame through the pipeline, and do what waits for leisure when it is due."""
         pipeline = self.pipeline
-        fit = pipeline.accept(self._ready, time.perf_counter_ns()) and pipeline.compute(self._wanted)
+        fit = pipeline.accept(self._ready, time.perf_counter_ns()) and pipeline.compute(True)
         pipeline.keep_for_health()
         if pipeline.has_leisure_work:
             pipeline.check_health()
@@ -262,14 +259,12 @@ def costs(bundle: Bundle, shown: Material, count: int) -> dict[str, Any]:
     Args:
         bundle: What is deployed.
         shown: What the pipelines are shown.
-        count: Frames of each way; a tenth of it where the geometry graph runs for each.
+        count: Frames of each way.
     """
     frames, touched_V = shown.frames, shown.one_V
     found = {}
     if bundle.gate_arrays() is not None:
         found["untouched"] = untouched(bundle, frames, shown.bent_V, touched_V, count)
-    found["cloud_unchanged"] = cloud_unchanged(bundle, frames, touched_V, max(count // 10, 20))
-    found["no_subscriber"] = no_subscriber(bundle, frames, touched_V, count)
     found["unchanged"] = unchanged(bundle, frames, touched_V, shown.two_V)
     return found
 
@@ -286,36 +281,6 @@ def untouched(bundle: Bundle, frames: Frames, bent_V: Array, touched_V: Array, c
     row = saving(interleaved(ways, count))
     row["untouched_to_touched"] = round(row["us"]["with"]["cpu_mean"] / row["us"]["touched"]["cpu_mean"], 4)
     return row
-
-
-class GeometryEachFrame(FrameRunner):
-    """A way that runs the geometry graph for every frame."""
-
-    def __init__(self, frames: Frames, bundle: Bundle, voltages: Array) -> None:
-        super().__init__(frames, frames.pipeline(bundle), voltages)
-        self._graph, self._cloud = GeometryGraph(bundle), bundle.skin.grid.flat_cloud_mm()
-
-    def __call__(self) -> bool:
-        """Take the prepared frame."""
-        self.pipeline.start_with(self._graph.geometry(self._cloud, None, 1))
-        return super().__call__()
-
-
-def cloud_unchanged(bundle: Bundle, frames: Frames, touched_V: Array, count: int) -> dict[str, Any]:
-    """Return the row of "cloud unchanged": the map is the same to the last bit."""
-    kept = FrameRunner(frames, frames.pipeline(bundle), touched_V)
-    kept.pipeline.start_with(GeometryGraph(bundle).geometry(bundle.skin.grid.flat_cloud_mm(), None, 1))
-    redone = GeometryEachFrame(frames, bundle, touched_V)
-    row = saving(interleaved({"with": kept, "without": redone}, count))
-    return {**row, "largest_map_error": _largest(kept, redone)}
-
-
-def no_subscriber(bundle: Bundle, frames: Frames, touched_V: Array, count: int) -> dict[str, Any]:
-    """Return the row of "no subscriber"; a new subscriber gets the next frame's map, as if it had always been there."""
-    alone = FrameRunner(frames, frames.pipeline(bundle), touched_V, wanted=False)
-    watched = FrameRunner(frames, frames.pipeline(bundle), touched_V)
-    row = saving(interleaved({"with": alone, "without": watched}, count))
-    return {**row, "largest_map_error": _largest(FrameRunner(frames, alone.pipeline, touched_V), watched)}
 
 
 def unchanged(bundle: Bundle, frames: Frames, resting_V: Array, changed_V: Array) -> dict[str, Any]:
@@ -346,18 +311,6 @@ def unchanged(bundle: Bundle, frames: Frames, resting_V: Array, changed_V: Array
     row["cc_with_computed_map"] = {"mean": float(np.mean(likeness)), "least": float(np.min(likeness))}
     row["frames_until_change_is_seen"] = int(late[0]) if len(late) else None
     return row
-
-
-def _largest(one: FrameRunner, other: FrameRunner, count: int = 20) -> float:
-    """Return the largest difference of two ways' maps over the same frames."""
-    largest = 0.0
-    for index in range(count):
-        for way in (one, other):
-            way.prepare(index)
-            way()
-        difference = one.pipeline.buffers.map[0] - other.pipeline.buffers.map[0]
-        largest = max(largest, float(np.abs(difference).max()))
-    return largest
 
 
 def idle(arrays: Mapping[str, Any]) -> Row:

@@ -1,23 +1,16 @@
-"""``eitskin bench stability``: at which level of noise each solver breaks, and the same input twice.
+"""``eitskin bench stability``: at which level of noise each solver breaks.
 
-::
-
-    noise       N1 to N3 from 80 to 20 dB through every engine of the runtime: the levels at which a tenth and half of
-                the accuracy are lost, interpolated
-    repeat      the same input in two sessions, in another process, with two threads
-
-The noise rows send touched sheets at drawn deformations through the runtime's own pipeline, as FRAME payloads of a
-device with 32-bit converters. The summary counts the published maps that are not finite, or not from 0 to 1. The
-command exits with 1 if there is one.
+N1 to N3 from 80 to 20 dB go through every engine of the runtime. A row gives the levels at which a tenth and half of
+the accuracy are lost, interpolated. Touched sheets at drawn deformations pass the runtime's own pipeline, as FRAME
+payloads of a device with 32-bit converters. The summary counts the published maps that are not finite, or not from 0 to
+1. The command exits with 1 if there is one.
 """
 
 import argparse
 import math
-import subprocess
-import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
@@ -25,15 +18,12 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.health.monitor import health_of
-from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle, default_path, load_bundle
 from eitskin.model.engine import engines
 from eitskin.model.geometry import GeometryGraph
-from eitskin.model.session import onnxruntime, session_options
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
 from eitskin.reference.predicted import log_ratio
-from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.frames import Frame, full_scale, quantise
 from eitskin_proto.wire.messages import Hello
@@ -43,23 +33,18 @@ from eitskin_sim.evaluation.metrics import correlation
 from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.measurement.noise import NOISES, Kind, add_noise, spread_of
-from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import flat_voltages
-from eitskin_tools.bench.harness import Row, chosen, report, say, several
+from eitskin_tools.bench.harness import Row, report
 from eitskin_tools.command_line import files
 
 Array = npt.NDArray[np.float64]
-Floats = npt.NDArray[np.float32]
 TouchedSheet = tuple[Case, Array]
 """A touched sheet without noise, and its true (rows, columns) map."""
 
-FAMILIES: Final = ("noise", "repeat")
-"""What ``--only`` takes."""
 
 SNR_DB: Final = (80.0, 70.0, 60.0, 50.0, 45.0, 40.0, 35.0, 30.0, 25.0, 20.0)
 
-REPEATED_INPUTS: Final = 16
 
 CLOUD_SEED: Final = 71_903
 
@@ -74,9 +59,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--quick", action="store_true", help="fewer sheets and levels: under a minute of one core")
     parser.add_argument(
-        "--only", action="append", type=several(FAMILIES), metavar="NAME[,NAME]", help=f"of {', '.join(FAMILIES)}"
-    )
-    parser.add_argument(
         "--bundle", type=files.bundle, metavar="FILE", help="bundle to stress (default: the shipped one of unit labels)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object: rows and summary")
@@ -89,14 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     sheets = touched_sheets(
         "units" if bundle.labels == "units" else "area", 2 if quick else 8, element_size_mm=6.0 if quick else 3.0
     )
-    makers: dict[str, Callable[[], list[Row]]] = {
-        "noise": lambda: noise_rows(Stream(bundle, tally), sheets, quick=quick),
-        "repeat": lambda: repeat_rows(bundle, sheets),
-    }
-    rows: list[Row] = []
-    for family in chosen(arguments.only, FAMILIES):
-        say("stability", family)
-        rows += [{"family": family, **row} for row in makers[family]()]
+    rows = noise_rows(Stream(bundle, tally), sheets, quick=quick)
     summary = {
         "rows": len(rows), "broken": sum(row["breaks_at"] is not None for row in rows), **tally.summary(),
         "cpu_s": round(time.process_time() - start, 1),
@@ -294,70 +269,3 @@ def noisy(case: Case, kind: Kind, snr_db: float, rng: np.random.Generator) -> Ca
 def _cc(image: Array | None, truth: Array) -> float:
     """Return a map's correlation with the truth; 0 for a map that was not shown."""
     return 0.0 if image is None else float(correlation(image, truth))
-
-
-def inputs_of(sheets: Sequence[TouchedSheet]) -> Floats:
-    """Return (n, 104) dV of some sheets, repeated with small changes."""
-    base = np.stack([relative_change(case.voltages, case.flat_reference) for case, _ in sheets])
-    rng = np.random.default_rng(0)
-    more = base[np.arange(REPEATED_INPUTS) % len(base)]
-    return np.asarray(more + 0.01 * rng.standard_normal(more.shape), dtype=np.float32)
-
-
-def maps_of(bundle: Bundle, changes: Floats, engine: int = 0) -> Floats:
-    """Return (n, 1350) maps on the flat sheet, one at a time through the runtime's engine."""
-    buffers = Buffers(bundle)
-    found = engines(bundle, buffers)[engine]
-    buffers.use_geometry(GeometryGraph(bundle).geometry(None, None, 0))
-    maps = []
-    for change in changes:
-        buffers.change[0] = change
-        found.infer()
-        maps.append(buffers.map[0].copy())
-    return np.stack(maps)
-
-
-def repeat_rows(bundle: Bundle, sheets: Sequence[TouchedSheet]) -> list[Row]:
-    """Return a row for each way of repeating."""
-    changes = inputs_of(sheets)
-    first = maps_of(bundle, changes)
-    rows = [
-        _repeat_row("run to run, a new session", "vd2t", first, maps_of(bundle, changes)),
-        _repeat_row("run to run, another process", "vd2t", first, _maps_elsewhere(bundle, changes)),
-    ]
-    for index, name in enumerate(name for name in ("head.onnx", "head_int8.onnx") if name in bundle.files):
-        single, two = maps_of(bundle, changes, index), _two_threads(bundle, name, changes)
-        rows.append(_repeat_row("one thread, two threads", "vd2t" if index == 0 else "vd2t-int8", single, two))
-    scene = nominal_scene(bundle.skin)
-    once, again = (solve_scene(scene).voltages for _ in range(2))
-    return [*rows, _repeat_row("run to run", "forward model", once, again)]
-
-
-def _repeat_row(sweep: str, solver: str, one: npt.NDArray[Any], other: npt.NDArray[Any]) -> Row:
-    difference = float(np.abs(np.asarray(one, float) - np.asarray(other, float)).max())
-    equal, size = bool(np.array_equal(one, other)), float(np.abs(one).max())
-    apart_by = f"differ by at most {difference:.2g}, {difference / size / 6e-8:.2g} roundings of float32"
-    return {
-        "sweep": f"repeat: {sweep}", "solver": solver, "unit": "map", "bit_equal": equal, "worst": short(difference),
-        "degrades_10pct_at": None, "breaks_at": None, "why": "bit-equal" if equal else apart_by,
-    }  # fmt: skip
-
-
-def _maps_elsewhere(bundle: Bundle, changes: Floats) -> Floats:
-    done = subprocess.run(
-        [sys.executable, "-m", __name__, str(bundle.path)],
-        input=changes.astype("<f4").tobytes(), capture_output=True, check=True, timeout=120,
-    )  # fmt: skip
-    return np.frombuffer(done.stdout, dtype="<f4").reshape(len(changes), -1)
-
-
-def _two_threads(bundle: Bundle, name: str, changes: Floats) -> Floats:
-    session = onnxruntime.InferenceSession(bundle.files[name], session_options(2), providers=["CPUExecutionProvider"])
-    geometry = GeometryGraph(bundle).geometry(None, None, 0)
-    feed = {"bias": geometry.bias, **({"log_predicted": geometry.log_predicted} if bundle.uses_prediction else {})}
-    return np.concatenate([session.run(["map"], {"dv": change[None], **feed})[0] for change in changes])
-
-
-if __name__ == "__main__":
-    given = np.frombuffer(sys.stdin.buffer.read(), dtype="<f4").reshape(-1, N_ROWS)
-    sys.stdout.buffer.write(maps_of(load_bundle(sys.argv[1]), given).astype("<f4").tobytes())

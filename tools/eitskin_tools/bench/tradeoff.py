@@ -9,9 +9,7 @@ the network has its geometry, and V_pred as reference, which a robot can have. A
 ::
 
     tikhonov, l1 of N steps, sbl    with V_pred as reference, on the grid of the labels
-    tikhonov, one matrix            the runtime's fall-back: flat sheet, reference before the deformation
     vd2t, vd2t-int8                 of the shipped bundles, and of every --bundle (other widths)
-    vd2t, geometry a frame          without the skip "cloud unchanged"
     verified                        the network's map checked by physics, with the search, without its set-up
 """
 
@@ -25,12 +23,8 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import load_bundle
-from eitskin.model.engine import engines
-from eitskin.model.geometry import GeometryGraph
-from eitskin.reference.predicted import log_ratio
-from eitskin_proto.sensor.normalise import relative_change
+from eitskin.model.engine import solvers as solvers_of
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.device import Device
 from eitskin_sim.evaluation.device_runs import Plan, Trial, cases, devices
@@ -49,13 +43,12 @@ from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.measurement.noise import Kind
 from eitskin_sim.scene.parts import Phantom
 from eitskin_sim.scene.scene import load_phantoms
-from eitskin_sim.surface.predict import flat_voltages
 from eitskin_tools.bench.harness import Row, machine, paced, report, say
 from eitskin_tools.command_line import files
 from eitskin_tools.demo.score import percentiles_us
 from eitskin_tools.errors import UsageError
 from eitskin_tools.evaluation.devices import rows_of, trials_of
-from eitskin_tools.evaluation.solvers import VERIFIED, Request, bundle_for, named
+from eitskin_tools.evaluation.solvers import NETWORKS, VERIFIED, Request, bundle_for, named
 from eitskin_tools.pictures import save
 
 L1_STEPS: Final = (10, 50, 200, 400)
@@ -231,37 +224,12 @@ def variants(labels: str, touches: TouchKind, more: Sequence[Path], conditions: 
     found |= {f"l1, {steps} steps": partial(solve_l1, iterations=steps) for steps in L1_STEPS}
     shipped = bundle_for(Request("vd2t"), labels, touches).path
     for path in [shipped, *map(Path, more)]:
-        found |= _networks(path, labels, "" if path == shipped else f" of {path.name}")
+        bundle = load_bundle(path, lazily=True)
+        suffix = "" if path == shipped else f" of {path.name}"
+        for name in [one for one in NETWORKS if one in solvers_of(bundle) and bundle.labels == labels]:
+            found[name + suffix] = named(Request(name, bundle=path), labels, touches=touches).run.solver
     verified = named(Request(VERIFIED), labels, touches=touches, conditions=conditions)
     return {**found, VERIFIED: verified.run.solver}
-
-
-def _networks(path: Path, labels: str, suffix: str) -> dict[str, Solver]:
-    """Return the variants that a bundle offers; none where its labels are not these."""
-    bundle = load_bundle(path)
-    if bundle.labels != labels:
-        return {}
-    buffers, graph = Buffers(bundle), GeometryGraph(bundle)
-    shown: list[Any] = [None]
-
-    def geometry(case: Case) -> None:
-        predicted = log_ratio(case.sheet.predicted(), flat_voltages(bundle.skin)) if bundle.uses_prediction else None
-        buffers.use_geometry(graph.geometry(case.sheet.cloud_mm, predicted, buffers.revision + 1))
-        shown[0] = case.sheet
-
-    def solver(engine: Any, *, every: bool = False) -> Solver:
-        def solve(case: Case) -> Any:
-            if every or shown[0] is not case.sheet:
-                geometry(case)
-            buffers.change[0] = relative_change(case.voltages, case.flat_reference)
-            engine.infer()
-            return np.asarray(buffers.map, dtype=np.float64).reshape(bundle.skin.grid.shape)
-
-        return solve
-
-    whole = engines(bundle, buffers)
-    found = {("tikhonov, one matrix" if one.name == "tikhonov" else one.name) + suffix: solver(one) for one in whole}
-    return {**found, f"{whole[0].name}, geometry a frame{suffix}": solver(whole[0], every=True)}
 
 
 def mark_front(rows: Sequence[Row]) -> None:

@@ -76,8 +76,6 @@ class Options:
     """Say on standard error how far it is."""
     clouds: bool = True
     """Send clouds while the sheet bends."""
-    affinity: int | None = None
-    """The runtime, all its threads, on this CPU only."""
     streams: int = 0
     """Subscribers to what was measured, beside the one to frames."""
     view: bool = False
@@ -207,7 +205,6 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     port = json.loads(skin.line(skin.out, "{", START_S))["port"]
     chosen = ["--bundle", str(options.bundle)] if options.bundle else []
     chosen += ["--solver", options.solver] if options.solver else []
-    chosen += [] if options.affinity is None else [f"--affinity={options.affinity}"]
     # No front end is without noise; and an emulated board whose scan is late plays a frame of its recording twice.
     chosen += ["--force-reference"] if options.noise == "none" or options.device == "qemu" else []
     runtime = Child(
