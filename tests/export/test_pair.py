@@ -65,21 +65,6 @@ def test_both_networks_give_what_they_gave_in_bundles_of_their_own(large: Path, 
     assert result["small_head_bytes"] < result["large_head_bytes"]
 
 
-def test_the_manifest_says_where_it_is_from_and_what_it_is_worth(large: Path, small: Path, tmp_path: Path) -> None:
-    pair(large, small, tmp_path / "both.eitskin")
-    whole, before = load_bundle(tmp_path / "both.eitskin"), load_bundle(large)
-    about = whole.manifest["small"]
-    assert about["bundle"] == load_bundle(small).id
-    assert about["head"] == "head_int8.onnx"
-    assert about["bias"] == 4
-    assert about["metrics"] == {"card": {"cc": 0.5}, "int8": {"flipped": 0.0}}
-    assert set(whole.files) == {*before.files, "skin.toml", *graphs_of("small")}
-    assert {name: whole.files[name] for name in before.files if name != "skin.toml"} == {
-        name: before.files[name] for name in before.files if name != "skin.toml"
-    }
-    assert whole.manifest["metrics"] == before.manifest["metrics"]
-
-
 @pytest.mark.parametrize(("share", "head"), [(0.99, "head_int8.onnx"), (1.01, "head.onnx"), (-1.0, "head.onnx")])
 def test_a_smaller_head_may_show_a_little_more_or_less_in_8_bits(
     large: Path, tmp_path: Path, share: float, head: str

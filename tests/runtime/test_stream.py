@@ -76,7 +76,7 @@ def test_the_first_frame_is_not_one_that_waited_since_before_anybody_asked(virtu
         assert first.counts["lost"] == 0
 
 
-@pytest.mark.parametrize("fault", ["flip@0.3/0.05:1", "drop@0.3/0.05:10", "garbage@0.3/0.05:300"])
+@pytest.mark.parametrize("fault", ["flip@0.3/0.05:1", "drop@0.3/0.05:10"])
 def test_damage_is_dropped_and_counted_and_nothing_is_shifted(virtual_skin, tiny_path, fault):
     # The reference's 10 frames take 0.1 s; the damage begins after them
     with virtual_skin(faults=[fault]) as port, opened(port, tiny_path) as skin:
@@ -177,7 +177,7 @@ def test_stopping_from_another_thread_ends_the_frames(virtual_skin, tiny_path):
         assert time.perf_counter() - start < 60.0
 
 
-@pytest.mark.parametrize(("kind", "reason"), [("frozen", "frozen"), ("stuck", "stuck"), ("failing", "lost")])
+@pytest.mark.parametrize(("kind", "reason"), [("stuck", "stuck"), ("failing", "lost")])
 def test_of_a_front_end_that_hangs_nothing_is_published_and_the_next_frame_says_so(
     virtual_skin, tiny_path, kind, reason
 ):

@@ -99,14 +99,3 @@ def test_what_is_doubtful_is_said_and_used():
     one = cylinder(90.0)
     one[2, 10, 10] += 1.8
     assert check_sheet(one)[1][0].startswith("a point of the cloud is 1.8 mm off its neighbours")
-
-
-@pytest.mark.parametrize(
-    "reverse",
-    [lambda cloud: cloud[:, ::-1], lambda cloud: cloud[:, :, ::-1], lambda cloud: cloud[[1, 0, 2]]],
-    ids=["rows reversed", "columns reversed", "x and y exchanged"],
-)
-def test_a_mirrored_bent_sheet_is_warned_of_and_a_flat_one_is_the_flat_sheet(reverse):
-    (line,) = check_sheet(reverse(cylinder(120.0)))[1]
-    assert line.startswith("the cloud bends to the sheet's back by 1")
-    assert check_sheet(reverse(flat_cloud()))[1] == ()

@@ -34,7 +34,7 @@ def any_configuration(draw):
 
 
 @given(any_configuration())
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_value_blob_and_toml_say_the_same(configuration):
     blob = configuration.to_blob()
     assert len(blob) == BLOB_BYTES == 64

@@ -44,7 +44,7 @@ def same(a, b):
 
 
 @given(any_frame())
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_every_frame_survives_the_wire(frame):
     payload = frame.pack()
     assert len(payload) == frame_bytes(len(frame.counts), frame.sample_bytes) <= MAX_PAYLOAD
@@ -134,7 +134,7 @@ def test_rows_of_a_full_frame_map_to_the_table_by_reciprocity():
     st.integers(0, MODULUS - 1),
     st.lists(st.tuples(st.integers(1, 900_000), st.integers(0, MODULUS - 1)), min_size=1, max_size=50),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_unwrapped_counters_equal_the_true_ones_over_any_wrap(first, first_us, moves):
     counter = StreamCounter()
     counter.step(first, first_us)

@@ -42,7 +42,7 @@ def test_any_way_of_cutting_the_stream_gives_the_same_payloads(payloads, data):
 
 
 @given(st.binary(max_size=2000), st.binary(min_size=1, max_size=400))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_after_garbage_and_one_delimiter_the_next_packet_is_not_shifted(garbage, payload):
     deframer = Deframer()
     deframer.feed(garbage + b"\0")

@@ -42,7 +42,7 @@ HELLO = messages.Hello(
 
 @pytest.mark.parametrize("kind", messages.PLAIN, ids=lambda kind: kind.__name__)
 @given(data=st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_every_message_survives_the_wire(kind, data):
     message = data.draw(any_message(kind))
     payload = message.pack()

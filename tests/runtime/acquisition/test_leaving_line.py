@@ -26,7 +26,7 @@ def some(skin, count):
     return [event for _, frame in zip(range(count), frames, strict=False) for event in frame.events]
 
 
-@pytest.mark.parametrize("number", [1, 2, 3, 4, 8, 13, 14, 15])
+@pytest.mark.parametrize("number", [1, 3, 8, 14])
 def test_a_cable_out_for_a_moment_while_the_skin_is_opened_ends_nothing(tiny, number):
     here = Here()
     here.leaves = lambda _, operation: operation == number
@@ -63,22 +63,6 @@ def test_what_happened_at_frames_that_are_withheld_the_next_frame_tells(tiny):
         told = frame.events
     assert "withheld:no_signal" in told
     assert "cloud" in told
-
-
-def test_a_prediction_is_held_against_a_new_reference_from_then_on(tiny):
-    here = Here()
-    with opened(here, tiny) as skin:
-        skin.capture_reference(5)
-        given = skin.set_cloud(skin.description.grid.flat_cloud_mm(), 1.05 * skin.reference.voltages_V)
-        some(skin, 3)
-        weak = skin.reference.weak
-        predicted = skin.pipeline.buffers.log_predicted
-        np.testing.assert_allclose(predicted[0][~weak], np.log(1.05), rtol=1e-4)
-        here.source.factor = 1.05
-        new = skin.capture_reference(5, force=True)
-        assert np.median(new.voltages_V / ROWS_V) == pytest.approx(1.05, rel=1e-3)
-        np.testing.assert_allclose(predicted[0][~(weak | new.weak)], 0.0, atol=2e-3)
-        assert skin.pipeline.buffers.revision == given
 
 
 def test_a_reference_holds_no_frame_from_before_it_was_asked_for(tiny):

@@ -3,10 +3,8 @@
 import select
 import time
 
-import eitskin
 from eitskin.messaging.frame import EVERY_FRAME, FIRST_BYTE, patient_topics
-from eitskin.messaging.regions import ALWAYS, UNCHANGED, WHOLE
-from eitskin_proto.skin.skin import PAPER
+from eitskin.messaging.regions import ALWAYS, WHOLE
 
 from .publishing import Peer, send, wait_for
 
@@ -39,17 +37,3 @@ def test_robots_are_served_before_patient_subscribers_in_any_order_of_arrival(pu
         for one in here.values():
             one.close()
     assert orders.count(["region", "robot", "patient"]) > 0.75 * ROUNDS  # its thread may still be at the one before
-
-
-def test_unchanged_maps_come_from_frames_that_were_passed_over(publisher, packer):
-    with eitskin.subscribe(publisher.endpoint, patient=True, skip_unchanged=True, timeout_s=60) as newest:
-        wait_for(publisher, lambda: UNCHANGED in publisher.topics and set(PATIENT) <= set(publisher.topics))
-        packer.put("map_seq", 1)
-        send(publisher, packer, 1)
-        packer.put("n", 2)
-        publisher.send(packer.short_message())
-        frame = newest.next_frame()
-        while frame.number < 2:
-            frame = newest.next_frame()
-        assert frame.map.shape == PAPER.grid.shape
-        assert newest.mapless == 0

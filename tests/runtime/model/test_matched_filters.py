@@ -36,15 +36,6 @@ def drawn(arrays, first):
     return white @ np.linalg.pinv(first[:-1, :size])
 
 
-def test_the_shipped_gates_say_what_they_are_made_of(arrays):
-    filters = Filters.of(arrays)
-    assert filters is not None
-    assert filters.limit > 4
-    assert 0 < filters.still < 1
-    turned = dict(arrays) | {"b2": np.asarray(arrays["b2"]) + np.arange(len(arrays["b2"]))}
-    assert Filters.of(turned) is None
-
-
 def test_without_rows_it_says_what_it_would_of_the_rows_that_its_own_gaussian_expects(arrays, first, drawn):
     filters = Filters.of(arrays)
     size, (weights, _) = filters.whitened, filters.without(first, LOST)

@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.errors import RobotError
 from eitskin.robot.config import RobotSkin
-from eitskin.robot.described import FILE, ProcessState, read_states, robot_skins, states_of, write_states
+from eitskin.robot.described import FILE, ProcessState, read_states, robot_skins, write_states
 from eitskin.robot.pose import Pose
 
 POSE = Pose.of(quaternion_wxyz=[0.5, 0.5, 0.5, 0.5], translation_mm=[1.0, -2.0, 3.5])
@@ -22,18 +22,6 @@ def test_what_is_written_is_read_again(tmp_path):
     assert read_states(tmp_path) == STATES
     assert robot_skins(tmp_path) == tuple(one.skin for one in STATES)
     assert stat.S_IMODE((tmp_path / FILE).stat().st_mode) & 0o077 == 0
-
-
-def test_the_default_folder_is_that_of_the_runtime(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    (tmp_path / "eitskin").mkdir()
-    write_states(tmp_path / "eitskin", 16, STATES)
-    assert states_of() == STATES
-
-
-def test_a_folder_where_nobody_runs_skins_is_said(tmp_path):
-    with pytest.raises(RobotError, match="no skins run there; start them with 'eitskin run --config"):
-        robot_skins(tmp_path)
 
 
 @pytest.mark.parametrize(

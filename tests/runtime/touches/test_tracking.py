@@ -129,9 +129,3 @@ def test_what_an_older_runtime_sent_has_no_errors():
     (older,) = unpack_touches(packed[0][:76], 76, *packed[1:]).touches
     assert older == now
     assert older.error_mm is older.amplitude is None
-
-
-def test_a_later_runtime_may_have_more_bytes_a_touch():
-    packed = TouchWatch(GRID).update(square(50.0, 50.0).ravel(), 1, FLAT, 0)
-    found = unpack_touches(packed[0] + b"later", LAYOUT.size + 5, *packed[1:])
-    assert ids(found) == [1]

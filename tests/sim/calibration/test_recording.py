@@ -12,7 +12,6 @@ from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import named
 from eitskin_sim.calibration.recording import RecordingError, load_recording
-from eitskin_sim.calibration.stamp import places
 
 WHOLE = {
     "reference_V": np.ones(208),
@@ -124,11 +123,3 @@ def test_bent_moments_and_presses_are_taken_with_what_belongs_to_them(tmp_path):
 def test_moments_that_cannot_be_used_are_refused(tmp_path, changes, text):
     with pytest.raises(RecordingError, match=text):
         load_recording(written(tmp_path, **LATER | changes), PAPER)
-
-
-def test_places_are_spread_over_the_sheet():
-    assert places((150.0, 100.0), 6) == (
-        (38.0, 33.0), (75.0, 33.0), (112.0, 33.0), (38.0, 67.0), (75.0, 67.0), (112.0, 67.0),
-    )  # fmt: skip
-    assert places((150.0, 100.0), 1) == ((75.0, 50.0),)
-    assert places((150.0, 100.0), 0) == ()

@@ -142,18 +142,6 @@ def test_presses_that_change_nothing_are_refused_instead_of_making_touches_that_
         calibrate(STATED, replace(recorded, bents=(), presses=faint), 50.0)
 
 
-@pytest.mark.parametrize("kind", ["lower", "raise"])
-def test_the_way_of_presses_is_the_recording_s_whatever_the_skin_says(recorded, kind):
-    rng = np.random.default_rng(12)
-    raising = tuple(press(rng, xy, contrast=3.0) for xy in PLACES[:2])
-    stated = replace(STATED, touches=replace(STATED.touches, kind=kind))
-    for presses, found in ((raising, "raise"), (recorded.presses, "lower")):
-        twin, report = calibrate(stated, replace(recorded, bents=(), presses=presses), 50.0)
-        assert twin.touches.kind == found
-        other = f"touches {found} conductance, where the stated skin says {kind}"
-        assert (other in verdict(report)) == (kind != found)
-
-
 def test_a_bend_that_is_no_bend_of_this_sheet_is_named(recorded):
     (bent,) = recorded.bents
     rows = bent.voltages_V.copy()

@@ -165,6 +165,7 @@ def test_what_an_index_or_a_file_lacks_is_named_though_digests_are_right(copy: P
         load(copy)
 
 
+@pytest.mark.slow
 def test_a_free_shard_holds_area_labels_of_its_own_touches(tmp_path: Path) -> None:
     plan = make_plan("free", 2, deformations=1, per_deformation=12, kept=0)
     index = generate(plan, tmp_path / "free", workers=0)

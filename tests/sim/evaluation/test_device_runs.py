@@ -120,11 +120,3 @@ def test_a_solver_that_is_told_of_another_skin_sees_the_same_voltages_and_its_ow
     assert np.array_equal(told.voltages, plain.voltages)
     assert told.sheet.skin == twin
     assert np.abs(told.sheet.predicted() / plain.sheet.predicted() - 1.0).max() > 0.02
-
-
-def test_a_touch_is_missed_beyond_15_mm():
-    outcomes = [runs.Outcome(0.9, np.array([3.0, 20.0]), True), runs.Outcome(0.1, np.array([np.inf]), False)]
-    found = runs.figures(outcomes)
-    assert found["missed"] == pytest.approx(2 / 3)
-    assert found["localisation_rms_mm"] == pytest.approx(3.0)
-    assert (found["cc"], found["cc_worst"], found["gate_missed"]) == (0.5, 0.1, 0.5)

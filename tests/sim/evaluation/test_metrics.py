@@ -12,7 +12,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import metrics
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.parts import Touch
-from eitskin_sim.scene.shapes import Disc, Rect
+from eitskin_sim.scene.shapes import Rect
 
 GRID = PAPER.grid
 
@@ -135,15 +135,6 @@ def test_rim_between_two_touches_goes_to_the_nearer_and_none_is_counted_twice():
     assert centres[:, 0] == pytest.approx(expected, rel=1e-9)
 
 
-def test_touches_that_have_become_one_have_a_distance_error_of_one():
-    truth = block(slice(10, 13), slice(10, 13)) + block(slice(10, 13), slice(16, 19))
-    merged = truth + block(slice(10, 13), slice(13, 16))
-    assert metrics.score(merged, truth).distance_error == 1.0
-    assert metrics.score(truth, truth).distance_error == 0.0
-    assert math.isnan(metrics.score(truth, merged).distance_error)
-    assert (metrics.score(merged, truth).touches, metrics.score(merged, truth).true_touches) == (1, 2)
-
-
 @pytest.mark.parametrize(
     ("image", "message"),
     [
@@ -155,15 +146,3 @@ def test_touches_that_have_become_one_have_a_distance_error_of_one():
 def test_malformed_maps_are_refused(image, message):
     with pytest.raises(ValueError, match=message):
         metrics.score(image, np.zeros(GRID.shape))
-
-
-def test_a_touch_smaller_than_a_pixel_is_one_where_its_truth_is_highest():
-    truth = area_map([Touch((Disc(40.0, 10.0, 1.5),))])  # on a corner of four pixels, 0.16 of each
-    assert 0.0 < truth.max() < 0.2
-    seen, blind = block(slice(2, 4), slice(11, 13)), np.zeros(GRID.shape)
-    found, missed = (metrics.score(one, truth, labels="area") for one in (seen, blind))
-    assert (found.true_touches, found.exact, found.localisation_mm) == (1, 1.0, pytest.approx(0.0, abs=1e-9))
-    assert (missed.true_touches, missed.exact, missed.localisation_mm) == (1, 0.0, metrics.lost_mm(GRID))
-    both = area_map([Touch((Disc(40.0, 10.0, 1.5),)), Touch((Disc(100.0, 50.0, 1.5),))])
-    assert metrics.score(blind, both).true_touches == 2
-    assert metrics.score(blind, both).distance_error == 1.0

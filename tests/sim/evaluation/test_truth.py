@@ -2,15 +2,12 @@
 
 from typing import Any
 
-import numpy as np
 import pytest
 from tests.second_skin import SECOND
 
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.evaluation import truth
 from eitskin_sim.evaluation.harness import Conditions, Run, evaluate_all
-from eitskin_sim.evaluation.truth import check_truths, truth_map
-from eitskin_sim.scene.area import area_map
+from eitskin_sim.evaluation.truth import check_truths
 from eitskin_sim.scene.parts import Phantom, SceneError
 from eitskin_sim.scene.scene import parse_phantoms
 
@@ -51,27 +48,3 @@ def test_a_touch_is_on_the_map_of_its_own_skin() -> None:
     check_truths(own, SECOND)
     with pytest.raises(SceneError, match="its sheet is 220 x 90 mm"):
         check_truths(own, PAPER)
-
-
-@pytest.mark.parametrize("sheet", [1.0, 4.0])
-def test_a_hole_is_not_touched(sheet: float) -> None:
-    touches = [{"disc_mm": [75, 50, 20]}, {"disc_mm": [75, 50, 10], "conductivity_S_per_m": sheet}]
-    scene = {"sheet": {"conductivity_S_per_m": sheet}, "touches": touches}
-    (_, ring) = phantoms(scene)
-    truth = truth_map(ring)
-    assert truth.sum() * PAPER.grid.pixel_mm2 == pytest.approx(np.pi * 300, rel=2e-3)
-    assert truth[15, 22] == 0.0
-    (_, filled) = phantoms({**scene, "touches": [*touches, {"disc_mm": [75, 50, 5]}]})
-    assert truth_map(filled)[15, 22] == 1.0, "what comes later holds"
-
-
-def test_a_truth_is_computed_once_however_often_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[int] = []
-    monkeypatch.setattr(truth, "area_map", lambda *given: asked.append(1) or area_map(*given))
-    one = phantoms({"touches": [{"disc_mm": [71.25, 45, 8], "contrast": 21}]})[1:]
-    check_truths(one)
-    check_truths(one)
-    found = truth_map(one[0], PAPER.grid)
-    assert len(asked) == 1
-    with pytest.raises(ValueError, match="read-only"):
-        found[0, 0] = 1.0

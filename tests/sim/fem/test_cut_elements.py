@@ -69,10 +69,6 @@ def test_disc_keeps_the_diameter_that_a_finer_mesh_gives(untouched: np.ndarray) 
     assert abs(slope @ (change(disc) - expected) / (slope @ slope)) < 0.1
 
 
-def test_touch_without_contrast_changes_nothing() -> None:
-    assert np.abs(change(Disc(41.0, 45.0, 6.0), conductivity=1.0)).max() < 1e-9
-
-
 def test_touch_that_the_mesh_follows_is_not_cut() -> None:
     x, y = SYSTEM.mesh.x_lines_mm, SYSTEM.mesh.y_lines_mm
     aligned = Rect(float(x[40]), float(y[30]), float(x[45]), float(y[36]))
@@ -86,19 +82,6 @@ def test_abutting_touches_leave_no_seam() -> None:
     halves = change(Rect(30.3, 40.2, 40.1, 50.7), Rect(40.1, 40.2, 51.1, 50.7))
     # A seam of one element would change it by a tenth; what is left is where the two borders meet the outer one.
     assert np.linalg.norm(halves - whole) < 2e-3 * np.linalg.norm(whole)
-
-
-def test_later_touch_covers_the_earlier() -> None:
-    below, above = Touch((Disc(41.0, 45.0, 3.0),), 2.0), Touch((Rect(30.3, 40.2, 51.1, 50.7),), 50.0)
-    both = factorise(SYSTEM, (below, above)).voltages()
-    np.testing.assert_allclose(both, factorise(SYSTEM, (above,)).voltages(), rtol=1e-12)
-    assert np.abs(factorise(SYSTEM, (above, below)).voltages() / both - 1).max() > 1e-4
-
-
-def test_polygon_of_a_rectangles_corners_is_the_rectangle() -> None:
-    corners = ((30.3, 40.2), (51.1, 40.2), (51.1, 50.7), (30.3, 50.7))
-    for order in (corners, corners[::-1]):
-        np.testing.assert_allclose(change(Polygon(order)), change(Rect(30.3, 40.2, 51.1, 50.7)), atol=1e-12)
 
 
 def test_blocks_stay_symmetric_semidefinite_and_blind_to_a_constant() -> None:

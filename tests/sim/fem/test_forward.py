@@ -47,8 +47,6 @@ def test_voltages_converge_and_meet_their_target(contact: str) -> None:
 @pytest.mark.parametrize(
     "bend",
     [
-        Bend(angle_deg=30),
-        Bend(angle_deg=180, axis_deg=45),
         Bend(angle_deg=350, axis_deg=90),
         Bend(angle_deg=270, axis_deg=20, skew=1.0),
     ],

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin_sim.fem.inverse import PartialInverse, solve_lines
+from eitskin_sim.fem.inverse import solve_lines
 from eitskin_sim.freeform.mesh import SharedMesh, shared_mesh
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.scene.parts import Bend
@@ -37,17 +37,3 @@ def test_a_sheet_is_solved_line_by_line_as_by_its_inverse() -> None:
     assert np.array_equal(currents, kept)
     with pytest.raises(ValueError, match="not positive definite"):
         solve_lines(grid.lines, -sheet.before, sheet.ground, currents)
-
-
-def test_a_partial_inverse_says_what_the_whole_one_says_whatever_was_asked_for_before() -> None:
-    grid, sheet = shared_mesh(SIZE_MM), inverted_sheet(BEND, SIZE_MM)
-    partial, rng = PartialInverse(grid.lines, sheet.before, sheet.ground), np.random.default_rng(0)
-    n, scale = len(grid.sharing), np.abs(sheet.inverse).max()
-    asked = [rng.choice(n, size, replace=False) for size in (1, 7, 60, 3, 200)]
-    asked += [np.arange(n - 4, n), np.array([0]), asked[2], grid.terminals, np.arange(n)]
-    for dofs in map(np.sort, asked):
-        assert np.allclose(partial.among(dofs), sheet.inverse[np.ix_(dofs, dofs)], rtol=0, atol=1e-11 * scale)
-    currents = rng.normal(size=(n, 3))
-    assert np.allclose(partial.solve(currents), sheet.inverse @ currents, rtol=1e-9, atol=1e-9 * scale)
-    with pytest.raises(ValueError, match="not positive definite"):
-        PartialInverse(grid.lines, -sheet.before, sheet.ground)

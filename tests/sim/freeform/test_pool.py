@@ -6,7 +6,6 @@ import pytest
 from eitskin_sim.freeform import draws
 from eitskin_sim.freeform.draws import (
     CLUSTERED_SHARE,
-    GAP_MM,
     Bar,
     SetDrawer,
     SetPool,
@@ -88,17 +87,6 @@ def test_touches_of_a_pool_are_on_the_sheet_and_varied(pool: SetPool) -> None:
     assert np.all(pieces[:, 1:3] <= np.array([150.0, 100.0]) - half + 1e-9)
     boxes = np.array([bounds(piece) for piece in pieces])
     assert boxes[:, 2:] - boxes[:, :2] == pytest.approx(2 * half)
-
-
-def test_touches_of_a_set_keep_apart_and_fill_no_pixel_twice(pool: SetPool) -> None:
-    sets = pool.sets[4]
-    for number in range(0, 900, 11):
-        own = [pool.parts.of(part) for part in sets.of(number)]
-        for i, one in enumerate(own):
-            for other in own[:i]:
-                a, b = np.repeat(one, len(other), axis=0), np.tile(other, (len(one), 1))
-                assert gap_mm(a, b).min() >= GAP_MM
-    assert pool.touches(sets).area_table().max() < 1.0 + 1e-6
 
 
 # Each set of a chain is the one before and a touch more: what makes a factor serve several sets.

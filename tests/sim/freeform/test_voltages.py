@@ -10,7 +10,7 @@ from eitskin_sim.freeform.draws import set_pool
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet, sheet_blocks
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.parts import Bend
-from eitskin_sim.scene.touch_table import TouchTable, cover, gather
+from eitskin_sim.scene.touch_table import TouchTable, gather
 
 BEND = Bend(angle_deg=70.0, axis_deg=-30.0, twist_deg=10.0, stretch_along=1.08, stretch_across=0.97, nonuniformity=0.05)
 
@@ -69,14 +69,6 @@ def test_deformations_share_batches_without_mixing(
 def test_no_touch_leaves_the_sheet_untouched(sheet: InvertedSheet) -> None:
     assert np.abs(change(sheet)).max() == 0.0
     assert sheet.untouched_V == pytest.approx(sheet.system.factorise().voltages(), rel=1e-9)
-
-
-def test_the_label_of_a_straight_rectangle_is_exact() -> None:
-    lines = np.arange(0.0, 31.0, 10.0)
-    rows, columns, share = cover(np.array(rectangle(12.5, 10.0, 15.0, 10.0)), lines, lines)
-    found = np.zeros((3, 3))
-    found[rows, columns] = share
-    assert np.allclose(found, [[0.25, 0.5, 0.0], [0.25, 0.5, 0.0], [0.0, 0.0, 0.0]], atol=1e-14)
 
 
 def test_a_sparse_table_holds_the_touched_area_of_each_set(touches: TouchTable) -> None:

@@ -84,14 +84,6 @@ def test_a_short_equals_the_textbook_with_a_current_between_the_wires() -> None:
     assert found == pytest.approx(potential[sense] - potential[sense + 1], rel=1e-9)
 
 
-def test_swapped_neighbours_turn_their_pair_round() -> None:
-    rows, before = measure(healthy(), (Swapped(9, 10),)), measure(healthy())
-    far = of_pair(9) & ~of_pair(8) & ~of_pair(10)
-    np.testing.assert_allclose(rows[far], -before[far], rtol=1e-8)
-    untouched = ~rows_of((9, 10))[:, None].any(axis=1)
-    np.testing.assert_allclose(rows[ROW_IN_FULL][untouched], before[ROW_IN_FULL][untouched], rtol=1e-9)
-
-
 @pytest.mark.parametrize("fault", [Shorted(3, 4), Swapped(2, 9)])
 def test_reciprocity_survives_passive_faults(fault: Shorted | Swapped) -> None:
     rows = measure(healthy(), (fault,))

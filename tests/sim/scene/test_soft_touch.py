@@ -10,10 +10,9 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.bend import metric
-from eitskin_sim.scene.parts import Bend, Phantom, Scene, Sheet, Touch
+from eitskin_sim.scene.parts import Bend, Scene, Sheet, Touch
 from eitskin_sim.scene.scene import SceneError, load_scene, parse_scene, scene_json
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect
-from eitskin_sim.scene.shift import shifted
 from eitskin_sim.scene.soft_touch import DENT_WALL_MM, dent_heights
 
 
@@ -109,13 +108,6 @@ def test_a_soft_touchs_label_is_the_area_inside_its_outline(shape: Disc | Ellips
         assert np.array_equal(area_map([Touch((shape,), contrast=contrast, border_mm=border)]), hard)
 
 
-def test_a_moved_touch_stays_what_it_is() -> None:
-    touch = Touch((Ellipse(60, 40, 20, 12, 30),), contrast=0.4, border_mm=3.0, dent_mm=1.0)
-    moved = shifted(Phantom("1", Scene(touches=(touch,)), "area"), 0.5, np.random.default_rng(0)).scene.touches[0]
-    assert moved.shapes != touch.shapes
-    assert (moved.contrast, moved.border_mm, moved.dent_mm) == (0.4, 3.0, 1.0)
-
-
 def test_a_dent_is_as_deep_as_it_says_and_stretches_its_wall() -> None:
     dent = Touch((Disc(75, 50, 16),), contrast=0.5, dent_mm=2.0)
     points = np.array([[77.0, 50.0], [91.0, 50.0], [130.0, 50.0]])
@@ -132,12 +124,6 @@ def test_a_dent_is_as_deep_as_it_says_and_stretches_its_wall() -> None:
 
 
 RING = [{"disc_mm": [75, 50, 20], "contrast": 0.4}, {"disc_mm": [75, 50, 10], "contrast": 1.0}]
-
-
-def test_a_hole_in_a_touch_is_one_and_says_nothing_of_its_kind() -> None:
-    ring = parse_scene({"touches": RING})
-    assert ring.touch_kind == "lower"
-    assert parse_scene(json.loads(scene_json(ring))) == ring
 
 
 @pytest.mark.parametrize(

@@ -39,12 +39,9 @@ def units(*numbers: int) -> np.ndarray:
 SETS = {
     "a corner, where its electrodes' contacts are touched too": units(0),
     "one in the middle": units(64),
-    "two that share an edge": units(50, 51),
     "two that share a corner": units(50, 65),
-    "four apart": units(3, 40, 77, 125),
     "a ring with a hole": units(30, 31, 32, 44, 46, 58, 59, 60),
     "a square of 3 x 3, condensed onto its outline": squares(3, 3)[40],
-    "a square of 9 x 9": squares(9, 9)[2],
     "seventeen scattered": units(*range(0, 126, 7)[:17]),
 }
 

@@ -8,13 +8,12 @@ import pytest
 from tests.second_skin import SECOND
 
 from eitskin.model.bundle import load_bundle
-from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.toml import named, to_toml
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build import steps
 from eitskin_tools.build.making import FINAL_STAGES_S, Pace, scale, seconds
 from eitskin_tools.build.recipe import TrainingStage
-from eitskin_tools.build.steps import MISSING_RUN, fitted_to, plan_of
+from eitskin_tools.build.steps import MISSING_RUN, plan_of
 from eitskin_tools.cli import main
 from eitskin_tools.command_line import files
 
@@ -51,33 +50,6 @@ def test_a_recipe_says_skin_data_and_legs():
     assert (plans["raise"].skin.name, plans["raise"].devices, plans["raise"].touches) == ("lab", "random", "raise")
     assert [stage.start_from for stage in found.training] == [None]
     assert [stage.start_from for stage in recipes.load("press").training] == ["free"]
-
-
-NARROWED = TINY.replace('network = "tiny"', 'network = "small"').replace(
-    "[[training]]", '[[training]]\nnetwork = "free"\nepochs = 1\n\n[[training]]'
-)
-"""A larger network in the first stage; the bundle's own begins as that one narrowed."""
-
-
-def test_a_leg_before_the_last_may_have_a_larger_network():
-    found = parsed(NARROWED)
-    first, last = (fitted_to(found, stage, found.skin).architecture for stage in found.training)
-    assert (first.ranks, replace(last, ranks=())) == ((), first)
-    steps.check(found)
-    assert [stage.get("network") for stage in found.as_dict()["training"]] == ["free", None]
-    assert "network" not in parsed(TINY).as_dict()["training"][0]
-    unlike = parsed(NARROWED.replace('network = "free"', 'network = "tiny"'))
-    with pytest.raises(MismatchError, match="network to start from: found widths"):
-        steps.check(unlike)
-
-
-def test_training_has_the_noise_of_a_skin_s_own_front_end(tmp_path):
-    front_end = replace(SECOND.front_end, snr_db=(44.0, 56.0))
-    for own, known in ((replace(SECOND, front_end=front_end), (44.0, 56.0)), (SECOND, 50.0)):
-        (tmp_path / "skin.toml").write_text(to_toml(own))
-        found = recipes.load(str(tmp_path / "skin.toml"))
-        assert fitted_to(found, found.training[0], own).snr_db == known
-    assert fitted_to(recipes.load("press"), recipes.load("press").training[-1], named("hydrogel")).snr_db == 50.0
 
 
 def test_a_skin_s_file_is_built_as_it_is_touched(tmp_path):

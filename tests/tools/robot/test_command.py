@@ -65,16 +65,6 @@ def test_more_electrodes_than_can_be_left_out_are_refused_before_anything_starts
     assert "expected at most 4" in said
 
 
-def test_a_folder_that_cannot_be_made_or_is_open_to_others_is_refused(robot, capsys, tmp_path):
-    path = robot(f'bundle = "{GOLDEN}/tiny.eitskin"')
-    (tmp_path / "sockets").touch()
-    assert "cannot be made" in refused(capsys, "run", "--config", path)[1]
-    (tmp_path / "sockets").unlink()
-    (tmp_path / "sockets").mkdir()
-    (tmp_path / "sockets").chmod(0o777)
-    assert "can be written by other users" in refused(capsys, "run", "--config", path)[1]
-
-
 def test_a_look_says_what_would_run_and_opens_nothing(robot, capsys, tmp_path):
     assert cli.main(["run", "--config", robot('bundle = "press"', 'touches = "lower"'), "--check"]) == 0
     assert "left" in capsys.readouterr().out

@@ -13,7 +13,7 @@ from eitskin_tools import cli
 from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES
 from eitskin_tools.verifier.feed import LATE_REASON
 
-from .conftest import PATIENCE_S, TOUCHED, until
+from .conftest import PATIENCE_S, until
 
 pytestmark = pytest.mark.process
 
@@ -108,15 +108,6 @@ def test_without_a_model_frames_go_out_unverified_and_it_is_said(streaming):
             assert first(verdicts, lambda one: one.verified).cloud == 1
 
 
-def test_a_frame_that_nothing_can_be_said_of_is_told_without_a_verdict(streaming):
-    with streaming() as stream:
-        stream.tell("cannot")
-        with stream.subscribed() as verdicts:
-            found = first(verdicts, lambda one: one.why)
-    assert (found.state, found.why, found.verified) == ("ready", "nothing can be said of it", False)
-    assert found.counts == {"checked": 0, "flagged": 0, "skipped": 1}
-
-
 def test_what_the_sheet_reads_at_rest_is_told_once_for_each_surface(streaming):
     with streaming(touches=[], every_map=True) as stream:
         rested = stream.script / "rested"
@@ -176,12 +167,3 @@ def test_one_that_keeps_dying_is_given_up_and_it_is_said(streaming):
         assert "3 times in a row, so it is not restarted" in found.why
         assert (again.state, again.why) == (found.state, found.why)
         assert stream.process.pid == 0
-
-
-def test_nothing_is_handed_over_while_nobody_asks(streaming):
-    with streaming(touches=TOUCHED) as stream, eitskin.subscribe(stream.publisher.endpoint, "all") as frames:
-        begin = first(frames, lambda frame: frame.solver != "none").number
-        first(frames, lambda frame: frame.number > begin + 50)
-        assert stream.taken == []
-        with stream.subscribed(frames=False) as verdicts:
-            assert first(verdicts, lambda one: one.verified).frame is None

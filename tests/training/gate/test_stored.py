@@ -12,7 +12,7 @@ from eitskin_training.gate.stored import NAME, gate_of_run, hand_on
 from eitskin_training.gate.untouched import bends_of
 from eitskin_training.samples.batches import TrainingData
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.heavy, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from tests.second_skin import SECOND
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_training.network.architecture import Architecture
-from eitskin_training.network.model import MEASURED_FLOOR, VD2T, features
+from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import RECIPES, Recipe, recipe
 
 
@@ -40,15 +40,6 @@ def test_the_cloud_changes_the_map_unless_it_is_left_out() -> None:
         model = VD2T(Architecture(widths=(32, 32), hidden=32, use_cloud=use_cloud), PAPER).eval()
         with torch.inference_mode():
             assert torch.equal(model(dv, clouds), model(dv, clouds.flip(0))) is not use_cloud
-
-
-def test_logarithms_are_clamped_where_a_row_has_fallen_to_nothing() -> None:
-    dv = torch.full((1, N_ROWS), -1.5)
-    out = features(dv, Architecture(log_predicted=True), torch.ones(1, N_ROWS))
-    assert out.shape == (1, 3 * N_ROWS)
-    assert torch.isfinite(out).all()
-    torch.testing.assert_close(out[0, N_ROWS], torch.tensor(float(np.log(MEASURED_FLOOR))))
-    torch.testing.assert_close(out[0, -1], torch.tensor(float(np.log(MEASURED_FLOOR)) - 1.0))
 
 
 @pytest.mark.parametrize("skin", [PAPER, SECOND], ids=lambda skin: skin.name)

@@ -16,6 +16,8 @@ from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import gather
 from eitskin_training.samples.presses import check_ways, piece, ways
 
+pytestmark = pytest.mark.slow
+
 PLACES = [(40.0, 30.0), (75.0, 50.0), (140.0, 8.0), (110.0, 75.0)]
 BOTH = replace(PAPER, name="ours", touches=Touches(kind="both"))
 LOWERING = replace(PAPER, name="ours", touches=Touches(kind="lower"))
