@@ -191,17 +191,3 @@ def test_a_target_that_is_no_folder_is_named_before_any_work(command, node, tmp_
     before = identity(path)
     assert f"{path} is {node}, expected a folder" in said(capsys, [*taken(command), str(path)])
     assert identity(path) == before
-
-
-NAMING = (
-    "run --port x", "demo", "reference --port x", "replay x", "reinfer x", "plot x --out y.png", "view x",
-    "doctor", "evaluate --untouched",
-    "bench frame", "bench stability",
-)  # fmt: skip
-"""Commands with ``--bundle``."""
-
-
-@pytest.mark.parametrize("command", NAMING)
-def test_a_shipped_bundle_has_its_name_in_every_command(command):
-    words = [*command.split(), "--bundle", "press"]
-    assert cli._parser(words[0]).parse_args(words).bundle.is_file()

@@ -14,21 +14,20 @@ from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_tools import cli
 
 
-def test_command_writes_a_cloud_that_loads_again(tmp_path, capsys):
+def test_command_writes_a_cloud_that_loads_again_with_its_prediction(tmp_path, capsys):
     raw = Raw(BENDS["half a turn, stretched"], 8_000)
     np.save(tmp_path / "points.npy", raw.points)
     corner = [f"{value:.2f}" for value in raw.corner()]
-    files = [str(tmp_path / "points.npy"), "--out", str(tmp_path / "cloud.npz")]
-    words = ["surface", *files, "--json", "--corner", *corner]
-    assert cli.main(words) == 0
+    words = ["surface", str(tmp_path / "points.npy"), "--out", str(tmp_path / "cloud.npz"), "--predict", "--json"]
+    assert cli.main([*words, "--corner", *corner]) == 0
     report = json.loads(capsys.readouterr().out)
-    surface = load_surface(tmp_path / "cloud.npz")
-    assert surface.predicted_V is None
-    cloud = surface.cloud_mm
-    assert cloud.shape == (3, *PAPER.grid.shape)
-    assert report["points"] == 8_000
-    assert report["corner"] == "given"
+    assert (report["points"], report["corner"], report["predicted"]) == (8_000, "given", True)
     assert report["size_mm"] == pytest.approx([178.5, 95.7], abs=1.0)
+    surface = load_surface(tmp_path / "cloud.npz")
+    assert surface.cloud_mm.shape == (3, *PAPER.grid.shape)
+    assert np.array_equal(surface.predicted_V, predict(surface.cloud_mm))
+    assert np.array_equal(surface.predicted_flat_V, flat_voltages())
+    check_prediction(check_sheet(surface.cloud_mm)[0], surface.predicted_V, surface.predicted_flat_V, None)
 
 
 def test_points_and_corner_in_metres_are_those_in_millimetres(tmp_path, capsys):
@@ -43,20 +42,6 @@ def test_points_and_corner_in_metres_are_those_in_millimetres(tmp_path, capsys):
     assert np.abs(found[1] - found[0]).max() < 1e-6
     assert cli.main(words) == 1
     assert "save them in millimetres, or give --unit m if they are in metres" in capsys.readouterr().err
-
-
-def test_command_adds_the_prediction_that_it_is_asked_for(tmp_path, capsys):
-    raw = Raw(BENDS["half a turn, stretched"], 8_000)
-    np.save(tmp_path / "points.npy", raw.points)
-    corner = [f"{value:.2f}" for value in raw.corner()]
-    words = ["surface", str(tmp_path / "points.npy"), "--out", str(tmp_path / "cloud.npz"), "--predict", "--json"]
-    assert cli.main([*words, "--corner", *corner]) == 0
-    report = json.loads(capsys.readouterr().out)
-    assert report["predicted"]
-    surface = load_surface(tmp_path / "cloud.npz")
-    assert np.array_equal(surface.predicted_V, predict(surface.cloud_mm))
-    assert np.array_equal(surface.predicted_flat_V, flat_voltages())
-    check_prediction(check_sheet(surface.cloud_mm)[0], surface.predicted_V, surface.predicted_flat_V, None)
 
 
 def test_command_names_the_file_that_is_missing_or_has_too_few_points(tmp_path, capsys):

@@ -15,37 +15,15 @@ from eitskin_tools.commands.service import FILES, text_of
 UNITS = ("eitskin.service", "eitskin@.service")
 
 
-def parsed(text):
-    """Return {section: [(directive, value)]} of a unit, by the rules of systemd.syntax(7)."""
-    found, section = {}, None
-    for line in text.splitlines():
-        if not line.strip() or line[0] in "#;":
-            continue
-        if head := re.fullmatch(r"\[(\w+)\]", line):
-            section = found.setdefault(head[1], [])
-            continue
-        name, separator, value = line.partition("=")
-        assert separator, line
-        assert section is not None, line
-        section.append((name, value))
-    return found
-
-
 @pytest.mark.parametrize("name", UNITS)
-def test_a_unit_has_directives_once_each_and_nothing_left_to_fill_in(name):
+def test_a_unit_starts_a_command_that_is_understood_and_watches_it(name):
     text = text_of(name, "robot", "/opt/eitskin/bin/eitskin")
-    found = parsed(text)
-    assert set(found) == {"Unit", "Service", "Install"}
-    for given in found.values():
-        names = [directive for directive, _ in given]
-        assert {name for name in names if names.count(name) > 1} <= {"Environment", "DeviceAllow"}
     assert "{" not in text
-    service = dict(found["Service"])
-    assert service["Type"] == "notify"
-    assert float(service["WatchdogSec"]) > 2 * 2.0, "longer than a frame loop may stand still"
-    assert service["ExecStart"].startswith("/opt/eitskin/bin/eitskin run --config /etc/eitskin/")
-    words = service["ExecStart"].replace("%i", "arm").split()[1:]
-    assert cli._parser("run").parse_args(words).config
+    assert re.search(r"^Type=notify$", text, re.MULTILINE)
+    watched_s = re.search(r"^WatchdogSec=([\d.]+)$", text, re.MULTILINE)[1]
+    assert float(watched_s) > 2 * 2.0, "longer than a frame loop may stand still"
+    command = re.search(r"^ExecStart=/opt/eitskin/bin/eitskin (run --config /etc/eitskin/.*)$", text, re.MULTILINE)[1]
+    assert cli._parser("run").parse_args(command.replace("%i", "arm").split()).config
 
 
 def analyse(*words):

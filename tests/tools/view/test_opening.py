@@ -15,76 +15,32 @@ from eitskin_tools.commands import view
 
 from .conftest import started
 
-TTY, DISPLAY, WAYLAND = "a terminal", "DISPLAY", "WAYLAND_DISPLAY"
-SEATS = [
-    ({TTY, DISPLAY}, True),
-    ({TTY, WAYLAND}, True),
-    ({TTY}, False),
-    ({DISPLAY, WAYLAND}, False),
-]
-"""What there is, and whether somebody sits there who would see a browser."""
 
-
-@pytest.fixture
-def opened(monkeypatch):
-    """Return the list of what is opened in a browser from now on."""
-    found = []
-    monkeypatch.setattr(webbrowser, "open", found.append)
-    return found
-
-
-@pytest.fixture
-def sit(monkeypatch):
-    """Return what makes a stream and the environment be those of a seat."""
-
-    def made(stream, seat):
-        monkeypatch.setattr(stream, "isatty", lambda: TTY in seat)
-        for name in (DISPLAY, WAYLAND):
-            if name in seat:
-                monkeypatch.setenv(name, ":7")
-            else:
-                monkeypatch.delenv(name, raising=False)
-
-    return made
-
-
-@pytest.fixture
-def handlers():
-    """Signals are handled afterwards as before."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
-class CtrlC:
-    """What the command waits for in the end: here Ctrl-C comes just before a wait, and is heard after it."""
-
-    def __init__(self):
-        self.waits = 0
-
-    def wait(self, timeout_s):
-        self.waits += 1
-        if self.waits == 2:
-            raise KeyboardInterrupt
-        assert timeout_s <= 1.0
-        return False
-
-
-@pytest.mark.usefixtures("handlers")
 @pytest.mark.parametrize(
-    ("words", "seat", "seen"),
+    ("terminal", "display", "words", "seen"),
     [
-        *[([], seat, seen) for seat, seen in SEATS],
-        (["--token"], {TTY, DISPLAY}, True),
-        (["--no-open"], {TTY, DISPLAY, WAYLAND}, False),
+        (True, "DISPLAY", [], True),
+        (True, "WAYLAND_DISPLAY", ["--token"], True),
+        (True, "DISPLAY", ["--no-open"], False),
+        (True, "NO_DISPLAY", [], False),
+        (False, "DISPLAY", [], False),
     ],
 )
 def test_view_opens_the_address_that_it_prints_where_a_browser_would_be_seen(
-    endpoint, monkeypatch, capsys, opened, sit, words, seat, seen
+    endpoint, monkeypatch, capsys, terminal, display, words, seen
 ):
-    sit(sys.stdout, seat)
-    monkeypatch.setattr(view, "threading", SimpleNamespace(Event=CtrlC))
+    opened = []
+
+    def ctrl_c(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setenv(display, ":7")
+    monkeypatch.setattr(view, "threading", SimpleNamespace(Event=lambda: SimpleNamespace(wait=ctrl_c)))
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
     assert cli.main(["view", "--endpoint", endpoint, "--port", "0", *words]) == 0
     out, err = capsys.readouterr()
     assert err == ""
