@@ -194,6 +194,8 @@ class Guide:
     kept = "nothing was written"
     """What became of the steps before, where it ends early."""
 
+    again = "starts again"
+
     def __init__(self, frames: Iterator[Array], talk: Dialogue) -> None:
         self._frames, self._talk = frames, talk
         self._watch = FrameWindow()
@@ -208,7 +210,7 @@ class Guide:
         while at < len(steps):
             word = steps[at]()
             if word == QUIT:
-                raise GuideError(f"stopped on request; {self.kept}; the same command starts again")
+                raise GuideError(f"stopped on request; {self.kept}; the same command {self.again}")
             at = max(at - 1, 0) if word == BACK else at + 1
 
     def _steady_frames(self, count: int, holds: Callable[[], bool]) -> tuple[Array, str | None]:

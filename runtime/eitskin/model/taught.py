@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from eitskin.errors import BundleError
 from eitskin.model.bundle import Bundle
-from eitskin.model.response_field import HINT, ResponseField, TaughtTouch, finite
+from eitskin.model.response_field import HINT, LARGEST, ResponseField, TaughtTouch, finite
 from eitskin.touches.moments import Found
 from eitskin_proto.skin.grid import Grid
 
@@ -67,7 +67,7 @@ class TaughtField:
 
     Args:
         shapes: Arrays of taught.npz for each shape (:class:`~eitskin.model.response_field.ResponseField`), and: level
-            (rows,) log |V| of its untouched sheet, 0 where a row has none. The first has white (rows, r), in which
+            (rows,) log |V| of its untouched sheet, 0 where a row has none. The first may have white (rows, r), in which
             presses, drift and noise have unit variance, and reach, the largest squared length there of a known shape.
         grid: Of the skin's map.
         names: Of the shapes.
@@ -84,20 +84,17 @@ class TaughtField:
         """Whether it was taught logarithms of V / V_untouched, not changes of another unit."""
         if any((one.rows, one.logarithmic) != (rows, self.logarithmic) for one in self._fields):
             raise BundleError(f"taught.npz: shapes differ in their rows or their unit; {HINT}")
-        numbered = [str(number + 1) for number in range(len(shapes))]
-        self._names = (*(names if len(names) == len(shapes) else numbered), PREDICTED)
-        self._white: npt.NDArray[np.float32] | None = None
-        if "white" in shapes[0]:
-            self._white = finite(shapes[0], "white", (rows, None)).astype(np.float32)
-            self._levels = np.stack([finite(one, "level", (rows,)) for one in shapes])
-            self._reach = float(finite(shapes[0], "reach", ()))
-        elif len(shapes) > 1:
-            raise BundleError(f"taught.npz has no array 'white' by which shapes are distinguished; {HINT}")
+        self._names = (*(names or ["taught"]), PREDICTED)
+        if len(self._names) != len(shapes) + 1:
+            raise BundleError(f"manifest.json names {len(names)} shapes, expected {len(shapes)}; {HINT}")
+        blank = {"level": np.zeros(rows), "white": np.zeros((rows, 0)), "reach": np.array(LARGEST)}
+        self._levels = np.stack([finite({**blank, **one}, "level", (rows,)) for one in shapes])
+        self._white = finite({**blank, **shapes[0]}, "white", (rows, None)).astype(np.float32)
+        self._reach = float(finite({**blank, **shapes[0]}, "reach", ()))
         self._offsets = np.zeros((len(shapes) + 1, rows), np.float32)
         """Levels against the reference's; the last one is predicted."""
-        r = 0 if self._white is None else self._white.shape[1]
-        self._centres, self._apart = np.zeros((2, len(shapes) + 1, r), np.float32)
-        self._at, self._distances = np.zeros(r, np.float32), np.zeros(len(shapes) + 1, np.float32)
+        self._centres, self._apart = np.zeros((2, len(shapes) + 1, self._white.shape[1]), np.float32)
+        self._at, self._distances = self._centres[0].copy(), np.zeros(len(shapes) + 1, np.float32)
         self.change = np.zeros(rows, np.float32)
         """(rows,) dV against the reference, to be filled before :meth:`touched`."""
         self._values, self._last, self._mean, self._rest, self._baseline = np.zeros((5, rows), np.float32)
@@ -120,9 +117,6 @@ class TaughtField:
         Args:
             voltages_V: (rows,), 0 where a row carries no information.
         """
-        self._use(self._home)
-        if self._white is None:
-            return
         known = (voltages_V != 0.0) & (self._levels != 0.0).all(axis=0)
         if known.any():
             apart = np.where(known, self._levels - np.log(np.abs(np.where(known, voltages_V, 1.0))), 0.0)
@@ -135,8 +129,7 @@ class TaughtField:
     def use_prediction(self, log_predicted: npt.NDArray[np.float32]) -> None:
         """Take the level that the forward model predicts, (rows,) log(V_pred / V_reference); zeros for none."""
         self._offsets[-1] = log_predicted
-        if self._white is not None:
-            np.matmul(self._offsets, self._white, out=self._centres)
+        np.matmul(self._offsets, self._white, out=self._centres)
 
     def reset(self) -> None:
         """Restart: the reference is the untouched sheet."""
@@ -227,16 +220,15 @@ class TaughtField:
     def _judge(self) -> float:
         """Choose the shape, judge the mean in it, and return the squared length of what is left of the mean."""
         np.subtract(self._mean, self._baseline, out=self._rest)
-        if self._white is not None:
-            np.matmul(self._rest, self._white, out=self._at)
-            np.subtract(self._centres, self._at, out=self._apart)
-            np.einsum("ij,ij->i", self._apart, self._apart, out=self._distances)
-            shape = int(self._distances.argmin())
-            if self._distances[shape] < self._distances[self._shape] - NEARER:
-                self._use(shape)
-                self._peak = 0.0
-            if self._averaged >= FOLLOW_FRAMES:  # the noise of a few frames is larger than that of a reading
-                self._unlike = float(self._distances[self._shape]) > self._reach
+        np.matmul(self._rest, self._white, out=self._at)
+        np.subtract(self._centres, self._at, out=self._apart)
+        np.einsum("ij,ij->i", self._apart, self._apart, out=self._distances)
+        shape = int(self._distances.argmin())
+        if self._distances[shape] < self._distances[self._shape] - NEARER:
+            self._use(shape)
+            self._peak = 0.0
+        if self._averaged >= FOLLOW_FRAMES:  # the noise of a few frames is larger than that of a reading
+            self._unlike = float(self._distances[self._shape]) > self._reach
         np.subtract(self._rest, self._offsets[self._shape], out=self._rest)
         size = self._field.load(self._rest)
         self.logit = self._field.judge(self._field.z)

@@ -95,4 +95,4 @@ def test_files_of_different_sheets_are_refused(sheet, capsys):
     np.savez(sheet / "wide.npz", **{**other, "size_mm": (150.0, 110.0)})
     files = [str(sheet / f"{name}.npz") for name in ("flat", "wide")]
     assert main(["teach", *files, "--out", str(sheet / "no.eitskin")]) == 1
-    assert "wide: size_mm (150.0, 110.0), expected (150.0, 100.0) as in flat" in capsys.readouterr().err
+    assert "150 x 110 mm, expected rows-104 on a rectangle of 150 x 100 mm" in capsys.readouterr().err

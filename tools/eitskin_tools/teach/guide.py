@@ -94,6 +94,7 @@ class PressGuide(Guide):
     """
 
     kept = "the presses so far are kept"
+    again = "goes on from there"
 
     def __init__(
         self,

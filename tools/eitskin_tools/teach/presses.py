@@ -65,6 +65,11 @@ class Presses:
     table: RowTable
     is_change: bool
 
+    @property
+    def sheet(self) -> str:
+        """Rows, outline and size, for people."""
+        return f"{self.table.name} on a {self.outline} of {self.size_mm[0]:g} x {self.size_mm[1]:g} mm"
+
     @cached_property
     def pressed(self) -> npt.NDArray[np.bool_]:
         """(n,) whether the sheet is pressed."""

@@ -14,9 +14,6 @@ from eitskin_proto.files.arrays import Array
 from eitskin_tools.teach.presses import Presses, PressesError
 from eitskin_tools.teach.response import shrunk
 
-MOST_AXES: Final = 256
-"""Directions in which levels are compared, those of the largest variance."""
-
 REACH: Final = 1.5
 """Squared distance of a reading that is like a shape, over that of the strongest response of its field."""
 
@@ -28,20 +25,13 @@ def check_shapes(shapes: Mapping[str, Presses]) -> None:
         PressesError: They are too many, of different sheets or rows, or have changes alone.
     """
     if len(shapes) > MOST_SHAPES:
-        raise PressesError(
-            f"found {len(shapes)} files, expected at most {MOST_SHAPES}, one for each shape of the sheet"
-        )
+        raise PressesError(f"found {len(shapes)} files, expected at most {MOST_SHAPES}, one for each shape")
     (first, expected), *others = shapes.items()
     for name, one in others:
         if one.is_change or expected.is_change:
             raise PressesError(f"{name if one.is_change else first} has no untouched reading: give voltages_V")
-        for what, found, wanted in (
-            ("rows", one.table.name, expected.table.name),
-            ("size_mm", one.size_mm, expected.size_mm),
-            ("outline", one.outline, expected.outline),
-        ):
-            if found != wanted:
-                raise PressesError(f"{name}: {what} {found}, expected {wanted} as in {first}: give files of one sheet")
+        if (one.sheet, one.table.id) != (expected.sheet, expected.table.id):
+            raise PressesError(f"{name} has {one.sheet}, expected {expected.sheet} and the same rows, as {first} has")
 
 
 def level_arrays(shapes: Sequence[Presses], taught: Sequence[Mapping[str, Array]]) -> list[dict[str, Array]]:
@@ -59,8 +49,7 @@ def level_arrays(shapes: Sequence[Presses], taught: Sequence[Mapping[str, Array]
     fields = np.concatenate([(one["field"] @ np.linalg.pinv(one["project"]))[one["inside"]] for one in taught])
     anywhere = fields.T @ fields / len(fields)  # some places were not pressed
     values, vectors = np.linalg.eigh(shrunk(presses) + anywhere + shrunk(drift))
-    kept = values > values[-1] * 1e-9
-    white = (vectors / np.sqrt(np.maximum(values, 1e-300)))[:, kept][:, -MOST_AXES:]
+    white = vectors / np.sqrt(np.maximum(values, values[-1] * 1e-9))
     found = [{"level": level} for level in levels]
     found[0]["white"] = white.astype(np.float32)
     found[0]["reach"] = np.array(REACH * ((fields @ white) ** 2).sum(axis=1).max())
