@@ -50,7 +50,7 @@ SHAPES: Final[Mapping[str, tuple[int, ...]]] = {
 UNPREDICTED: Final = np.zeros(N_ROWS, dtype=np.float32)
 """log(V_pred / V0) where nothing was predicted."""
 
-MISSING: Final = "not available in this bundle; make it again with 'eitskin export'"
+MISSING: Final = "not available in this bundle: use one that 'eitskin build' trained, without --physics"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

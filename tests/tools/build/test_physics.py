@@ -63,6 +63,26 @@ def test_a_touch_on_a_bent_disc_is_where_it_is_without_a_cloud(built):
             assert not found.map[0].ravel()[~sheet.inside].any()
 
 
+def test_evaluation_takes_its_best_solver_and_says_what_it_has(built, tmp_path, capsys):
+    from eitskin_tools.cli import main
+
+    sheet = RoundSheet(parse(ROUND), element_mm=2.0)
+    reference, size = sheet.voltages(), 14.0
+    touched = np.array([sheet.voltages(None, [(x, 50.0, size / 2, 0.4)]) for x in (30.0, 70.0)])
+    volts = np.concatenate([touched, np.tile(reference, (10, 1))])
+    volts *= 1.0 + 10**-2.5 * np.random.default_rng(3).standard_normal(volts.shape)
+    kinds = np.array(["press"] * 2 + ["untouched"] * 10)
+    np.savez(tmp_path / "m.npz", reference_V=reference, voltages_V=volts, kind=kinds)
+    (tmp_path / "round.toml").write_text(ROUND)
+    command = ["evaluate", "--measured", str(tmp_path / "m.npz"), "--skin", str(tmp_path / "round.toml")]
+    assert main([*command, "--bundle", str(built[0]), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["solver"] == "l1"
+    assert [one["touched"] for one in found["samples"][:2]] == [True, True]
+    assert main([*command, "--bundle", str(built[0]), "--solver", "vd2t"]) == 1
+    assert "holds no network 'vd2t'; it has l1, tikhonov" in capsys.readouterr().err
+
+
 def test_the_card_says_how_well_both_solvers_and_the_gate_do(built):
     card = built[1]["card"]
     assert list(card["solvers"]) == ["l1", "tikhonov"]

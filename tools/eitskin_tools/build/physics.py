@@ -9,7 +9,7 @@ Untouched sheets are random devices of the skin where it is a rectangle, and the
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,15 +20,15 @@ import numpy.typing as npt
 
 from eitskin_proto.files.arrays import pack_arrays
 from eitskin_proto.skin.skin import Skin
-from eitskin_tools.build.steps import Tell
+from eitskin_tools.build.steps import Tell, samples_said
 
 Array = npt.NDArray[np.float64]
 
 BENDS: Final = {"learn": 80, "choose": 60, "measure": 30}
 """Untouched sheets by their use."""
 
-TOGETHER: Final = 50
-"""Bends of one process at a time; each process also solves the stretches of references."""
+TOGETHER: Final = 10
+"""Bends that a process solves at a time."""
 
 DEVICES: Final = 4
 MOMENTS: Final = 4
@@ -65,7 +65,12 @@ class FlatSheet:
 
 
 def build(
-    skin: Skin, out: Path, workers: int, tell: Tell = lambda _: None, bends: Mapping[str, int] = BENDS
+    skin: Skin,
+    out: Path,
+    workers: int,
+    tell: Tell = lambda _: None,
+    say: Tell = lambda _: None,
+    bends: Mapping[str, int] = BENDS,
 ) -> dict[str, Any]:
     """Write the bundle of a skin and return what ``eitskin build --json`` prints.
 
@@ -74,6 +79,7 @@ def build(
         out: The bundle's path.
         workers: Processes.
         tell: Called with each step.
+        say: Called every few seconds with how many sheets are solved.
         bends: Untouched sheets that are solved for each use.
     """
     from eitskin.model.bundle import L1_FILE
@@ -87,7 +93,7 @@ def build(
     tell("solving the flat sheet")
     flat = FlatSheet.of(skin)
     tell("solving untouched sheets at bends")
-    untouched = untouched_of(skin, workers, bends)
+    untouched = untouched_of(skin, workers, bends, samples_said(say, "sheets"))
     tell("fitting solvers and gate")
     noise = spread_of(flat.voltages_V, skin.front_end.noise, float(np.mean(skin.front_end.snr_db)))
     whitening = whitening_of(untouched.learn, noise / np.abs(flat.voltages_V))
@@ -123,7 +129,9 @@ def build(
     }
 
 
-def untouched_of(skin: Skin, workers: int, bends: Mapping[str, int]) -> Any:
+def untouched_of(
+    skin: Skin, workers: int, bends: Mapping[str, int], progress: Callable[[int, int], None] = lambda *_: None
+) -> Any:
     """Return the untouched sheets (:class:`eitskin_training.gate.physical.Untouched`) of a skin."""
     from eitskin_sim.dataset.generate import processes
     from eitskin_training.gate.physical import Untouched
@@ -133,11 +141,14 @@ def untouched_of(skin: Skin, workers: int, bends: Mapping[str, int]) -> Any:
         for use, count in bends.items()
         for first in range(0, count, TOGETHER)
     ]
-    with processes(workers) as pool:
-        parts = list(pool.map(_untouched_logs, [skin] * len(jobs), *zip(*jobs, strict=True)))
     found: dict[str, list[Array]] = {use: [] for use in bends}
-    for (use, _, _), part in zip(jobs, parts, strict=True):
-        found[use].append(part)
+    done = 0
+    with processes(workers) as pool:
+        made = pool.map(_untouched_logs, [skin] * len(jobs), *zip(*jobs, strict=True))
+        for (use, first, stop), part in zip(jobs, made, strict=True):
+            found[use].append(part)
+            done += stop - first
+            progress(done, sum(bends.values()))
     return Untouched(**{use: np.concatenate(one) for use, one in found.items()})
 
 

@@ -64,18 +64,18 @@ def make_data(recipe: BuildRecipe, folder: Path, workers: int, tell: Tell, say: 
 
     for name, data in recipe.data.items():
         tell(f"simulating data set {name}")
-        generate(plan_of(recipe, data), folder / "data" / name, workers=workers, progress=_samples_said(say))
+        generate(plan_of(recipe, data), folder / "data" / name, workers=workers, progress=samples_said(say))
 
 
-def _samples_said(say: Tell) -> Callable[[int, int], None]:
-    """Return what says how many samples are done, at most once in :data:`PROGRESS_S`."""
+def samples_said(say: Tell, unit: str = "samples") -> Callable[[int, int], None]:
+    """Return what says how many are done, at most once in :data:`PROGRESS_S`."""
     last_s = time.monotonic()
 
     def progress(done: int, total: int) -> None:
         nonlocal last_s
         if time.monotonic() - last_s > PROGRESS_S:
             last_s = time.monotonic()
-            say(f"{done:,} of {total:,} samples")
+            say(f"{done:,} of {total:,} {unit}")
 
     return progress
 

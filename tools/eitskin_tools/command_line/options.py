@@ -2,7 +2,7 @@
 
 import argparse
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -208,8 +208,6 @@ class ModeOption:
     """What holds where nothing was said."""
     ways: tuple[str, ...]
     """In which ways of using the command it does something."""
-    elsewhere: Mapping[str, Any] = field(default_factory=dict)
-    """What holds instead in some of these ways."""
 
 
 def settle(arguments: argparse.Namespace, way: str, options: Mapping[str, ModeOption]) -> None:
@@ -225,7 +223,7 @@ def settle(arguments: argparse.Namespace, way: str, options: Mapping[str, ModeOp
     """
     for name, option in options.items():
         if getattr(arguments, name) is None:
-            setattr(arguments, name, option.elsewhere.get(way, option.usual))
+            setattr(arguments, name, option.usual)
         elif way not in option.ways:
             raise UsageError(
                 f"{flag(name)} does nothing with {flag(way)}: leave it out; it works with {_listed(option.ways)}"

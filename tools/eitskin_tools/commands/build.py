@@ -160,7 +160,7 @@ def _build_physics(arguments: argparse.Namespace) -> int:
     files.writable(arguments.out, kinds.BUNDLE)
     skin = options.read_skin(arguments.recipe)
     with Stages() as tell:
-        found = physics.build(skin, arguments.out, steps.processes(arguments.workers), tell)
+        found = physics.build(skin, arguments.out, steps.processes(arguments.workers), tell, note)
     if arguments.json:
         print(json.dumps(found))
         return 0

@@ -22,13 +22,15 @@ def run(arguments: argparse.Namespace) -> int:
     """Evaluate, and print an object or a table."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy is first imported, below
     from eitskin_sim.evaluation.harness import Conditions
-    from eitskin_tools.evaluation.solvers import NAMES, Request
+    from eitskin_tools.evaluation.solvers import NAMES, Request, usual_solver
 
     way = way_of(arguments)
     if arguments.seeds < 1:
         raise UsageError(f"--seeds {arguments.seeds}: expected at least 1")
     if arguments.seed < 0:
         raise UsageError(f"--seed {arguments.seed}: expected at least 0")
+    if arguments.solver is None:
+        arguments.solver = "l1" if way == "tank" else usual_solver(arguments.bundle)
     if arguments.solver not in NAMES:
         raise UsageError(expected_one_of("--solver", arguments.solver, NAMES))
     if not 0.0 <= arguments.shift_px <= 1.0:
@@ -210,7 +212,8 @@ def _tell_unknown(request: Any, groups: Any) -> None:
         bundle = bundle_for(request, labels, touches)
         if not knows(bundle.touch_kind, touches):
             known = f"{bundle.path} knows touches = {bundle.touch_kind}"
-            say(f"eitskin evaluate: {known}, and is tried on touches = {touches}", error=True)
+            hint = "; --single with --contrast 0.4 tries the others" if touches == "raise" else ""
+            say(f"eitskin evaluate: {known}, and is tried on touches = {touches}{hint}", error=True)
 
 
 def _softness(arguments: argparse.Namespace) -> Any:

@@ -77,7 +77,8 @@ class Status:
         if electrodes:
             parts += [electrode_words(one) for one in electrodes]
         elif not trouble:
-            parts.append("all electrodes work")
+            watched = counters.get("drift") != {}  # which a bundle without statistics of frames has
+            parts.append("all electrodes work" if watched else "electrodes are not checked")
         if drift := drift_text(counters.get("drift")):
             parts.append(drift)
         if verifier := verifier_text(counters.get("verifier")):

@@ -17,7 +17,7 @@ SOLVER_SUBJECTS: Final = (*SIMULATED_SUBJECTS, "measured", "devices")
 """Where a solver is named, a network's too."""
 
 MODE_OPTIONS: Final = {
-    "solver": ModeOption("vd2t", (*SOLVER_SUBJECTS, "tank"), {"tank": "l1"}),
+    "solver": ModeOption(None, (*SOLVER_SUBJECTS, "tank")),
     "reference": ModeOption(None, SOLVER_SUBJECTS),
     "bundle": ModeOption(None, SOLVER_SUBJECTS),
     "prediction": ModeOption("scan", SOLVER_SUBJECTS),
@@ -72,7 +72,8 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--solver",
         help="vd2t, vd2t-int8, vd2t-small, verified (vd2t checked by physics), tikhonov, l1 or sbl; the last three "
-        "solve for units or pixels as the labels do, or by name: l1-pixels (default: vd2t; --tank: l1)",
+        "solve for units or pixels as the labels do, or by name: l1-pixels (default: vd2t; --tank and bundles without "
+        "a network: l1)",
     )
     options.add_bundle(parser, "with the network (default: the shipped one with the same labels)")
     options.add_skin(parser, "the sheet of trials and the solvers' model")

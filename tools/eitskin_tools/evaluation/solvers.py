@@ -47,11 +47,14 @@ if TYPE_CHECKING:
 Prediction = Literal["scan", "none", "true"]
 """What a head's second input is: V_pred of the cloud, nothing, or the true untouched voltages, which no robot has."""
 
+NETWORK: Final = "vd2t"
+"""The solver of most bundles."""
+
 NETWORKS: Final = tuple(HEADS)
 """Solvers that a bundle provides."""
 
 VERIFIED: Final = "verified"
-"""The network's map, checked by physics."""
+"""The map of the usual solver, checked by physics."""
 
 NAMES: Final = (*SOLVERS, *NETWORKS, VERIFIED)
 """Every name that ``eitskin evaluate --solver`` takes."""
@@ -126,6 +129,17 @@ def named(
     return _network(request, labels, skin, touches)
 
 
+def usual_solver(bundle: str | Path | None) -> str:
+    """Return the solver that is tried where none is named: the network, or the best of a bundle without one.
+
+    Raises:
+        BundleError: The bundle cannot be read.
+    """
+    if bundle is None or (loaded := load_bundle(bundle, lazily=True)).has_network:
+        return NETWORK
+    return next((name for name in solvers_of(loaded) if name in SOLVERS), NETWORK)
+
+
 def is_deployed(request: Request) -> bool:
     """Return whether a request means a solver of its bundle: a network, or the operators of a bundle without one.
 
@@ -184,8 +198,10 @@ def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> N
     buffers = Buffers(loaded)
     engine = next((one for one in engines(loaded, buffers) if one.name == request.name), None)
     if engine is None:
-        how = "'eitskin pair' puts one in" if request.name == VD2T_SMALL else "export one with 'eitskin export'"
-        raise ValueError(f"{loaded.path} holds no network {request.name!r}; {how}")
+        how = f"; it has {', '.join(solvers_of(loaded))}"
+        if request.name == VD2T_SMALL:
+            how = "; 'eitskin pair' puts one in"
+        raise ValueError(f"{loaded.path} holds no network {request.name!r}{how}")
     graph = GeometryGraph(loaded)
     prediction = request.prediction if loaded.uses_prediction else None
     shown: list[Any] = [None, 0]  # the sheet whose geometry is in the buffers, and how many there were
@@ -213,7 +229,7 @@ def _verified(
     from eitskin_sim.verification.residual import Noise
     from eitskin_tools.evaluation.verified.solver import VerifiedNetwork
 
-    network = _network(replace(request, name="vd2t"), labels, skin, touches)
+    network = _network(replace(request, name=usual_solver(request.bundle)), labels, skin, touches)
     assumed = Noise(conditions.noise, conditions.snr_db) if noise is None else noise
     verified = VerifiedNetwork(network.run, assumed, labels, touches, skin, at_rest=request.at_rest)
     return replace(network, run=verified.run, verified=verified)

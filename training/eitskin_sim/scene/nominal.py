@@ -26,8 +26,8 @@ def nominal_sheet(skin: Skin) -> Sheet:
     if skin.outline.kind != "rectangle":
         raise SceneError(
             f"skin {skin.name!r}: [outline] kind is {skin.outline.kind!r}, expected 'rectangle': the forward model "
-            "solves no other, so a round sheet has no data sets, networks or predictions; frames of a round tank are "
-            "read by eitskin evaluate --tank"
+            "solves no other here; a disc can be used with 'eitskin build --physics', 'eitskin teach' and "
+            "'eitskin evaluate --tank' or '--measured --reference pre'"
         )
     layer = skin.layer
     return Sheet(

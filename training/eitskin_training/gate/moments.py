@@ -14,6 +14,7 @@ common factor is in neither: it is another in every frame, and is drawn when fra
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -129,8 +130,9 @@ class References:
     nominal_V: Array
 
     @classmethod
+    @lru_cache(maxsize=2)
     def solved(cls, skin: Skin) -> "References":
-        """Return those of a skin."""
+        """Return those of a skin, kept while the process runs."""
         device, rng = _with_gauge(ideal(skin), 0.0), np.random.default_rng(0)
         stretch = 1.0 + skin.may_be_off.reference_stretch.draw(rng, 1000)
         reach = [
