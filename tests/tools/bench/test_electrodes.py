@@ -137,11 +137,6 @@ def test_a_front_end_that_hangs_says_nothing_of_electrodes_and_is_what_is_named(
     assert said in shown
 
 
-def test_doctor_asks_for_frames(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["doctor", "--electrodes"]) == 2
-    assert "--port PORT or --recorded" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("shape", [(3, 104), (40, 103), (104,)])
 def test_frames_of_another_shape_are_refused(shape: tuple[int, ...], tmp_path: Path) -> None:
     path = tmp_path / "wrong.npy"

@@ -34,6 +34,8 @@ view --recordings /nowhere | --recordings is /nowhere
 status --timeout-s 0 | --timeout-s is 0
 subscribe --verified --touches | --verified receives no frames
 subscribe --verified --max-age-ms 5 | --verified receives no frames
+subscribe --force-table force.csv --touches | --force-table needs --verified
+doctor --electrodes | --port PORT or --recorded
 doctor --recorded f.npy | --recorded needs --electrodes or --drift
 doctor --bundle free | --bundle needs --electrodes or --drift
 status --server-key x | need each other
@@ -49,6 +51,13 @@ calibrate r.npz --out s.toml --snr-db 3 | --snr-db is 3, expected 10 to 120
 calibrate r.npz --out s.toml --guided | --guided needs --port
 calibrate r.npz --out s.toml --guided --port /dev/none --stamp x | --stamp is 'x', expected a diameter
 calibrate r.npz --out s.toml --guided --port /dev/none --json | --guided prints its instructions on standard output
+bench | arguments are required
+bench frame --frames 5 | percentiles
+bench dataset --bends 0 | --bends must be at least 1
+card free --each 0 | expected at least 1 of each
+dataset --set paper --out d --workers 0 | --workers is 0, expected at least 1
+dataset --set paper --out d --scheduler here | tls://HOST:
+dataset --set mm --out d | --set is 'mm', expected one of
 bech | eitskin: no command 'bech'; did you mean 'bench'?
 sim | eitskin: no command 'sim'; 'eitskin --help' lists them
 bench tradeof | eitskin bench: no benchmark 'tradeof'; did you mean 'tradeoff'?

@@ -35,8 +35,3 @@ def test_the_card_goes_into_a_bundle_that_is_else_the_same(tmp_path, capsys):
     ]
     assert files[0] == files[1]
     assert made.skin == shipped.skin
-
-
-def test_a_card_of_nothing_is_refused(capsys):
-    assert cli.main(["card", "free", "--each", "0"]) == 2
-    assert "expected at least 1 of each" in capsys.readouterr().err

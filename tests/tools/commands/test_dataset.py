@@ -5,16 +5,6 @@ import json
 import pytest
 
 from eitskin_tools import cli
-from eitskin_tools.commands.bench import BENCHMARKS
-
-
-def test_bad_usage_is_exit_2_with_the_value(capsys, tmp_path):
-    assert cli.main(["dataset", "--set", "paper", "--out", str(tmp_path / "d"), "--workers", "0"]) == 2
-    assert "--workers is 0, expected at least 1" in capsys.readouterr().err
-    assert cli.main(["dataset", "--set", "paper", "--out", str(tmp_path / "d"), "--scheduler", "here"]) == 2
-    with pytest.raises(SystemExit, match="2"):
-        cli.main(["dataset", "--set", "mm", "--out", str(tmp_path / "d")])
-    assert not (tmp_path / "d").exists()
 
 
 def test_a_folder_with_other_things_is_exit_1_in_one_line(capsys, tmp_path):
@@ -45,14 +35,3 @@ def test_a_small_set_is_written_and_reported_as_one_object(capsys, tmp_path):
     assert cli.main(words) == 0
     again = json.loads(capsys.readouterr().out)
     assert (again["digest"], again["made"]) == (report["digest"], 0)
-
-
-def test_bench_lists_what_is_installed_and_each_explains_itself(capsys):
-    assert "dataset" in BENCHMARKS
-    with pytest.raises(SystemExit, match="0"):
-        cli.main(["bench", "dataset", "--help"])
-    assert "--checked" in capsys.readouterr().out
-    with pytest.raises(SystemExit, match="2"):
-        cli.main(["bench"])
-    assert cli.main(["bench", "dataset", "--bends", "0"]) == 2
-    assert "--bends must be at least 1" in capsys.readouterr().err

@@ -4,8 +4,6 @@ import threading
 import time
 from contextlib import contextmanager
 
-import pytest
-
 from eitskin.messaging.publish import Publisher
 from eitskin.messaging.streams.verified import VerifiedTouch, pack_head, pack_verdict
 from eitskin_tools import cli
@@ -57,9 +55,3 @@ def test_verified_touches_have_forces_and_nothing_is_said_twice(tmp_path, capsys
     assert lines[2].endswith("strength 50 +- 20 mm2, force 1.00 +- 0.40 N")
     assert "verified" in lines[3]
     assert len(lines) == 5
-
-
-@pytest.mark.parametrize("more", [[], ["--touches"]])
-def test_a_table_without_verified_touches_is_refused_with_what_to_do(more, capsys):
-    assert cli.main(["subscribe", "--force-table", "force.csv", *more]) == 2
-    assert "--force-table needs --verified" in capsys.readouterr().err

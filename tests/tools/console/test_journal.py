@@ -35,10 +35,3 @@ def test_each_event_has_its_level_before_it(named):
     assert [line[:3] for line in found] == ["<6>", "<4>", "<5>", "<3>"]
     assert found[0] == "<6>eitskin run: a port"
     assert "two" in found[3]  # all of an event is one line
-
-
-def test_a_redirected_stream_gets_plain_lines(stream, tmp_path, monkeypatch):
-    other = os.stat(tmp_path)
-    monkeypatch.setenv("JOURNAL_STREAM", f"{other.st_dev}:{other.st_ino}")
-    RunLog(stream).say("a port")
-    assert lines(stream) == ["eitskin run: a port"]

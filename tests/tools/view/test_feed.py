@@ -1,6 +1,5 @@
 """The viewer's subscriber: it takes the newest, lists its touches, and rests while nobody looks on."""
 
-import socket
 import time
 
 import pytest
@@ -13,7 +12,6 @@ from eitskin_tools.view.board import Board
 from eitskin_tools.view.feed import Feed
 from eitskin_tools.view.messages import unpacked
 from eitskin_tools.view.source import Source
-from eitskin_tools.view.viewer import Viewer
 
 from .scripted import Runtime, Scene, cylinder, disc
 
@@ -106,23 +104,3 @@ def test_a_feed_ends_at_once_while_no_frame_arrives(endpoint, monkeypatch):
 def test_an_endpoint_that_is_none_is_refused_at_once():
     with pytest.raises(eitskin.EndpointError):
         Feed(Source(PAPER, "nonsense"), Board())
-
-
-def test_a_page_that_reads_nothing_costs_neither_a_subscriber_nor_another_page_a_frame(endpoint):
-    with Runtime(endpoint, Scene(disc(50.0, 40.0)), rate_hz=200.0), Viewer([Source(PAPER, endpoint)]) as viewer:
-        token = f"Authorization: Bearer {viewer.server.token}"
-        ask = f"GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{viewer.server.port}\r\n{token}\r\n\r\n".encode()
-        with (
-            socket.create_connection(("127.0.0.1", viewer.server.port)) as stalled,
-            socket.create_connection(("127.0.0.1", viewer.server.port)) as read,
-            eitskin.subscribe(endpoint, mode="all", timeout_s=60.0) as other,
-        ):
-            stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            for line in (stalled, read):
-                line.sendall(ask)
-                assert line.recv(12) == b"HTTP/1.1 200"
-            numbers = [other.next_frame().number for _ in range(400)]
-            taken, got = viewer.feeds[0].taken, 0
-            while viewer.feeds[0].taken < taken + 10 or got < 100_000:
-                got += len(read.recv(65536))
-    assert numbers == list(range(numbers[0], numbers[0] + 400))
