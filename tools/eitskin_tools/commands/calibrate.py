@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     guided = parser.add_argument_group("guided")
     guided.add_argument("--guided", action="store_true", help="record now, with instructions for each step")
-    guided.add_argument("--port", help="serial port of the skin, or usb:SERIAL")
+    guided.add_argument("--port", help="port of the skin, as for run")
     guided.add_argument("--baud", type=int, help="bits per second of a UART (default 2000000)")
     guided.add_argument(
         "--full-scan",
@@ -124,6 +124,7 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
     import numpy as np
 
     from eitskin.acquisition.device import Device
+    from eitskin.acquisition.drivers.driver import driver_name
     from eitskin.acquisition.ports import open_line
     from eitskin.acquisition.serial_port import DEFAULT_BAUD
     from eitskin.acquisition.transport import Transport
@@ -149,6 +150,8 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
     )
     if not arguments.port:
         raise UsageError("--guided needs --port, of a skin or of 'eitskin virtual-skin'")
+    if arguments.full_scan and driver_name(arguments.port):
+        raise UsageError(f"--full-scan flashes the device, and {arguments.port} is one of a driver: leave it out")
     if arguments.json:
         raise UsageError(
             "--guided prints its instructions on standard output: leave --json out, then calibrate FILE again with it"

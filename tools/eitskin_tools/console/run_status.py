@@ -181,7 +181,8 @@ def report(skin: Any, log: RunLog) -> None:
     for line in skin.transport.report():
         log.say(line)
     version = ".".join(map(str, hello.firmware_version))
-    if not isinstance(hello, DriverHello):  # of which the lines above tell
+    driven = isinstance(hello, DriverHello)
+    if not driven:  # the lines above describe a driver's device
         log.say(
             f"device: {hello.serial_number}, firmware {version}, protocol {hello.protocol_major}."
             f"{hello.protocol_minor}, configuration {skin.device.configuration}, {hello.rate_mHz / 1000:g} frames/s of "
@@ -194,7 +195,7 @@ def report(skin: Any, log: RunLog) -> None:
     log.say(f"skin: {skin.description.name} {skin.description.digest}, map of {rows} x {columns} pixels")
     for line in bundle_doubts(bundle, skin.description):
         log.warn(line)
-    if not hello.skin_digest and skin.description.grid_id != PAPER.grid_id:
+    if not driven and not hello.skin_digest and skin.description.grid_id != PAPER.grid_id:
         log.warn(
             f'the device does not name its skin: write skin = "{skin.description.grid_id}" into its configuration '
             "with 'eitskin flash write'"

@@ -116,7 +116,7 @@ class CloudInUse:
         predicted_flat: (104,) V of the same model's flat sheet; None without.
         taken_ns: ``perf_counter_ns`` of the runtime's machine when it accepted the cloud.
         why: ``start``: no cloud was sent yet; ``given``: one was sent; ``flat``: the flat sheet was requested.
-        log_predicted: (104,) float32, the solvers' input from the prediction; zeros without.
+        log_predicted: (rows,) float32, the solvers' input from the prediction; zeros without.
         seq: ``seq`` of the first frame computed with it; None if that was before the stream began.
         utc_ns: Wall clock when the runtime accepted the cloud.
         n: Number of this message in its stream.
@@ -155,6 +155,7 @@ class CloudInUse:
             FrameError: It is malformed.
         """
         fields = fields_of(body, f"stream {CLOUD}")
+        rows = len(fields.raw("log_predicted", most=4 * MAX_ROWS)) // 4
         sizes = fields.entries("shape", least=2, most=2, of="sizes")
         shape = tuple(sizes.whole(place, low=1, high=most) for place, most in enumerate(MOST_PIXELS))
         return cls(
@@ -166,7 +167,7 @@ class CloudInUse:
             else fields.array("predicted_flat", "<f8", (N_ROWS,)),
             taken_ns=fields.whole("taken_ns"),
             why=_text(fields, "why"),
-            log_predicted=fields.array("log_predicted", "<f4", (N_ROWS,)),
+            log_predicted=fields.array("log_predicted", "<f4", (rows,)),
             seq=_or_none(fields, "seq", fields.whole),
             utc_ns=fields.whole("utc_ns"),
             n=n,
