@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 
-RUNTIME = {"numpy", "onnxruntime", "serial", "usb", "msgpack", "zmq", "cobs", "google_crc32c"}
+RUNTIME = {"numpy", "onnxruntime", "serial", "usb", "msgpack", "zmq", "cobs", "google_crc32c", "adi"}
 SIMULATION = {"numpy", "scipy", "distributed"}
 TRAINING = {*SIMULATION, "torch", "matplotlib"}
 

@@ -27,8 +27,9 @@ distance of the line above it is the shortest delay of a frame, and is subtracte
 
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 from eitskin.acquisition.greeting import check_same, check_usable
 from eitskin.acquisition.transport import Transport
@@ -186,13 +187,6 @@ TIME_QUESTIONS: Final = 5
 
 TIME_ANSWER_S: Final = 0.1
 """Longest wait for TIME; a device that misses it is not asked again, since the answer only refines ages."""
-
-
-class Wanted(Protocol):
-    """Whether a payload is the one that is waited for."""
-
-    def __call__(self, payload: bytes, /) -> bool:
-        """Return whether it is."""
 
 
 class Device:
@@ -434,7 +428,7 @@ class Device:
         if ack.code != Code.OK:
             raise NotReady(f"{self.transport.name} refused {kind.name}: {ack.text}")
 
-    def _exchange(self, packet: bytes, wanted: Wanted, timeout_s: float) -> bytes | None:
+    def _exchange(self, packet: bytes, wanted: Callable[[bytes], bool], timeout_s: float) -> bytes | None:
         end = time.perf_counter() + timeout_s
         repeat = 0.0
         while (now := time.perf_counter()) < end and not self.stopping:

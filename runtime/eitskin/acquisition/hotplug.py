@@ -16,14 +16,13 @@ import os
 import select
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Final
 
 from eitskin.acquisition.drivers.driver import device_path, driver_name
 from eitskin.acquisition.ports import open_line as open_any
 from eitskin.acquisition.ports import serial_ports
 from eitskin.acquisition.serial_port import DEFAULT_BAUD
-from eitskin.acquisition.transport import USB_PREFIX, Transport
+from eitskin.acquisition.transport import Transport
 from eitskin.errors import NotReady, PortBusy, PortDenied, PortLost, PortMissing, PortReturned, TransportError
 from eitskin_proto.wire.framing import MAX_PAYLOAD
 from eitskin_proto.wire.volts import LARGEST_VOLTS
@@ -35,40 +34,23 @@ BOOT_S: Final = 10.0
 """A board may boot for so long when its port is opened; opening the port again would only reset the board."""
 
 
-@dataclass(frozen=True, slots=True)
-class UsbName:
-    """The properties by which a USB serial port is found again."""
-
-    vendor_id: int
-    product_id: int
-    serial_number: str
-    interface: str = ""
-    """Which port of a device that has several: configuration and number, as ``1.2``; empty where it is the only one."""
+def _name_of(found: Any) -> str:
+    """Return what stays the same of a USB port, as pyserial describes it, when it returns under another path; or ""."""
+    if found.vid is None or not found.serial_number:
+        return ""
+    interface = (found.location or "").partition(":")[2]  # of a device with several ports: 1.2
+    return f"{found.vid:04x}:{found.pid:04x} {found.serial_number} {interface}".strip()
 
 
-def _name_of(found: Any) -> UsbName | None:
-    """Return the name of a port, as pyserial describes it; None if it is no USB port."""
-    if found.vid is None:
-        return None
-    interface = (found.location or "").partition(":")[2]
-    return UsbName(found.vid, found.pid, found.serial_number or "", interface)
-
-
-def usb_name(port: str) -> UsbName | None:
-    """Return how to find a port again; None if it is no USB port, or one without a serial number."""
+def usb_name(port: str) -> str:
+    """Return the name by which a port is found again; "" if it is no USB port, or one without a serial number."""
     path = os.path.realpath(device_path(port))
-    for found in serial_ports():
-        if os.path.realpath(found.device) == path and found.serial_number:
-            return _name_of(found)
-    return None
+    return next((_name_of(found) for found in serial_ports() if os.path.realpath(found.device) == path), "")
 
 
-def port_named(name: UsbName) -> str | None:
+def port_named(name: str) -> str | None:
     """Return the path of the port of this name; None while it is not there."""
-    for found in serial_ports():
-        if _name_of(found) == name:
-            return str(found.device)
-    return None
+    return next((str(found.device) for found in serial_ports() if _name_of(found) == name), None)
 
 
 class HotPlug:
@@ -98,7 +80,7 @@ class HotPlug:
         self._give_up_s = give_up_s
         self._open = open_line
         self._line: Transport | None = None
-        self._usb: UsbName | None = None
+        self._usb = ""
         self._opened_s = -math.inf
         self._why: Exception | None = None
         try:
@@ -192,7 +174,7 @@ class HotPlug:
         ) from cause
 
     def _reopened(self) -> bool:
-        path = device_path(self.name) if self._usb is None else port_named(self._usb)
+        path = port_named(self._usb) if self._usb else device_path(self.name)
         if path is None:
             return False
         again = self._opened_s >= 0.0
@@ -223,10 +205,8 @@ class HotPlug:
 
     def report(self) -> list[str]:
         """Return the settings of the line, for people, a line each."""
-        how = f"by {self._usb}" if self._usb is not None else "by its path"
-        if self.name.startswith(USB_PREFIX):
-            how = "by vendor, product and serial number"
-        return [*([] if self._line is None else self._line.report()), f"if it vanishes: looked for {how}"]
+        how = f"if it vanishes: looked for as {self._usb or self.name}"
+        return [*([] if self._line is None else self._line.report()), how]
 
     def close(self) -> None:
         """Give the port back; closing twice is fine."""

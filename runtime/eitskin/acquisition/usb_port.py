@@ -213,10 +213,8 @@ def _claim(device: Any) -> tuple[int, Any, Any]:
     """
     try:
         configuration = device.get_active_configuration()
-    except usb.core.USBError as error:
-        if error.errno is not None:
-            raise
-        device.set_configuration()  # none is active
+    except usb.core.USBError:  # none is active
+        device.set_configuration()
         configuration = device.get_active_configuration()
     for interface in configuration:
         ends = {usb.util.endpoint_direction(end.bEndpointAddress): end for end in interface if _is_bulk(end)}

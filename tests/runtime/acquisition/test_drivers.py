@@ -4,6 +4,7 @@ import itertools
 import os
 import sys
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -215,6 +216,39 @@ def test_a_polled_driver_needs_no_descriptor(tiny):
     assert device.closed
 
 
+class FakeCn0565:
+    """pyadi-iio's board of this name: counts (real, imaginary) for each (force +, sense +, sense -, force -)."""
+
+    def __init__(self, uri):
+        self.uri = uri
+
+    @property
+    def switch_sequence(self):
+        rows = [(k, m, (m + 1) % 16, (k + 1) % 16) for k in range(16) for m in range(16)]
+        return np.array([row for row in rows if len({*row}) == 4])
+
+    @property
+    def all_voltages(self):
+        where = {(k, m): row for row, (k, m) in enumerate(zip(K, M, strict=True))}
+        volts = at_rest(np.random.default_rng().integers(1 << 30))
+        counts = 1e6 * np.exp(0.7j) * volts[[where[k, m] for k, m, _, _ in self.switch_sequence]]
+        return np.stack([counts.real, counts.imag], axis=1)
+
+    def close(self):
+        self.uri = ""
+
+
+def test_a_cn0565_is_read_by_its_makers_library(monkeypatch):
+    monkeypatch.setitem(sys.modules, "adi", None)
+    with pytest.raises(eitskin.TransportError, match=r"cn0565 needs pyadi-iio .* pip install pyadi-iio"):
+        open_line("cn0565:ip:board")
+    monkeypatch.setitem(sys.modules, "adi", SimpleNamespace(cn0565=FakeCn0565))
+    found = capture("cn0565:ip:board?frequency=20000", 40)
+    mapped, rows = row_map(found.table, ADJACENT_104, signed=False), np.zeros(104)
+    mapped.apply(np.abs(found.voltages_V), rows)
+    np.testing.assert_allclose(rows, own_rows(untouched()), rtol=6 * NOISE / np.sqrt(40))
+
+
 def test_a_converter_of_ten_bits_makes_a_reference_and_a_stuck_one_does_not(tiny):
     step = untouched().max() / 500.0
 
@@ -327,7 +361,7 @@ def started(port):
 @pytest.mark.parametrize(
     ("port", "error", "text"),
     [
-        ("nobody:/dev/x", eitskin.TransportError, "no driver is called 'nobody'; there are line, sciospec"),
+        ("nobody:/dev/x", eitskin.TransportError, "no driver is called 'nobody'; there are cn0565, line, sciospec"),
         ("line:/dev/none", eitskin.PortMissing, "/dev/none cannot be opened"),
         ("line:{port}?colour=3", eitskin.TransportError, "colour"),
         ("line:{port}?numbers=208&order=opposite-192", eitskin.TransportError, "208 numbers, expected the 192 rows"),

@@ -8,7 +8,7 @@ from itertools import pairwise
 import pytest
 
 from eitskin.acquisition.device import Device
-from eitskin.acquisition.hotplug import HotPlug, UsbName, port_named, usb_name
+from eitskin.acquisition.hotplug import HotPlug, port_named, usb_name
 from eitskin.acquisition.serial_port import SerialPort
 from eitskin.errors import HandshakeError, PortLost, PortReturned, TransportError
 from eitskin.skin import Skin
@@ -119,8 +119,8 @@ class Found:
 def test_a_usb_port_is_found_again_under_another_path(monkeypatch, pty):
     ports = [Found("/dev/ttyS0", None, None, None), Found(str(pty.path), 0x1209, 0x5315, "SKIN-7")]
     monkeypatch.setattr("eitskin.acquisition.ports.list_ports.comports", lambda: ports)
-    assert usb_name(str(pty.path)) == UsbName(0x1209, 0x5315, "SKIN-7")
-    assert usb_name("/dev/ttyS0") is None
+    assert usb_name(f"line:{pty.path}?rate=50") == usb_name(str(pty.path)) == "1209:5315 SKIN-7"
+    assert usb_name("/dev/ttyS0") == ""
     line = HotPlug(str(pty.path), give_up_s=60.0)
     try:
         with PtyPort() as elsewhere:
@@ -129,7 +129,7 @@ def test_a_usb_port_is_found_again_under_another_path(monkeypatch, pty):
             with pytest.raises(PortReturned, match=str(elsewhere.path)):
                 line.read(60.0)
             assert line.name == str(elsewhere.path)
-            assert port_named(UsbName(0x1209, 0x5315, "SKIN-8")) is None
+            assert port_named("1209:5315 SKIN-8") is None
     finally:
         line.close()
 

@@ -81,7 +81,7 @@ def test_a_press_is_asked_for_seen_and_fitted(tmp_path):
             "press the disc of 16 mm at (75, 50)": lambda _: write(state, "pressed"),
             "Let go": lambda _: write(state, "flat"),
         })  # fmt: skip
-    assert "the device scans 104 rows: --full-scan would find more about its front end" in said
+    assert "the device scans 104 rows: a configuration of 208 would find more about its front end" in said
     assert "A press: contrast 0." in said
     low, high = load(out).touches.lowering_contrast
     assert low < CONTRAST < high

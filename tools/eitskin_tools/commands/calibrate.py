@@ -15,8 +15,7 @@ from eitskin_tools.command_line.options import flag
 from eitskin_tools.errors import UsageError
 
 GUIDED: Final[dict[str, Any]] = {
-    "port": None, "baud": None, "full_scan": None, "surface": None, "bends": 3, "presses": 6, "stamp": None,
-    "frames": 40,
+    "port": None, "baud": None, "surface": None, "bends": 3, "presses": 6, "stamp": None, "frames": 40,
 }  # fmt: skip
 """Options of ``--guided`` with their defaults."""
 
@@ -42,13 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     guided.add_argument("--guided", action="store_true", help="record now, with instructions for each step")
     guided.add_argument("--port", help="port of the skin, as for run")
     guided.add_argument("--baud", type=int, help="bits per second of a UART (default 2000000)")
-    guided.add_argument(
-        "--full-scan",
-        action="store_true",
-        default=None,
-        help="flash the device to scan all 208 rows for the recording, and back after it: reciprocity then separates "
-        "the front end from the sheet",
-    )
     guided.add_argument(
         "--surface",
         type=Path,
@@ -119,22 +111,17 @@ def _next(twin: Any, path: Path) -> str:
 
 def _record(arguments: argparse.Namespace, skin: Any) -> None:
     """Lead through a recording, and write it."""
-    from contextlib import nullcontext
-
     import numpy as np
 
     from eitskin.acquisition.device import Device
-    from eitskin.acquisition.drivers.driver import driver_name
     from eitskin.acquisition.ports import open_line
     from eitskin.acquisition.serial_port import DEFAULT_BAUD
-    from eitskin.acquisition.transport import Transport
     from eitskin_proto.files.arrays import save_arrays
     from eitskin_proto.files.writing import replacing
     from eitskin_proto.sensor.ids import PROTOCOL_ID
     from eitskin_proto.sensor.table import N_ROWS
     from eitskin_proto.skin.cloud_file import load_surface
     from eitskin_sim.calibration.stamp import places
-    from eitskin_tools.flash.full_scan import scanning_all_rows
     from eitskin_tools.guided import CalibrationGuide, Plan, Terminal, frames_of
 
     for name, usual in GUIDED.items():
@@ -150,8 +137,6 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
     )
     if not arguments.port:
         raise UsageError("--guided needs --port, of a skin or of 'eitskin virtual-skin'")
-    if arguments.full_scan and driver_name(arguments.port):
-        raise UsageError(f"--full-scan flashes the device, and {arguments.port} is one of a driver: leave it out")
     if arguments.json:
         raise UsageError(
             "--guided prints its instructions on standard output: leave --json out, then calibrate FILE again with it"
@@ -159,27 +144,23 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
     files.writable(Path(arguments.recording), kinds.GUIDED)
     ids = {"protocol_id": PROTOCOL_ID, "grid_id": skin.grid_id, "skin_digest": skin.digest}
 
-    def opened() -> Transport:
-        return open_line(arguments.port, arguments.baud or DEFAULT_BAUD)
-
     talk = Terminal()
-    with scanning_all_rows(opened, talk.say) if arguments.full_scan else nullcontext():
-        line = opened()
-        try:
-            device = Device(line, skin)
-            if device.hello.rows == N_ROWS:
-                talk.say(f"the device scans {N_ROWS} rows: --full-scan would find more about its front end")
-            device.start()
-            guide = CalibrationGuide(
-                plan, frames_of(device), talk, lambda name: np.array(load_surface(name, skin).cloud_mm)
-            )
-            arrays = guide.run()
-            device.stop()
-        finally:
-            talk.end()
-            line.close()
-        with replacing(arguments.recording) as file:  # before anything else can go wrong
-            save_arrays(file, {**arrays, **ids})
+    line = open_line(arguments.port, arguments.baud or DEFAULT_BAUD)
+    try:
+        device = Device(line, skin)
+        if device.hello.rows == N_ROWS:
+            talk.say(f"the device scans {N_ROWS} rows: a configuration of 208 would find more about its front end")
+        device.start()
+        guide = CalibrationGuide(
+            plan, frames_of(device), talk, lambda name: np.array(load_surface(name, skin).cloud_mm)
+        )
+        arrays = guide.run()
+        device.stop()
+    finally:
+        talk.end()
+        line.close()
+    with replacing(arguments.recording) as file:  # before anything else can go wrong
+        save_arrays(file, {**arrays, **ids})
 
 
 def _lying(path: Path | None, skin: Any) -> Any:

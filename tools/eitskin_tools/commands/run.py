@@ -7,12 +7,10 @@ Standard output stays empty but for the one object of ``--json`` at the end.
 import argparse
 import contextlib
 import gc
-import importlib
 import json
 import os
 import signal
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -143,7 +141,6 @@ def run(arguments: argparse.Namespace) -> int:
             port = HotPlug(arguments.port, **keywords, give_up_s=arguments.reconnect)
             if port.gone:
                 log.say(f"waiting up to {arguments.reconnect:g} s: {port.trouble}")
-        _load_what_serves()
         skin = stack.enter_context(
             Skin(
                 port,
@@ -176,21 +173,7 @@ def run(arguments: argparse.Namespace) -> int:
             print(json.dumps(skin.summary()))
         else:
             log.say(closing(skin.summary()))
-    _leave_unfinished_work()
     return 0
-
-
-def _load_what_serves() -> None:
-    """Load the modules of :func:`_serve` now, while SIGTERM still ends the process at once."""
-    for name in ("eitskin.messaging.control", "eitskin.skin", "eitskin_tools.console.run_status"):
-        importlib.import_module(name)
-
-
-def _leave_unfinished_work() -> None:
-    """End the process here if a thread cannot be interrupted: the interpreter would wait for it."""
-    if any(not thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread()):
-        sys.stdout.flush()
-        os._exit(0)
 
 
 def _serve(

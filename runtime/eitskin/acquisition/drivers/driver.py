@@ -26,6 +26,7 @@ from eitskin_proto.sensor.row_table import RowTable
 GROUP: Final = "eitskin.devices"
 
 SHIPPED: Final = {
+    "cn0565": "eitskin.acquisition.drivers.cn0565:open_cn0565",
     "line": "eitskin.acquisition.drivers.text_line:open_text_line",
     "sciospec": "eitskin.acquisition.drivers.sciospec:open_sciospec",
 }

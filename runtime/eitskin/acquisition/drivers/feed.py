@@ -135,17 +135,18 @@ class Pump(Feed):
     """A feed that a thread fills.
 
     Args:
-        described: Says what the scans are.
+        described: Says what the scans are; it is started, stopped and closed with the pump.
         following: Returns the next scan's voltages, and may block.
-        closing: Called by ``close``.
         period_s: Shortest time between two scans.
     """
+
+    measured_hz = 0.0
+    """Scans per second of a device that does not say, as the first one took; 0 if unknown."""
 
     def __init__(
         self,
         described: Described,
         following: Callable[[], npt.ArrayLike],
-        closing: Described | None = None,
         period_s: float = 0.0,
     ) -> None:
         super().__init__(
@@ -153,7 +154,7 @@ class Pump(Feed):
             rate_hz=described.rate_hz, step_V=described.step_V, full_scale_V=described.full_scale_V,
             signed=described.signed,
         )  # fmt: skip
-        self._following, self._closing, self._period_s = following, closing, period_s
+        self._described, self._following, self._period_s = described, following, period_s
         self._runs = threading.Event()
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
@@ -161,8 +162,7 @@ class Pump(Feed):
     def start(self) -> None:
         """Begin to measure."""
         super().start()
-        if self._closing is not None:
-            self._closing.start()
+        self._described.start()
         self._runs.set()
         if self._thread is None:
             self._thread = threading.Thread(target=self._pump, name=self.name, daemon=True)
@@ -171,8 +171,7 @@ class Pump(Feed):
     def stop(self) -> None:
         """Cease to measure."""
         self._runs.clear()
-        if self._closing is not None:
-            self._closing.stop()
+        self._described.stop()
 
     def _pump(self) -> None:
         due_s = time.perf_counter()
@@ -193,8 +192,7 @@ class Pump(Feed):
         """End the thread as soon as its scan is made, and close the driver; a second call does nothing."""
         self._ended.set()
         self._runs.set()
-        if self._closing is not None:
-            self._closing.close()
+        self._described.close()
         super().close()
 
 
@@ -213,7 +211,13 @@ def line_of(source: Any, name: str = "") -> DriverLine:
         driver: Driver = source
     elif hasattr(source, "measure"):
         polled: PolledDriver = source
-        driver = Pump(polled, polled.measure, polled, 1.0 / polled.rate_hz if polled.rate_hz else 0.0)
+        driver = pump = Pump(polled, polled.measure, 1.0 / polled.rate_hz if polled.rate_hz else 0.0)
+        if not polled.rate_hz:
+            polled.start()
+            begin_s = time.perf_counter()
+            polled.measure()
+            pump.measured_hz = float(f"{1.0 / max(time.perf_counter() - begin_s, 1e-3):.2g}")
+            polled.stop()
     elif isinstance(source, Iterable):
         scans = iter(source)
         try:
@@ -222,7 +226,6 @@ def line_of(source: Any, name: str = "") -> DriverLine:
             raise ValueError("source has no scans, expected an iterable of (rows,) volts") from None
         rest = chain([first], scans)
         described = Feed(usual_table(first.size), name="iterable", signed=first.dtype.kind != "c")
-        described.close()
         driver = Pump(described, lambda: next(rest))
     else:
         raise ValueError(f"source is {type(source).__name__}, expected a driver, eitskin.Feed or an iterable of scans")
