@@ -13,7 +13,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_training import run_files, train
 from eitskin_training.recipes import Recipe, recipe
 from eitskin_training.samples.batches import inputs
-from eitskin_training.score import correlations, loss_of, score, training_loss
+from eitskin_training.score import correlations, loss_of, score
 from eitskin_training.start import Start
 
 pytestmark = pytest.mark.heavy
@@ -172,18 +172,6 @@ def test_correlation_is_pearsons_and_zero_for_a_constant_map() -> None:
     maps[2] = 0.5
     expected = [np.corrcoef(maps[i], truth[i])[0, 1] for i in range(2)]
     np.testing.assert_allclose(correlations(maps, truth), [*expected, 0.0], atol=1e-12)
-
-
-def test_the_training_loss_adds_what_touched_maps_lack_in_correlation() -> None:
-    generator = torch.Generator().manual_seed(4)
-    labels = (torch.rand(5, 1350, generator=generator) > 0.9).float()
-    labels[3] = 0.0
-    logits = torch.randn(5, 1350, generator=generator)
-    touched = labels.amax(dim=1) > 0
-    cc = correlations(torch.sigmoid(logits).numpy(), labels.numpy())
-    expected = float(loss_of(logits, labels, PAPER.grid)) + 0.3 * float(((1.0 - cc) * touched.numpy()).mean())
-    assert float(training_loss(logits, labels, 0.3, PAPER.grid)) == pytest.approx(expected, rel=1e-5)
-    assert torch.equal(training_loss(logits, labels, 0.0, PAPER.grid), loss_of(logits, labels, PAPER.grid))
 
 
 def test_inputs_are_standardised_by_the_training_data(toy_data: Any, tmp_path: Path) -> None:

@@ -11,8 +11,6 @@ from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import graphs_of, load_bundle
 from eitskin.model.engine import VD2T_SMALL, default_solver, engines, solvers
 from eitskin.model.geometry import GeometryGraph
-from eitskin.pipeline import map_source
-from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin_proto.skin.cloud import flat_cloud
 
 ALL = ["vd2t", "vd2t-int8", VD2T_SMALL, "tikhonov"]
@@ -64,19 +62,6 @@ def test_its_maps_are_of_its_own_graphs_and_of_its_own_half_of_the_geometry(pair
     assert not np.array_equal(without_own[VD2T_SMALL], found[VD2T_SMALL])
     assert np.array_equal(without_others[VD2T_SMALL], found[VD2T_SMALL])
     assert not np.array_equal(without_others["vd2t-int8"], found["vd2t-int8"])
-
-
-@pytest.mark.parametrize(
-    ("easy", "first"), [(ALL, "vd2t"), (ALL[1:], "vd2t-int8"), (ALL[2:], VD2T_SMALL), (["tikhonov"], "tikhonov")]
-)
-def test_a_budget_begins_with_the_most_accurate_solver_that_leaves_half_of_it(paired, hello, monkeypatch, easy, first):
-    monkeypatch.setattr(
-        map_source.MapSource,
-        "_warm_up",
-        lambda self: {one.name: 400.0 + (one.name not in easy) * 200.0 for one in self.engines},
-    )
-    pipeline = Pipeline(paired, hello, budget_ns=1000)
-    assert pipeline.engines[pipeline.budget.engine].name == first
 
 
 @pytest.mark.parametrize("name", graphs_of("small"))

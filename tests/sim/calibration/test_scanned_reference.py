@@ -18,11 +18,9 @@ from eitskin_sim.calibration.session import Session
 from eitskin_sim.devices.readings import responses_of
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.measurement.front_end import FrontEnd
-from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
 from eitskin_sim.scene.shapes import Disc
 from eitskin_sim.surface.measured_cloud import measured_cloud
-from eitskin_sim.surface.predict import fit_cloud
 
 FRAMES, GAIN, SPREAD_MM = 100, 0.01, 1.0
 CONTRAST, DIAMETER_MM, STAMP_MM = 0.45, 18.0, (16.0,)
@@ -118,16 +116,6 @@ def test_what_no_scan_shows_moves_a_row_and_its_reciprocal_alike_and_no_press(co
     assert np.allclose(factor[ROW_IN_FULL], factor[RECIPROCAL_IN_FULL])
     pressed = [flat.read(one, lying, derivatives=False).voltages_V for one in (z, moved)]
     assert np.allclose(pressed[0] / before, pressed[1] / after), "what is held against the reference is off alike"
-
-
-def test_a_scan_says_how_far_it_is_stretched_and_how_noisy_it_is():
-    bend = Bend(angle_deg=70.0, stretch_along=1.03)  # rolling stretches nothing
-    cloud = measured_cloud(bend, np.random.default_rng(3), 0.2).astype(np.float64)
-    like = bends.scan_error(cloud, fit_cloud(cloud, PAPER.grid), PAPER.grid)
-    assert like.strain == pytest.approx((1.03**2 - 1.0) / 2.0, rel=0.1)
-    assert like.noise_mm == pytest.approx(0.2, rel=0.05)
-    xy = PAPER.grid.pixel_centres_mm().reshape(-1, 2)
-    assert bends.strain_of(bend_metric(Bend(angle_deg=70.0), Sheet())(xy)) == 0.0
 
 
 @pytest.mark.slow  # twice six bends on the usual mesh

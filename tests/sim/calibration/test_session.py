@@ -9,7 +9,7 @@ from eitskin_proto.sensor.table import N_ROWS, TABLE
 from eitskin_proto.skin.parts import Layer, Touches
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.calibration import bends, model, session, solved
+from eitskin_sim.calibration import model, session, solved
 from eitskin_sim.calibration.bends import BendError
 from eitskin_sim.calibration.fit import CalibrationError
 from eitskin_sim.calibration.printed import table, verdict
@@ -148,26 +148,3 @@ def test_a_bend_that_is_no_bend_of_this_sheet_is_named(recorded):
     rows[20:26] *= 1.6
     _, report = calibrate(STATED, replace(recorded, bents=(replace(bent, voltages_V=rows),), presses=()), 50.0)
     assert "bent moment 0" in [one["name"] for one in report["unexplained"]]
-
-
-def test_a_covariance_that_is_made_of_errors_holds_the_next_ones():
-    rng = np.random.default_rng(2)
-    directions = np.linalg.qr(rng.standard_normal((N_ROWS, 5)))[0]
-    scale = np.array([1.0, 0.5, 0.2, 0.1, 0.05])
-
-    def errors(count):
-        heavy = np.exp(0.5 * rng.standard_normal((count, 1)))  # amplitudes of bends differ
-        return 0.01 + heavy * (rng.standard_normal((count, 5)) * scale) @ directions.T + 1e-3 * rng.standard_normal(
-            (count, N_ROWS)
-        )  # fmt: skip
-
-    slopes = 0.1 + 0.02 * rng.standard_normal((120, N_ROWS))
-    gauges = rng.uniform(-1.0, 1.0, 120)
-    found = bends.error_of(errors(120) - 0.2 * gauges[:, None] * slopes, slopes, gauges)
-    assert found.steeper == pytest.approx(-0.2, abs=0.1)
-    unseen = errors(300) - found.mean
-    size = np.einsum("ni,ni->n", unseen, np.linalg.solve(found.covariance, unseen.T).T) / N_ROWS
-    assert np.mean(size < 1.3) > 0.85
-    assert np.median(size) > 0.02, "and no more than that"
-    tiny = bends.error_of(1e-2 * errors(120), slopes, gauges)
-    assert np.trace(tiny.covariance) < 1e-3 * np.trace(found.covariance)

@@ -56,11 +56,6 @@ def test_drift_multiplies_what_a_sample_reads(same: Arrays) -> None:
 
 
 @pytest.fixture(scope="module")
-def units() -> tuple[Arrays, Arrays]:
-    return shard(plan_of("units", named("lab"))), shard(plan_of("units"))
-
-
-@pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Plan]:
     folder, plan = tmp_path_factory.mktemp("random"), plan_of(skin=named("hydrogel"), deformations=3, kept=1)
     generate(plan, folder, workers=0)

@@ -64,16 +64,6 @@ def test_drift_walks_from_little_to_the_skins_spread_with_a_few_far_beyond() -> 
     assert drift.max() <= MAX_DRIFT + 1e-12
 
 
-def test_a_scan_is_behind_or_ahead_and_as_noisy_as_the_skin_says() -> None:
-    moments = [draw_moment(LAB, rng(seed)) for seed in range(300)]
-    noise = np.array([one.scan_noise_mm for one in moments])
-    assert 0.1 <= noise.min() < 0.15
-    assert 1.7 < noise.max() <= 2.0
-    amplitude = np.array([one.scan_amplitude for one in moments])
-    assert 0.95 <= amplitude.min() < 0.96
-    assert 1.04 < amplitude.max() <= 1.05
-
-
 def test_skins_that_the_generators_have_no_mesh_for_are_refused() -> None:
     disc = replace(PAPER, outline=Outline("disc", (160.0, 160.0)))
     with pytest.raises(ValueError, match="kind is 'disc', expected 'rectangle': the forward model solves no other"):

@@ -61,22 +61,6 @@ def test_half_turn_makes_a_half_cylinder() -> None:
     assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(2 * 150 / np.pi, rel=1e-12)
 
 
-def test_skew_moves_the_curvature_and_keeps_the_total_angle() -> None:
-    step = 1e-4
-    at = np.array([[0.0, 50.0], [step, 50.0], [150.0 - step, 50.0], [150.0, 50.0]])
-    points = surface(Bend(angle_deg=90, skew=0.8), SHEET, at)
-    first, last = points[1] - points[0], points[3] - points[2]
-    turned = np.arccos(first @ last / np.linalg.norm(first) / np.linalg.norm(last))
-    assert np.rad2deg(turned) == pytest.approx(90.0, abs=1e-3)  # rounding of a difference over 1e-4 mm
-
-
-def test_twist_turns_the_far_edge_against_the_near_one() -> None:
-    at = np.array([[0.0, 0.0], [0.0, 100.0], [150.0, 0.0], [150.0, 100.0]])
-    points = surface(Bend(twist_deg=35), SHEET, at)
-    near, far = points[1] - points[0], points[3] - points[2]
-    assert np.rad2deg(np.arccos(near @ far / 1e4)) == pytest.approx(35.0, abs=1e-9)
-
-
 @pytest.mark.parametrize("angle_deg", [10.0, 180.0, 340.0, 350.0])
 @pytest.mark.parametrize("axis_deg", [0.0, 40.0, 90.0])
 def test_rolls_up_to_350_degrees_are_accepted(angle_deg: float, axis_deg: float) -> None:

@@ -10,7 +10,6 @@ import pytest
 from eitskin_sim.scene.layer import (
     gauge,
     is_uneven,
-    log_conductivity,
     relative_conductivity,
     smooth_field,
 )
@@ -41,20 +40,6 @@ def test_fields_have_their_rms_and_correlation_over_seeds() -> None:
     np.testing.assert_allclose((found[:, :1] * found).mean(axis=0) / rms**2, law, atol=0.06)
     kurtosis = (found**4).mean() / (found**2).mean() ** 2
     assert kurtosis == pytest.approx(3.0, abs=0.15)  # as a normal draw's
-
-
-def test_what_came_late_is_a_factor_a_tilt_and_a_field_beside_what_was_there() -> None:
-    there, came = SmoothField(0.1, 40.0, 1), SmoothField(0.05, 60.0, 2)
-    sheet = Sheet(field=there, late=LaterChanges(1.2, 0.03, came, 4))
-    np.testing.assert_array_equal(log_conductivity(sheet, POINTS, late=False), smooth_field(there, POINTS))
-    tilt = log_conductivity(sheet, POINTS) - np.log(1.2) - smooth_field(there, POINTS) - smooth_field(came, POINTS)
-    assert np.abs(np.diff(tilt, 2, axis=0)).max() < 1e-15 > np.abs(np.diff(tilt, 2, axis=1)).max()
-    points, weights = np.polynomial.legendre.leggauss(3)  # exact for squares of planes
-    grid = np.stack(np.meshgrid(75.0 * (points + 1.0), 50.0 * (points + 1.0)), axis=-1)
-    even = np.outer(weights, weights) / 4.0
-    plane = log_conductivity(Sheet(late=LaterChanges(gradient_rms=0.03, seed=4)), grid)
-    assert (even * plane).sum() == pytest.approx(0.0, abs=1e-15)
-    assert (even * plane**2).sum() == pytest.approx(0.03**2, rel=1e-12)
 
 
 def test_the_gauge_is_a_power_of_the_area_stretch() -> None:

@@ -91,16 +91,6 @@ def test_every_grid_from_half_to_three_millimetres_gives_the_sheets_size(kind, b
             assert np.abs(found.size_mm - true).max() < 0.25 + 0.6 * spacing, (spacing, noise)
 
 
-@pytest.mark.parametrize("kind", ["to the border", "middles"])
-@pytest.mark.parametrize("bend", [FLAT, UNSTRETCHED], ids=["flat", "bent"])
-def test_known_size_tells_how_far_the_border_is_beyond_a_grids_last_row(kind, bend):
-    rng = np.random.default_rng(7)
-    found = organise(*in_a_pose(bend, grid(kind, 2.0, rng), 0.1, rng))
-    assert np.abs(np.array(found.size_mm) - SHEET.size_mm).max() < 0.15
-    assert off(found, bend) < 0.006
-    assert found.prediction_rms < DOUBTFUL_RMS
-
-
 def test_grid_of_a_stretched_sheet_says_how_unsure_its_border_is():
     rng = np.random.default_rng(7)
     sparse, dense = (
@@ -144,18 +134,6 @@ def test_an_edge_of_random_points_is_found_without_bias_within_its_doubt(density
     rms = float(np.sqrt(np.mean(np.square(errors))))
     assert abs(float(np.mean(errors))) < 0.5 * rms
     assert 0.5 * np.mean(sigmas) < rms < 2.0 * np.mean(sigmas)
-
-
-def test_stray_points_beyond_a_side_leave_it_where_it_is():
-    rng = np.random.default_rng(2)
-    along, out = rng.uniform((0.0, -12.0), (100.0, 0.0), (1200, 2)).T
-    stray = rng.uniform((0.0, 0.5), (100.0, 5.0), (3, 2)).T
-    edges = [
-        fit_edge(*np.concatenate([[along, out], more], axis=1), (0.0, 100.0), np.zeros(6), 0.1)
-        for more in (np.zeros((2, 0)), stray)
-    ]
-    places = [np.polynomial.polynomial.polyval(np.linspace(0.0, 1.0, 21), edge.coefficients) for edge in edges]
-    assert np.abs(places[1] - places[0]).max() < 0.15
 
 
 @pytest.mark.filterwarnings("error")

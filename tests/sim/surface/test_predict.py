@@ -5,7 +5,6 @@ import errno
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.normalise import RATIO_FLOOR
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.dataset import prediction_cache
@@ -59,18 +58,6 @@ def test_spline_follows_points_and_metric_of_a_known_surface():
 def test_malformed_cloud_is_refused(cloud):
     with pytest.raises(ValueError, match="cloud"):
         predict(cloud)
-
-
-def test_logarithm_of_the_prediction_is_zero_when_flat_and_follows_the_true_untouched_sheet():
-    found = predicted_log([flat_cloud(), measured_cloud(EVEN)])
-    true, flat = (solve_scene(Scene(bend=bend, element_size_mm=2.5)).voltages for bend in (EVEN, Bend()))
-    assert found.shape == (2, 104)
-    assert found.dtype == np.float32
-    assert np.abs(found[0]).max() < 1e-6
-    assert np.abs(np.log(true / flat)).max() > 0.1
-    assert np.abs(found[1] - np.log(true / flat)).max() < 5e-3  # rms is 1e-3, largest on the weakest rows
-    assert found.min() >= np.log(RATIO_FLOOR)
-    assert predicted_log([]).shape == (0, 104)
 
 
 def a_data_set(digest):

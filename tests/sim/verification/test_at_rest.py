@@ -5,7 +5,6 @@ import pytest
 
 from eitskin_sim.verification import constants
 from eitskin_sim.verification.at_rest import at_rest
-from eitskin_sim.verification.residual import Noise
 
 ROWS = 40
 NONE = np.zeros(ROWS)
@@ -60,11 +59,3 @@ def test_more_than_was_thought_widens_what_is_left_and_a_touch_leaves_some_unkno
     )
     left = usual.columns @ usual.columns.T
     assert np.linalg.eigvalsh(left - least).min() > -1e-9
-
-
-def test_a_mean_has_less_noise() -> None:
-    change, reference = np.full(8, 0.1), np.ones(8)
-    for noise in (Noise("N1"), Noise("N2"), Noise("N3"), Noise("measured", measured=np.full(8, 0.02))):
-        assert noise.of_mean(25).sd(change, reference) == pytest.approx(noise.sd(change, reference) / 5.0)
-    with pytest.raises(ValueError, match="0 frames"):
-        Noise().of_mean(0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.sim.verification.frames import SQUARE, changed, frame_of
 
-from eitskin_sim.verification.fit import Budget, bounded, refine
+from eitskin_sim.verification.fit import refine
 from eitskin_sim.verification.shape_verdict import scatter_of, touches_of
 from eitskin_sim.verification.sheet_model import SheetModel
 
@@ -67,30 +67,3 @@ def test_an_angle_that_was_fitted_has_an_error_and_size_and_contrast_are_tied() 
     assert fixed.angle_error_deg is None
     assert -1.0 <= free.size_contrast_correlation < -0.5
     assert free.area_range_mm2[0] < 160.0 < free.area_range_mm2[1]
-
-
-def test_touches_stay_on_the_sheet_and_on_their_side_of_contrast_1() -> None:
-    frame, pieces = frame_of(SQUARE), SQUARE
-    fitted = np.zeros((1, 7), dtype=np.bool_)
-    fitted[0, [0, 2, 5]] = True
-    for _ in range(20):
-        pieces = bounded(frame, pieces, fitted, np.array([-9.0, -9.0, -9.0]))
-    assert pieces[0, 1] > 0.0
-    assert pieces[0, 3] > 0.0
-    assert pieces[0, 6] > 1.0
-    with pytest.raises(ValueError, match="beyond the sheet"):
-        frame.at(changed(SQUARE, x=-80.0))
-
-
-def test_models_count_apart_and_there_must_be_time() -> None:
-    now = [0.0]
-    budget = Budget(1.0, lambda: now[0])
-    now[0] = 0.9
-    assert (budget.search_over(), budget.over()) == (True, False)
-    budget.models_s = 0.5
-    assert not budget.search_over()
-    now[0] = 1.2
-    assert (budget.over(), budget.over_with_models()) == (False, True)
-    for seconds in (0.0, -1.0, np.nan):
-        with pytest.raises(ValueError, match="must be above 0"):
-            Budget(seconds)

@@ -7,17 +7,8 @@ import numpy as np
 import pytest
 
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin_tools.bench.stability import Stream, Tally, crossing, touched_sheets
+from eitskin_tools.bench.stability import Stream, Tally, touched_sheets
 from eitskin_tools.cli import main
-
-
-def test_where_values_fall_below_a_threshold_is_interpolated():
-    levels = [80.0, 60.0, 40.0, 20.0]
-    assert crossing(levels, [1.0, 0.95, 0.75, 0.25], 0.9) == pytest.approx(55.0)  # a quarter of the way from 0.95
-    assert crossing(levels, [1.0, 0.95, 0.75, 0.25], 0.5) == pytest.approx(30.0)
-    assert crossing(levels, [1.0, 1.0, 1.0, 0.95], 0.9) is None
-    assert crossing([1.0, 2.0], [0.1, 0.0], 0.5) == 1.0
-    assert crossing([1.0, 2.0], [1.0, float("nan")], 0.5) == 2.0
 
 
 def test_the_tally_notices_every_map_that_must_not_be_published():

@@ -4,12 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.device_runs import Plan
-from eitskin_sim.evaluation.harness import Conditions, solve_l1
-from eitskin_sim.evaluation.metrics import correlation
-from eitskin_sim.measurement.noise import Kind
-from eitskin_tools.bench.tradeoff import of_devices, variants
+from eitskin_tools.bench.tradeoff import of_devices
 from eitskin_tools.cli import main
 
 pytestmark = pytest.mark.heavy
@@ -65,25 +61,6 @@ def test_panels_of_devices_show_what_an_untold_solver_would_see(tmp_path: Path) 
             assert case.lowering == (one.touches == "lower")
             assert truth.shape == case.sheet.skin.grid.shape
             assert truth.max() > 0.5
-
-
-@pytest.mark.parametrize(
-    ("labels", "touches", "noise"),
-    [("units", "lower", "N2"), ("area", "lower", "N1"), ("units", "raise", "none")],
-)
-def test_every_kind_of_touch_has_its_variants_under_every_noise(labels: str, touches: TouchKind, noise: Kind) -> None:
-    names = variants(labels, touches, [], Conditions(noise=noise))
-    assert {"tikhonov", "vd2t", "vd2t-int8", "verified"} <= set(names)
-
-
-def test_l1_with_fewer_steps_is_another_way_and_knows_presses(tmp_path: Path) -> None:
-    path = tmp_path / "rows.json"
-    path.write_text(json.dumps([{"name": "none"}]))
-    (panel,) = of_devices(str(path), ["press04"], 1, 1, Plan(draws=3))
-    assert len(panel.cases) == 1  # the nominal device is the same in every draw
-    (case, truth) = panel.cases[0]
-    rough, whole = (correlation(solve_l1(case, iterations=steps), truth) for steps in (10, 400))
-    assert 0.2 < rough < whole
 
 
 def test_what_is_measured_is_asked_for_and_possible(capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,10 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tests.second_skin import SECOND
 
 from eitskin.model.bundle import load_bundle
-from eitskin_proto.skin.toml import named, to_toml
+from eitskin_proto.skin.toml import named
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build import steps
 from eitskin_tools.build.making import FINAL_STAGES_S, Pace, scale, seconds
@@ -50,14 +49,6 @@ def test_a_recipe_says_skin_data_and_legs():
     assert (plans["raise"].skin.name, plans["raise"].devices, plans["raise"].touches) == ("lab", "random", "raise")
     assert [stage.start_from for stage in found.training] == [None]
     assert [stage.start_from for stage in recipes.load("press").training] == ["free"]
-
-
-def test_a_skin_s_file_is_built_as_it_is_touched(tmp_path):
-    (tmp_path / "skin.toml").write_text(to_toml(SECOND.touched("lower")))
-    found = recipes.load(str(tmp_path / "skin.toml"))
-    assert found.skin == SECOND.touched("lower")
-    assert [(one.touches, one.devices) for one in found.data.values()] == [("skin", "random")]
-    assert plan_of(found, replace(found.data["touches"], deformations=1, kept=0)).skin == SECOND.touched("lower")
 
 
 @pytest.mark.parametrize(

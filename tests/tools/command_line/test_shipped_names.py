@@ -5,9 +5,7 @@ from pathlib import Path
 import pytest
 
 from eitskin_proto.skin import toml
-from eitskin_proto.wire import config_toml
 from eitskin_tools import cli
-from eitskin_tools.build import recipe
 from eitskin_tools.command_line import files
 
 
@@ -15,17 +13,6 @@ from eitskin_tools.command_line import files
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def test_a_folder_of_that_name_is_in_nobodys_way(here):
-    """``eitskin dataset --out lab`` makes one, and then ``--skin lab`` is the shipped one as before."""
-    for name in ("lab", "paper", "free", "units"):
-        (here / name).mkdir()
-    assert toml.load("lab") == toml.named("lab")
-    assert config_toml.load("paper") == config_toml.named("paper")
-    assert files.find("free", files.BUNDLE).is_file()
-    assert recipe.load("units").network == "units"
-    assert recipe.load("lab").skin == toml.named("lab")
 
 
 def test_a_file_of_that_name_is_ones_own(here):

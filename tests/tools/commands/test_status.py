@@ -85,15 +85,3 @@ def test_all_skins_of_a_robot_are_asked_and_one_that_fell_is_told_with_its_reaso
     assert by_name["left"]["restarts"] == 2
     assert "restarted 2 times, last because it ended by signal 9" in by_name["left"]["text"]
     assert by_name["right"]["text"] == "failed: ended with status 1: no port"
-
-
-@pytest.mark.parametrize(("state", "restarts", "said"), [
-    ("waiting", 0, "waiting: it ended by signal 9 (Killed); its supervisor will restart it"),
-    ("starting", 1, "starting: it ended by signal 9 (Killed), and its supervisor restarted it"),
-    ("starting", 0, "starting: it is not ready yet"),
-])  # fmt: skip
-def test_a_skin_that_its_supervisor_starts_is_not_to_be_started_by_hand(tmp_path, capsys, state, restarts, said):
-    skin = RobotSkin("left", "ipc:///l", f"ipc://{tmp_path}/left/control")
-    write_states(tmp_path, 16, (ProcessState(skin, state, 0, restarts, "ended by signal 9 (Killed)"),))
-    assert cli.main(["status", "--all", str(tmp_path), "--timeout-s", "0.05"]) == 1
-    assert capsys.readouterr().out == f"left: {said}\n"

@@ -30,20 +30,6 @@ def test_command_writes_a_cloud_that_loads_again_with_its_prediction(tmp_path, c
     check_prediction(check_sheet(surface.cloud_mm)[0], surface.predicted_V, surface.predicted_flat_V, None)
 
 
-def test_points_and_corner_in_metres_are_those_in_millimetres(tmp_path, capsys):
-    raw = Raw(BENDS["half a turn, stretched"], 8_000)
-    found = []
-    for unit, scale in (("mm", 1.0), ("m", 1e-3)):
-        np.save(tmp_path / "points.npy", scale * raw.points)
-        corner = [f"{scale * value:.5f}" for value in raw.corner()]
-        words = ["surface", str(tmp_path / "points.npy"), "--out", str(tmp_path / "cloud.npz"), "--corner", *corner]
-        assert cli.main([*words, "--unit", unit]) == 0
-        found.append(load_surface(tmp_path / "cloud.npz").measured_mm)
-    assert np.abs(found[1] - found[0]).max() < 1e-6
-    assert cli.main(words) == 1
-    assert "save them in millimetres, or give --unit m if they are in metres" in capsys.readouterr().err
-
-
 def test_command_names_the_file_that_is_missing_or_has_too_few_points(tmp_path, capsys):
     np.save(tmp_path / "few.npy", np.random.default_rng(0).uniform(0, 100, (20, 3)))
     for name, text in (("nobody.ply", "no file"), ("few.npy", "found 20 finite points")):

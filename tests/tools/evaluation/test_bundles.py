@@ -3,20 +3,9 @@
 from pathlib import Path
 
 from eitskin.model import bundle as bundles
-from eitskin_sim.evaluation.trials import TouchProfile, single, untouched
-from eitskin_sim.scene.scene import load_phantoms
-from eitskin_tools.command_line import files
 from eitskin_tools.evaluation.solvers import Request, bundle_for
 
 TINY = Path(__file__).parents[2] / "golden" / "tiny.eitskin"
-
-
-def test_what_touches_a_phantom():
-    assert single(16.0, 1, 1, "A", TouchProfile(0.4, 4.0))[0].scene.touch_kind == "lower"
-    assert single(10.0, 1, 1)[0].scene.touch_kind == "raise"
-    assert untouched(1)[0].scene.touch_kind == "raise"
-    shipped = load_phantoms(files.find("paper_mm", files.PHANTOMS))
-    assert {one.scene.touch_kind for one in shipped} == {"raise"}
 
 
 def test_the_bundle_is_the_one_for_labels_and_touches(monkeypatch, tmp_path):

@@ -75,12 +75,6 @@ def test_drift_is_taken_out_as_the_runtime_does(tmp_path, capsys):
     assert found["met"] > found["left"] + 0.01
 
 
-def test_the_table_says_what_was_missed_and_what_was_not_run():
-    one = {"cc": 0.5, "cc_worst": 0.1, "localisation_rms_mm": None, "missed": 0.999, "gate_missed": 0.0, "maps": 3}
-    found = {"phantoms": "paper", "rows": [{"name": "x", "devices": [], "single": one, "units": None, "mm": one}]}
-    assert table(found).splitlines()[2] == "| x | 0.500 / 0.100 | - | 0.500, -, missed 100 % |"
-
-
 def test_the_shipped_list_is_one():
     rows = load_rows(files.find("single", files.MISMATCHES))
     assert rows[0][0] == "none"

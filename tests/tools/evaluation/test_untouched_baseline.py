@@ -38,9 +38,3 @@ def test_what_moves_or_was_touched_meanwhile_does_not_rest(baseline):
     baseline.reset()
     assert told(baseline, 0.1, BASELINE_FRAMES - 1) == []
     assert len(told(baseline, 0.1, 1)) == 1
-
-
-def test_another_surface_is_told_whatever_it_reads(baseline):
-    assert len(told(baseline, 0.1, BASELINE_FRAMES)) == 1
-    baseline.start(np.ones(104), np.full(104, NOISE), 100, 0.0)
-    assert len(told(baseline, 0.1, BASELINE_FRAMES)) == 1

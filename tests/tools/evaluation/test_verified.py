@@ -1,6 +1,5 @@
 """``evaluate --solver verified``: what a report gains, what is refused, and a phantom that is mended."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +10,9 @@ from eitskin_sim.evaluation.harness import Conditions, Run, evaluate_all, truth_
 from eitskin_sim.evaluation.metrics import score
 from eitskin_sim.evaluation.trials import random
 from eitskin_sim.scene.parts import Phantom, Scene
-from eitskin_sim.verification.network_map import map_of
 from eitskin_sim.verification.residual import Noise
-from eitskin_sim.verification.shape_verdict import ShapeTouch, ShapeVerdict
 from eitskin_sim.verification.snapped_units import UnitTouch, UnitVerdict, unit_shares
 from eitskin_tools.cli import main
-from eitskin_tools.evaluation.verified.share import MIN_NETWORK_SHARE, network_share
 from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork, add_verdicts
 
 
@@ -95,37 +91,3 @@ def test_units_of_an_independent_mesh_are_explained_and_wrong_ones_flagged() -> 
     said, of_wrong = (one.verdict for one in verified.checked)
     assert (right.exact, said.flagged) == (1.0, False)
     assert wrong.exact == 1.0 or (of_wrong.flagged and of_wrong.p_value < 1e-6)
-
-
-def sure_to(scatter_mm: float, p_value: float = 0.5) -> ShapeVerdict:
-    """Return a verdict on a square whose left border may be off by so much."""
-    touch = ShapeTouch(
-        "rectangle", (50.0, 50.0), (0.1, 0.1), (20.0, 20.0), (0.1, 0.1), 0.0, 400.0, 1.0, 40.0, (30.0, 50.0), 0.0,
-        1480.0, 1.0, 0.0, (390.0, 410.0),
-    )  # fmt: skip
-    scatter = np.zeros((1, 1, 7))
-    scatter[0, 0, [0, 2]] = -0.5 * scatter_mm, 0.5 * scatter_mm
-    return ShapeVerdict(
-        (touch,), 100.0, 104, p_value, 0.01, 5, 1e-3, pieces=SQUARE, likely=((1.0, SQUARE),), scatter=scatter
-    )
-
-
-SQUARE = np.array([[0.0, 50.0, 50.0, 20.0, 20.0, 0.0, 40.0, 0.0]])
-
-
-def shown(doubt: float) -> np.ndarray:
-    """Return a network's map of the square, which it doubts by so much."""
-    return (1.0 - doubt) * map_of(SQUARE)
-
-
-def test_the_less_surely_physics_draws_touches_the_more_is_the_network_s() -> None:
-    grid = PAPER.grid
-    shares = [network_share(sure_to(error), shown(0.02), 1, grid) for error in (0.0, 0.3, 1.0, 3.0)]
-    assert shares == sorted(shares)
-    assert shares[0] == pytest.approx(MIN_NETWORK_SHARE, abs=0.01)
-    assert 0.2 < shares[-1] < 1.0
-    doubts = [network_share(sure_to(1.0), shown(doubt), 1, grid) for doubt in (0.0, 0.05, 0.2)]
-    assert doubts == sorted(doubts, reverse=True), "the more the network doubts, the less is its own"
-    assert network_share(sure_to(0.3, p_value=1e-4), shown(0.02), 1, grid) == 1.0
-    assert network_share(replace(sure_to(0.3), pieces=SQUARE[:0], touches=()), shown(0.0), 0, grid) == MIN_NETWORK_SHARE
-    assert network_share(sure_to(3.0), np.zeros(grid.shape), 0, grid) == MIN_NETWORK_SHARE, "it shows no touch at all"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.skin import PAPER
-from eitskin_tools.pictures import Painter, fitted
+from eitskin_tools.pictures import Painter
 
 TITLE = "eitskin demo    12.3 s   the sheet is bent by 156 deg, its axis at +30, stretched 13.1 %; 3 touches"
 FOOTER = [
@@ -36,11 +36,3 @@ def test_both_maps_and_every_word_are_shown(size, monkeypatch):
     text = " ".join(" ".join(lines).split())
     for said in (*TITLE.split(), *FOOTER[0].split(), *FOOTER[1].split(), "streamed", "truth"):
         assert said in text
-
-
-def test_a_smaller_map_keeps_the_mean_so_that_no_touch_falls_between_pixels():
-    image = np.zeros(PAPER.grid.shape)
-    image[17, 31] = 1.0
-    small = fitted(image, 38, 13)
-    assert small.shape == (26, 38)
-    assert small.mean() == pytest.approx(image.mean(), rel=1e-9)
