@@ -150,13 +150,6 @@ def test_presses_that_cannot_be_taught_are_refused_in_a_line(tmp_path, capsys, a
     assert re.search(said, error), error
 
 
-def test_readings_are_held_against_the_last_untouched_one(tmp_path):
-    arrays = recorded(8)
-    presses = load_presses(write(tmp_path / "p.npz", arrays))
-    expected = np.log(arrays["voltages_V"][1::2] / arrays["voltages_V"][::2])
-    np.testing.assert_allclose(presses.logarithms()[1::2], expected, atol=1e-9)
-
-
 def test_another_sheet_or_other_rows_are_refused(taught, tmp_path, capsys):
     arrays = recorded(20)
     narrower = write(tmp_path / "n.npz", {**arrays, "voltages_V": arrays["voltages_V"][:, :50]})

@@ -79,6 +79,8 @@ class Status:
         elif not trouble:
             watched = counters.get("drift") != {}  # which a bundle without statistics of frames has
             parts.append("all electrodes work" if watched else "electrodes are not checked")
+        if shape := counters.get("shape"):
+            parts.append(f"shape {shape}")
         if drift := drift_text(counters.get("drift")):
             parts.append(drift)
         if verifier := verifier_text(counters.get("verifier")):

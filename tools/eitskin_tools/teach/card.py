@@ -24,8 +24,8 @@ def verdict(reports: dict[str, dict[str, Any]]) -> str:
     for name, report in reports.items():
         lines += [f"In the shape {name}:"] if len(reports) > 1 else []
         lines.append(_verdict(report))
-    known = f"the {len(reports)} shapes" if len(reports) > 1 else "the shape"
-    return "\n".join([*lines, f"This holds in {known} in which the sheet was pressed; frames name the shape."])
+    known = f"shape{'s' if len(reports) > 1 else ''} {', '.join(reports)}"
+    return "\n".join([*lines, f"This holds in the {known}, in which the sheet was pressed; frames name the shape."])
 
 
 def _verdict(report: dict[str, Any]) -> str:

@@ -34,8 +34,8 @@ LARGEST_FILE: Final = 1 << 28
 FEWEST: Final = 6
 """Presses that can be taught."""
 
-LEAST_SPREAD_MM: Final = 5.0
-"""By which their places must differ along either axis."""
+LEAST_SPREAD: Final = 0.1
+"""Share of either side over which places must be spread."""
 
 SIZES_MM: Final = (50.0, 400.0)
 """Of a sheet that a skin can describe."""
@@ -158,10 +158,10 @@ def check_teachable(presses: Presses) -> None:
     if count < FEWEST:
         raise PressesError(f"holds {count} presses, expected at least {FEWEST}; record more, spread over the sheet")
     extent = np.ptp(presses.xy_mm[presses.pressed], axis=0)
-    if extent.min() < LEAST_SPREAD_MM:
+    if (extent < LEAST_SPREAD * np.array(presses.size_mm)).any():
         raise PressesError(
-            f"all presses lie within {extent[0]:.1f} x {extent[1]:.1f} mm, expected places all over the sheet; press "
-            "elsewhere too"
+            f"all presses lie within {extent[0]:.1f} x {extent[1]:.1f} mm, expected places all over the sheet, in mm; "
+            "press elsewhere too"
         )
 
 

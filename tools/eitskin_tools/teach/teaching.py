@@ -180,7 +180,12 @@ def teach_shapes(
         PressesError: Presses cannot be taught, or are not of one sheet.
     """
     check_shapes(shapes)
-    found = {name: teach(one, skin, false_alarms, tell) for name, one in shapes.items()}
+    found = {}
+    for name, one in shapes.items():
+        try:
+            found[name] = teach(one, skin, false_alarms, tell)
+        except PressesError as error:
+            raise PressesError(f"{name}: {error}") from error
     levels = level_arrays(list(shapes.values()), [one.arrays for one in found.values()])
     for one, arrays in zip(found.values(), levels, strict=True):
         one.arrays.update(arrays)
