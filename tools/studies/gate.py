@@ -16,14 +16,13 @@ presses of 50 mm2 that it would find at the gate's own rate of false alarms.
 """
 
 import argparse
-import json
 import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
-from eitskin_tools.bench.harness import program
+from eitskin_tools.bench.harness import program, show
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.threads import one_blas_thread
 
@@ -41,13 +40,8 @@ SEED: Final = 88_107
 STRENGTH_RATIOS: Final = (1.0, 2.0)
 """Of presses, over the one that is asked for."""
 
-MEASURED_SHARES: Final = {
-    "found": "seen untouched before: found",
-    "moving": "while the sheet moves: found",
-    "first_frames": "nothing seen before: found",
-    "held": "while it stays: touched",
-}
-"""Measured shares of presses, and their names in the output."""
+MEASURED_SHARES: Final = ("found", "moving", "first_frames", "held")
+"""Measured shares of presses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +67,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sheets", type=int, default=60, metavar="N", help="devices, each at a bend (default 60)")
     parser.add_argument("--presses", type=int, default=3, metavar="N", help="places on each of them (default 3)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="names the draws (default 0)")
-    parser.add_argument("--flat", action="store_true", help="the stated device, flat: nothing is unknown but drift")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -88,16 +81,13 @@ def run(arguments: argparse.Namespace) -> int:
     bundle = load_bundle(files.find(arguments.bundle, files.BUNDLE))
     if bundle.gate_arrays() is None:
         raise UsageError(f"{bundle.path} has no gate: train it with one, see 'eitskin train --help'")
-    found = measured(bundle, arguments.sheets, arguments.presses, arguments.seed, flat=arguments.flat)
+    found = measured(bundle, arguments.sheets, arguments.presses, arguments.seed)
     found["ideal_observer"] = bundle.manifest["gate"].get("ideal_observer")
-    if arguments.json:
-        print(json.dumps(found))
-    else:
-        print("\n".join(lines(found)))
+    show(arguments, found)
     return 0
 
 
-def measured(bundle: Any, sheets: int, presses: int, seed: int, *, flat: bool) -> dict[str, Any]:
+def measured(bundle: Any, sheets: int, presses: int, seed: int) -> dict[str, Any]:
     """Return what the gate finds, and how often it is wrong about untouched sheets.
 
     Args:
@@ -105,17 +95,15 @@ def measured(bundle: Any, sheets: int, presses: int, seed: int, *, flat: bool) -
         sheets: Devices, each at a bend.
         presses: Places on each of them.
         seed: Names the draws.
-        flat: The stated device alone, flat.
     """
     import numpy as np
 
     from eitskin.model.gate import RememberingGate
-    from eitskin_sim.devices.device import ideal
     from eitskin_sim.devices.draws import draw_device, draw_moment
     from eitskin_sim.devices.readings import FINE_MM, readings
     from eitskin_sim.fem.solve import factorise_scene
     from eitskin_sim.scene.family import draw
-    from eitskin_sim.scene.parts import Bend, Scene, Touch
+    from eitskin_sim.scene.parts import Scene, Touch
     from eitskin_sim.scene.shapes import Disc
     from eitskin_training.gate.observer import FRAMES_TO_FIND_A_PRESS, SNR_DB
     from eitskin_training.gate.presses import BORDER_MM, DIAMETER_MM, STRENGTH_MM2, contrast_of
@@ -135,18 +123,18 @@ def measured(bundle: Any, sheets: int, presses: int, seed: int, *, flat: bool) -
 
     for number in range(sheets):
         one = draw_device(skin, rng)
-        device = ideal(skin) if flat else one.device
-        here, there = (Bend() if flat else one.bent(bends[2 * number + n]) for n in range(2))
-        later, last = (device if flat else device.since(draw_moment(skin, rng).late) for _ in range(2))
+        device = one.device
+        here, there = (one.bent(bends[2 * number + n]) for n in range(2))
+        later, last = (device.since(draw_moment(skin, rng).late) for _ in range(2))
 
         def read(device: Any, bend: Any, touches: Any = ()) -> Any:
             scene = Scene(device.sheet, device.electrodes, bend, touches, element_size_mm=FINE_MM)
             return readings(device, factorise_scene(scene).differences())
 
-        reference = read(device, Bend() if flat else one.reference_bend)
+        reference = read(device, one.reference_bend)
         rest = np.log(read(later, here) / reference)
-        way = (rest if flat else np.log(read(later, there) / reference)) - rest
-        uneven = rest if flat else np.log(read(last, here) / reference)
+        way = np.log(read(later, there) / reference) - rest
+        uneven = np.log(read(last, here) / reference)
         lying = UntouchedDevice(rest, uneven, rest + np.linspace(0.0, 1.0, UNTOUCHED_FRAMES)[:, None] * way)
         untouched = np.concatenate([lying.still, lying.walk, np.tile(lying.walk[-1], (UNTOUCHED_FRAMES, 1))])
         alarms.append(float(np.mean(judged(RememberingGate(arrays), frames(untouched)))))
@@ -162,7 +150,6 @@ def measured(bundle: Any, sheets: int, presses: int, seed: int, *, flat: bool) -
     return {
         "bundle": bundle.id,
         "sheets": sheets,
-        "flat": flat,
         "frames": FRAMES_TO_FIND_A_PRESS,
         "snr_db": SNR_DB,
         "drift": DRIFT,
@@ -234,31 +221,6 @@ def share(values: Any, each: int) -> dict[str, float]:
     by_sheet = np.array(values, dtype=np.float64).reshape(-1, each).mean(axis=1)
     error = float(by_sheet.std(ddof=1) / math.sqrt(len(by_sheet))) if len(by_sheet) > 1 else 0.0
     return {"share": float(by_sheet.mean()), "standard_error": error}
-
-
-def lines(found: dict[str, Any]) -> list[str]:
-    """Return the lines of the report."""
-    where = "the stated device, flat" if found["flat"] else f"{found['sheets']} devices and bends"
-    shown = [f"{where}; {found['frames']} frames, N2 of {found['snr_db']:g} dB, drift of {found['drift']:.0%}"]
-    for strength in found["found"]:
-        shown.append(f"presses of {strength} mm2")
-        for name, text in MEASURED_SHARES.items():
-            one = found[name][strength]
-            shown.append(f"  {text} {one['share']:.1%} +- {one['standard_error']:.1%}")
-    alarms = found["false_alarms"]
-    wrong = f"{alarms['share']:.2%} +- {alarms['standard_error']:.2%}"
-    shown.append(f"untouched frames called touched, at rest, moving and after it: {wrong}")
-    observer = found["ideal_observer"]
-    if observer is None:
-        return [*shown, "the bundle's card states no ideal observer"]
-    for unknown, by in observer["d_prime"].items():
-        five = by[str(found["frames"])]
-        shown.append(
-            f"ideal observer of {observer['strength_mm2']:g} mm2, {unknown} unknown: d' {five['median']:g} median, "
-            f"{five['lowest_tenth']:g} at the worst tenth of places, in {found['frames']} frames; would find "
-            f"{five['found']:.1%}"
-        )
-    return shown
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-from eitskin_tools.bench.harness import program
+from eitskin_tools.bench.harness import program, show
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
@@ -37,17 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
     if not 4 <= arguments.seconds < 1e6 or not 1 <= arguments.rate <= 1000:
         raise UsageError("--seconds must be at least 4, and --rate 1 to 1000")
-    found = measure(arguments.seconds, arguments.rate, arguments.bundle)
-    if arguments.json:
-        print(json.dumps(found))
-        return 0
-    rss = found["rss_mb"]
-    print(
-        f"{found['frames']} frames in {found['seconds']:g} s, {found['lost']} lost; RSS {rss['first']:.1f} MB after "
-        f"settling, {rss['last']:.1f} at the end, at most {rss['max']:.1f}; "
-        f"{found['bytes_per_frame']:.2f} bytes a frame; files {found['files']}, threads {found['threads']}; CPU "
-        f"{found['cpu_us_per_frame']} us a frame"
-    )
+    show(arguments, measure(arguments.seconds, arguments.rate, arguments.bundle))
     return 0
 
 

@@ -31,7 +31,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.reference.captured import DEFAULT_FRAMES
-from eitskin_tools.bench.harness import busy_s, cpu_s, machine, program
+from eitskin_tools.bench.harness import busy_s, cpu_s, machine, program, show
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.children import Child, process_group
@@ -73,10 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not 1 <= arguments.pages <= MAX_PAGES:
         raise UsageError(f"--pages is {arguments.pages}, expected 1 to {MAX_PAGES}")
     found = measure(arguments.seconds, arguments.rounds, arguments.rate, arguments.pages)
-    if arguments.json:
-        print(json.dumps(found))
-    else:
-        _print(found)
+    show(arguments, found)
     return 1 if found["reinfer"]["differing"] else 0
 
 
@@ -168,27 +165,6 @@ def summed(found: list[dict[str, Any]]) -> dict[str, Any]:
         "times_real_time": round(total["recorded_s"] / total["elapsed_s"], 2),
         "times_real_time_cpu": round(total["recorded_s"] / total["cpu_s"], 2),
     }
-
-
-def _print(found: dict[str, Any]) -> None:
-    from eitskin_tools.recording.reinfer import unknown_clause
-
-    for name in CASES.values():
-        one = found[name]
-        latency = "  ".join(f"{key} {value:.0f}" for key, value in one["latency_us"].items())
-        stages = ", ".join(f"{key} {us['p50']:.0f}/{us['p99']:.0f}" for key, us in one["stages_us"].items() if us)
-        print(f"{name}: {one['frames']} frames in {one['seconds']:.0f} s, {one['lost']} lost")
-        print(f"  wire to subscriber, us: {latency}")
-        print(f"  stages, us p50/p99: {stages}")
-        print(f"  CPU of the runtime, us a frame: {one['runtime_cpu_us_a_frame']}; percent of a core: "
-              + ", ".join(f"{key} {value:.1f}" for key, value in one["core_percent"].items()))  # fmt: skip
-    kept, again = found["beside"]["recorder"], found["reinfer"]
-    print(f"ratio with recorder and viewer beside: p50 {found['ratios']['p50']}, p99 {found['ratios']['p99']}")
-    print(f"recorded {kept['frames']} frames, {kept['missed']} missed, {kept['bytes'] / 1e6:.1f} MB; "
-          f"{found['beside']['pictures_a_page_s']} pictures/s a page")  # fmt: skip
-    print(f"computed again: {again['equal']} of {again['published']} published maps bit-equal"
-          f"{unknown_clause(again)}; {again['times_real_time']} times real time, {again['times_real_time_cpu']} by "
-          "CPU time")  # fmt: skip
 
 
 @dataclass(slots=True, eq=False)

@@ -34,11 +34,9 @@ from scipy.sparse.linalg import splu
 
 from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.fem.contacts import FRINGE_SHARE
 from eitskin_sim.fem.depth import gathered, loss_blocks
 from eitskin_sim.fem.forward import assemble, system_matrix
 from eitskin_sim.fem.mesh import TensorMesh
-from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.bend import bend_metric, metric, surface
 from eitskin_sim.scene.electrodes import place as placed
@@ -393,7 +391,7 @@ class Truth:
 
 
 def slab_rows() -> list[Row]:
-    """Return the rows of the flat and the bent sheet, and the fit of the constant to the flat one."""
+    """Return the rows of the flat and the bent sheet."""
     rows: list[Row] = []
     for name, bend in (("flat", FLAT), ("bent", BENT)):
         scene = Scene(bend=bend)
@@ -402,8 +400,6 @@ def slab_rows() -> list[Row]:
         seconds = perf_counter() - start
         print(f"slab: {name}, {truth.unknowns} unknowns, {truth.rounds} rounds, {seconds:.0f} s", file=sys.stderr)
         rows += compare(scene, PLACES, truth, name)
-        if bend == FLAT:
-            rows += [fit_constant(scene, truth.voltages["untouched"], truth.error["untouched"])]
     return rows
 
 
@@ -459,43 +455,6 @@ def _voltage_errors(voltages: Array, truth: Truth, place: str = "untouched") -> 
         "v_error_max": float(np.abs(off).max()),
         "v_error_rms": float(np.sqrt(np.mean(off**2))),
         "v_error_of_solid_max": float(truth.error[place].max()),
-    }
-
-
-def fit_constant(scene: Scene, truth: Array, error: Array) -> Row:
-    """Return the constant c of z + c t / sigma that fits untouched voltages best, with three measures of its spread.
-
-    Args:
-        scene: Untouched.
-        truth: (104,) V.
-        error: (104,) relative, of the truth.
-    """
-    system = assemble(scene_mesh(scene), scene.sheet, scene.electrodes, bend_metric(scene.bend, scene.sheet))
-
-    def voltages(constant: float) -> Array:
-        contacts = replace(system.contacts, fringe_m=system.contacts.fringe_m * (constant / FRINGE_SHARE))
-        return replace(system, contacts=contacts).factorise().voltages()
-
-    low, high = 0.15, 0.22
-    at_low, at_high = voltages(low) / truth - 1, voltages(high) / truth - 1
-    slope = (at_high - at_low) / (high - low)
-
-    def best(rows: npt.NDArray[np.bool_], offset: Array | float = 0.0) -> float:
-        wanted = np.broadcast_to(at_low + offset, slope.shape)[rows]
-        return low - float(slope[rows] @ wanted / (slope[rows] @ slope[rows]))
-
-    everything = np.ones(len(truth), dtype=bool)
-    fitted = best(everything)
-    left_out = [best(TABLE[:, 0] != drive) for drive in range(16) if np.any(TABLE[:, 0] != drive)]
-    rest = at_low + slope * (fitted - low)
-    return {
-        "what": "constant",
-        "fitted": fitted,
-        "spread_over_drives": float(np.sqrt(15 / 16 * np.sum((np.array(left_out) - np.mean(left_out)) ** 2))),
-        "spread_by_solid": max(abs(best(everything, sign * error) - fitted) for sign in (1.0, -1.0)),
-        "v_error_max": float(np.abs(rest).max()),
-        "v_error_rms": float(np.sqrt(np.mean(rest**2))),
-        "used": FRINGE_SHARE,
     }
 
 

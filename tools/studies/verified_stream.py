@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 import eitskin
-from eitskin_tools.bench.harness import machine, program
+from eitskin_tools.bench.harness import machine, program, show
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import Stopped, raise_stopped_on_signals
@@ -44,9 +44,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, action="append", metavar="HZ", help="default 200; repeatable")
     parser.add_argument("--bundle", type=files.bundle, metavar="FILE", help="bundle to run (default: the shipped one)")
     parser.add_argument("--mode", choices=("idle", "always"), default="always", help="of the verifier (default always)")
-    parser.add_argument("--solver", metavar="NAME", help="most accurate solver of the stream, as for 'eitskin run'")
-    parser.add_argument("--core", type=int, metavar="CPU", help="run the runtime, all its threads, on this CPU only")
-    parser.add_argument("--verify-affinity", metavar="CPUS", help="CPUs of the verifier, as for 'eitskin run'")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -54,17 +51,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
     if arguments.frames < 100:
         raise UsageError("--frames must be at least 100: percentiles need values")
-    more = [f"--solver={arguments.solver}"] if arguments.solver else []
-    more += [] if arguments.core is None else [f"--affinity={arguments.core}"]
-    more += [f"--verify-affinity={arguments.verify_affinity}"] if arguments.verify_affinity else []
     rates = arguments.rate or [200.0]
-    found = [beside_verifier(rate, arguments.frames, arguments.bundle, arguments.mode, more) for rate in rates]
-    print(json.dumps({"streams": found, "machine": machine()}) if arguments.json else "\n".join(map(text, found)))
+    found = [beside_verifier(rate, arguments.frames, arguments.bundle, arguments.mode) for rate in rates]
+    show(arguments, {"streams": found, "machine": machine()})
     return 0
 
 
 def beside_verifier(
-    rate_hz: float, frames: int, bundle: Path | None, mode: str, more: list[str], phase_s: float = PHASE_S
+    rate_hz: float, frames: int, bundle: Path | None, mode: str, phase_s: float = PHASE_S
 ) -> dict[str, Any]:
     """Return latencies of a stream while frames are verified, and while they are not.
 
@@ -73,7 +67,6 @@ def beside_verifier(
         frames: How many.
         bundle: To run; None for the shipped one.
         mode: "always" or "idle".
-        more: Further words of ``eitskin run``.
         phase_s: Of a turn.
     """
     from eitskin_tools.demo.recorder import Record
@@ -89,7 +82,7 @@ def beside_verifier(
         children.append(skin)
         port = json.loads(skin.line(skin.out, "{", START_S))["port"]
         words = ["run", f"--port={port}", f"--publish={publish}", f"--control=ipc://{folder}/control", "--json"]
-        words += [f"--verify={mode}", *more] + ([] if bundle is None else [f"--bundle={bundle}"])
+        words += [f"--verify={mode}"] + ([] if bundle is None else [f"--bundle={bundle}"])
         runtime = Child("run", "eitskin_tools.cli", words, folder)
         children.append(runtime)
         runtime.line(runtime.err, "ready ", START_S, children)
@@ -163,25 +156,6 @@ def _verdicts(told: dict[str, Any]) -> dict[str, Any]:
         "checked": checked, "flagged": flagged, "skipped": skipped, "verdicts": len(told["spent_ms"]),
         "spent_ms": quantiles(told["spent_ms"]), "behind_frame_ms": quantiles(told["behind_ms"]),
     }  # fmt: skip
-
-
-def text(found: dict[str, Any]) -> str:
-    """Return the result for people."""
-    lines = [f"{found['rate_hz']:g} frames/s, {found['lost']} lost; wire to subscriber, us, p50 / p99:"]
-    for name in ("without", "with"):
-        one = found[name]
-        alone = one["latency_inferred_us"] or {"p50": 0.0, "p99": 0.0}
-        lines.append(
-            f"  {name:8}{one['latency_us']['p50']:8.0f} / {one['latency_us']['p99']:.0f} of {one['frames']} frames; "
-            f"a solver ran for {one['inferred']}: {alone['p50']:.0f} / {alone['p99']:.0f}"
-        )
-    ratio, verdicts = found["ratio"], found["verifier"]
-    lines.append("  with over without: " + ", ".join(f"{of} {values}" for of, values in ratio.items()))
-    lines.append(
-        f"  {verdicts['verdicts']} verdicts, ms {verdicts['spent_ms']}, behind the frame, ms "
-        f"{verdicts['behind_frame_ms']}; {verdicts['skipped']} frames skipped, {verdicts['flagged']} flagged"
-    )
-    return "\n".join(lines)
 
 
 def take_turns(endpoint: str, phase_s: float, path: Path) -> None:

@@ -14,7 +14,6 @@ def test_skips_are_flat_rows_with_the_time_of_each_way() -> None:
     us = {"with": {"cpu_mean": 2.0, "cpu_p50": 1.9}, "without": {"cpu_mean": 8.0, "cpu_p50": 7.9}}
     skips = {
         "untouched": {"us": us, "cpu_saved_us": 6.0, "cpu_left": 0.25},
-        "idle": {"drives": [0, 4], "false_alarm_rate": 0.1},
     }
     rows = skip.flat_rows(skips)
     assert is_flat(rows)

@@ -5,21 +5,12 @@ import numpy as np
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.shapes import Ellipse
-from eitskin_tools.bench.verify import LEVELS, matched, of_rows
+from eitskin_tools.bench.verify import LEVELS, matched
 from eitskin_tools.bench.verify_conditions import (
     across,
     conditions,
     paper_like,
 )
-
-UNITS = {"what": "1 to 6 units, N2", "p_values": [0.2, 0.6]}
-
-
-def test_p_is_counted_where_nothing_but_the_scan_is_off() -> None:
-    rows = of_rows([UNITS, {**UNITS, "what": "contacts x3"}])
-    assert len(rows) == len(LEVELS)
-    assert {row["what"] for row in rows} == {"p, 1 to 6 units, N2, scanned"}
-    assert next(row["found"] for row in rows if row["stated"] == 0.5) == 0.5
 
 
 def test_p_keeps_its_word_where_the_model_is_right() -> None:

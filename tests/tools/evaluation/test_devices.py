@@ -87,7 +87,6 @@ def test_the_shipped_list_is_one():
     ("more", "said"),
     [
         (["--reference", "post"], "--reference post"),
-        (["--prediction", "true"], "untouched voltages"),
     ],
 )
 def test_what_cannot_be_run_is_one_line(tmp_path, capsys, more, said):

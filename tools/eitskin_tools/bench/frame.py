@@ -25,7 +25,7 @@ from eitskin.model.geometry import GeometryGraph
 from eitskin.model.manifest import GENTLE
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import network_input
-from eitskin_tools.bench.harness import machine, paced, say
+from eitskin_tools.bench.harness import machine, paced, row_text, say
 from eitskin_tools.bench.line_floor import floor_ns
 from eitskin_tools.command_line import files
 from eitskin_tools.demo.score import percentiles_us, timing
@@ -82,8 +82,18 @@ def run(arguments: argparse.Namespace) -> int:
     found = {**first, "streams": streams, **inference(arguments.bundle, arguments.calls), "machine": machine()}
     if arguments.json:
         print(json.dumps(found))
-    else:
-        _print(found)
+        return 0
+    for rate, one in streams.items():
+        spans = {key: one[key]["p50"] for key in ("latency_us", "latency_inferred_us", "line_us") if one[key]}
+        print(row_text({"what": f"{rate} frames/s, p50", "frames": one["frames"], "lost": one["lost"], **spans}))
+        print(
+            row_text({"what": "  stages, p50 us", **{name: us["p50"] for name, us in one["stages_us"].items() if us}})
+        )
+    for name, times in found["inference_us"].items():
+        spans = {kind: us["p50"] for kind, us in times.items()}
+        print(row_text({"what": f"{name}, p50 us", **spans, "times_ours": found["ratios"][name]}))
+    for name, reason in found["missing"].items():
+        print(f"{name} was left out: {reason}")
     return 0
 
 
@@ -249,27 +259,3 @@ def _torch(bundle: Bundle, buffers: Buffers) -> Infer:
             return model(dv, cloud, None, predicted)  # a tensor
 
     return infer
-
-
-def _print(found: dict[str, Any]) -> None:
-    for rate, result in found["streams"].items():
-        latency = "  ".join(f"{name} {value:.0f}" for name, value in result["latency_us"].items())
-        stages = ", ".join(f"{name} {us['p50']:.0f}/{us['p99']:.0f}" for name, us in result["stages_us"].items() if us)
-        print(f"{rate} frames/s, {result['frames']} frames, {result['lost']} lost; wire to subscriber, us: {latency}")
-        alone = "  ".join(f"{name} {value:.0f}" for name, value in result["latency_inferred_us"].items())
-        print(f"  the {result['inferred']} that a solver ran for (the others untouched or unchanged), us: {alone}")
-        line = "  ".join(f"{name} {value:.0f}" for name, value in result["line_us"].items())
-        print(f"  the bare line and socket, us: {line}; beyond it p50 {result['over_line_us']['p50']:.0f}")
-        print(f"  stages, us p50/p99: {stages}")
-        behind, left = (result["runtime"][name] for name in ("behind_us", "left_us"))
-        told, rest = (f"{behind[name]['p50']:.0f}/{behind[name]['p99']:.0f}" for name in ("streams", "rest"))
-        print(f"  behind publishing, us p50/p99: streams {told}, rest {rest}; left before the next frame: "
-              f"p50 {left['p50']:.0f}, p1 {left['p1']:.0f}")  # fmt: skip
-        print(f"  CPU of the runtime, us a frame: {result['runtime']['cpu_us_per_frame']}")
-    print(f"{'inference, us':24}{'paced p50':>10}{'p99':>9}{'warm p50':>10}{'its CPU':>9}{'times ours':>12}")
-    for name, times in found["inference_us"].items():
-        print(f"{name:24}{times['paced']['p50']:10.0f}{times['paced']['p99']:9.0f}{times['warm']['p50']:10.0f}"
-              f"{times['warm_cpu']['p50']:9.0f}{found['ratios'][name]:12.2f}")  # fmt: skip
-    for name, reason in found["missing"].items():
-        print(f"{name} was left out: {reason}")
-    print(f"on {found['machine']['cpu']}, {found['machine']['cores']} cores, load {found['machine']['load_1min']}")

@@ -1,15 +1,12 @@
-"""``eitskin bench skip``: for each skip of the frame loop, the CPU time that it saves and the error that it makes.
+"""``eitskin bench skip``: the CPU time that a skip of the frame loop saves.
 
 ::
 
-    skip       what is skipped                       error
-    untouched  inference, while nothing touches      false alarms and misses
-    unchanged  inference, while only noise changes   likeness to the map that was not computed
-    idle       most drives of the device             false alarms and misses, and the soonest full frame
+    untouched  inference, while nothing touches; a bundle without a gate has no such row
+    unchanged  inference, while only noise changes; also how like the kept map is to the one that was not computed
 
 Costs are thread CPU times of the runtime's own pipeline with and without the skip, in turns in one run. Making a
-frame's payload is not counted. False alarms and misses are those that the bundle's manifest states, measured at
-deformations that its gate had not seen. ``missing`` names the skips that the bundle does not have, with the reason.
+frame's payload is not counted.
 """
 
 import argparse
@@ -25,12 +22,9 @@ from eitskin.health.monitor import health_of
 from eitskin.model.bundle import Bundle, load_bundle
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
-from eitskin.pipeline.idle import PREFIX
 from eitskin.reference.captured import Reference
-from eitskin_proto.wire import config_toml
 from eitskin_proto.wire.frames import Frame
 from eitskin_proto.wire.messages import Hello
-from eitskin_proto.wire.scan_rows import drive_count, drives_to_list, table_rows
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.measurement.noise import add_noise
@@ -58,8 +52,6 @@ FULL_SCALE: Final = 2**23 - 1
 
 REFERENCE_FRAMES: Final = 100
 
-RATES: Final = ("false_alarm_rate", "false_alarm_interval_95", "missed_rate", "missed_small_rate")
-"""What a bundle's manifest states of its gates."""
 
 Array = npt.NDArray[np.float64]
 
@@ -81,21 +73,8 @@ def run(arguments: argparse.Namespace) -> int:
     say("skip", "solving what the pipelines are shown")
     shown = Material.of(rng)
     say("skip", "what each skip saves")
-    skips, missing = costs(bundle, shown, arguments.frames), dict[str, str]()
-    arrays = bundle.gate_arrays()
-    if arrays is None:
-        missing["untouched"] = "this bundle has no gate"
-    if arrays is None or f"{PREFIX}drives" not in arrays:
-        missing["idle"] = "this bundle has no idle gate"
-    else:
-        skips["idle"] = idle(arrays)
-    rates = bundle.manifest.get("gate") or {}
-    for name, stated in (("untouched", rates), ("idle", rates.get("idle") or {})):
-        if name in skips:
-            skips[name] |= {key: stated[key] for key in RATES if key in stated}
-    for name, reason in missing.items():
-        say("skip", f"{name}: {reason}")
-    more = {"skips": skips, "missing": missing, "bundle": bundle.id, "machine": machine()}
+    skips = costs(bundle, shown, arguments.frames)
+    more = {"skips": skips, "bundle": bundle.id, "machine": machine()}
     return report(arguments, flat_rows(skips), summary(skips), **more)
 
 
@@ -104,8 +83,8 @@ def flat_rows(skips: Mapping[str, Row]) -> list[Row]:
     return [
         {
             "what": name,
-            **{key: value for key, value in row.items() if isinstance(value, int | float | str)},
-            **{f"{way}_us": times["cpu_mean"] for way, times in row.get("us", {}).items()},
+            **{key: value for key, value in row.items() if isinstance(value, int | float)},
+            **{f"{way}_us": times["cpu_mean"] for way, times in row["us"].items()},
         }
         for name, row in skips.items()
     ]
@@ -113,7 +92,7 @@ def flat_rows(skips: Mapping[str, Row]) -> list[Row]:
 
 def summary(skips: Mapping[str, Row]) -> dict[str, float]:
     """Return which share of a frame's CPU time each skip leaves."""
-    return {f"{name}_cpu_left": row["cpu_left"] for name, row in skips.items() if "cpu_left" in row}
+    return {f"{name}_cpu_left": row["cpu_left"] for name, row in skips.items()}
 
 
 class Frames:
@@ -311,23 +290,3 @@ def unchanged(bundle: Bundle, frames: Frames, resting_V: Array, changed_V: Array
     row["cc_with_computed_map"] = {"mean": float(np.mean(likeness)), "least": float(np.min(likeness))}
     row["frames_until_change_is_seen"] = int(late[0]) if len(late) else None
     return row
-
-
-def idle(arrays: Mapping[str, Any]) -> Row:
-    """Return the row of idle acquisition: its drives and times of a scan.
-
-    Args:
-        arrays: Of the bundle's gates.
-    """
-    drives = int(np.asarray(arrays[f"{PREFIX}drives"]).reshape(-1)[0])
-    configuration = config_toml.load("paper")
-    whole_us, idle_us = configuration.scan_us(), configuration.scan_us(drives)
-    idle_ms = 1e6 / configuration.idle_rate_mHz
-    return {
-        "drives": drives_to_list(drives),
-        "rows": len(table_rows(False, drives)),
-        "drives_of_a_whole_scan": drive_count(False, configuration.drives),
-        "largest_rate_gain": round(whole_us / idle_us, 2),
-        "soonest_full_frame_mean_ms": round(idle_ms / 2 + (idle_us + whole_us) / 1000, 2),
-        "soonest_full_frame_largest_ms": round(idle_ms + (idle_us + whole_us) / 1000, 2),
-    }

@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
             rows.append(measured(condition, arguments.deformations, arguments.each))
             _say(row_text(rows[-1]), start)
     summary = {key: sum(row[key] for row in rows) for key in ("maps", "wrong", "wrong_unflagged")}
-    return report(arguments, rows + _calibration(arguments, rows), summary)
+    return report(arguments, rows + _calibration(arguments), summary)
 
 
 def _chosen(only: list[str] | None) -> set[str]:
@@ -97,12 +97,12 @@ def _chosen(only: list[str] | None) -> set[str]:
     return found
 
 
-def _calibration(arguments: argparse.Namespace, rows: list[Row]) -> list[Row]:
+def _calibration(arguments: argparse.Namespace) -> list[Row]:
     """Return the calibration of p; no rows unless it was asked for."""
     if CALIBRATION not in _chosen(arguments.only) or not arguments.sets:
         return []
     start = time.process_time()
-    stated = matched(arguments.sets) + of_rows(rows)
+    stated = matched(arguments.sets)
     _say(CALIBRATION, start)
     return stated
 
@@ -177,7 +177,6 @@ def _counted(judged: list[Judged], labels: Labels) -> Row:
         "cpu_ms_median": float(np.median(cpu)),
         "cpu_ms_p95": float(np.percentile(cpu, 95)),
         "setup_ms_median": float(np.median(setup)) if setup else 0.0,
-        "p_values": [one.verdict.p_value for one, exact in zip(verdicts, right, strict=True) if exact],
     }
 
 
@@ -230,15 +229,6 @@ def matched(sets: int) -> list[Row]:
                 p.append(p_value(float(white.chi_squared(read - change)), len(flat)))
         rows += _below_levels(f"p, matched model, {law}", p)
     return rows
-
-
-def of_rows(rows: list[Row]) -> list[Row]:
-    """Return the same of the right answers of rows in which nothing but the scan's noise is off."""
-    found = []
-    for row in rows:
-        if row["what"].startswith("1 to 6 units") and row["p_values"]:
-            found += _below_levels(f"p, {row['what']}, scanned", row["p_values"])
-    return found
 
 
 def _below_levels(what: str, p_values: list[float]) -> list[Row]:

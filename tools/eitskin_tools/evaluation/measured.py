@@ -67,9 +67,10 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
         ValueError: The request needs the untouched, bent sheet, which was not measured.
         BundleError: The bundle cannot be used.
     """
-    if request.reference == "post" or request.prediction == "true":
-        asked = "--reference post" if request.reference == "post" else "--prediction true"
-        raise ValueError(f"{asked} needs the untouched voltages at every shape, which a measured file does not have")
+    if request.reference == "post":
+        raise ValueError(
+            "--reference post needs the untouched voltages at every shape, which a measured file does not have"
+        )
     classical = not is_deployed(request)
     reference: Reference = request.reference or ("predicted" if classical else "pre")
     kind, skin = touches_of(measured), measured.skin

@@ -122,8 +122,8 @@ def add_arguments(parser: Parser) -> None:
     group = parser.add_more("ablations")
     group.add_argument(
         "--prediction",
-        choices=("scan", "none", "true"),
-        help="the network's second input: V_pred of the scan, nothing, or the true untouched voltages (default: scan)",
+        choices=("scan", "none"),
+        help="the network's second input: V_pred of the scan, or nothing (default: scan)",
     )
     group.add_argument(
         "--cloud",

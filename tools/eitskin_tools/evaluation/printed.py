@@ -16,7 +16,7 @@ PAPER_CC: Final = {
 
 def print_report(found: dict[str, Any]) -> None:
     """Print the verdict, and the scores of phantoms beside the paper's where they are the paper's."""
-    besides = {"scan": " and V_pred", "true": " and the true untouched voltages"}.get(found["prediction"], "")
+    besides = " and V_pred" if found["prediction"] == "scan" else ""
     paper = PAPER_CC.get(found["solver"].split("-")[0]) if len(found["phantoms"]) == len(PAPER_CC["vd2t"]) else None
     mean, count = found["mean"], len(found["phantoms"])
     verdict = f"{found['solver']}: all touches right in {mean['exact']:.0%} of the maps of {count} phantoms"

@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from eitskin_sim.verification.residual import Noise
     from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork
 
-Prediction = Literal["scan", "none", "true"]
-"""What a head's second input is: V_pred of the cloud, nothing, or the true untouched voltages, which no robot has."""
+Prediction = Literal["scan", "none"]
+"""What a head's second input is: V_pred of the cloud, or nothing."""
 
 NETWORK: Final = "vd2t"
 """The solver of most bundles."""
@@ -211,8 +211,6 @@ def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> N
             predicted = None
             if prediction == "scan":
                 predicted = log_ratio(case.sheet.predicted(), flat_voltages(case.sheet.skin))
-            elif prediction == "true":
-                predicted = log_ratio(case.sheet.untouched, case.flat_reference)
             shown[:] = [case.sheet, shown[1] + 1]
             buffers.use_geometry(graph.geometry(case.sheet.cloud_mm, predicted, shown[1]))
         buffers.change[0] = relative_change(case.voltages, case.flat_reference)
@@ -255,7 +253,7 @@ def _check_reference(request: Request, path: str, *, takes_prediction: bool) -> 
     if request.reference == "post":
         raise ValueError(
             f"{request.name} takes the reference before the deformation, by design; found --reference post: say "
-            "--reference pre; --prediction true shows it the post-deformation voltages as its second input"
+            "--reference pre"
         )
     if request.reference == "predicted" and not (takes_prediction and request.prediction == "scan"):
         why = "its head has no V_pred input" if not takes_prediction else f"--prediction is {request.prediction}"
