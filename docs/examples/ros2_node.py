@@ -3,7 +3,8 @@
     python docs/examples/ros2_node.py
     python docs/examples/ros2_node.py --ros-args -p endpoint:=ipc:///run/user/1000/eitskin/frames -p frame_id:=forearm
 
-/eitskin/touches   sensor_msgs/PointCloud2   one point per touch: x y z nx ny nz area peak id; empty without touches
+/eitskin/touches   sensor_msgs/PointCloud2   one point per touch: x y z nx ny nz area peak error_x error_y amplitude
+                                             log_likelihood_ratio id; empty without touches
 /eitskin/map       sensor_msgs/Image         32FC1, if the topic has a subscriber; row 0 is y = 0
 
 frame_id names the frame in which clouds are sent; without clouds, the flat sheet's, with its corner at the origin. The
@@ -24,7 +25,7 @@ from std_msgs.msg import Header
 
 import eitskin
 
-NUMBERS = ("x", "y", "z", "nx", "ny", "nz", "area", "peak")
+NUMBERS = ("x", "y", "z", "nx", "ny", "nz", "area", "peak", "error_x", "error_y", "amplitude", "log_likelihood_ratio")
 POINT = np.dtype([(name, "<f4") for name in NUMBERS] + [("id", "<u4")])
 
 
@@ -50,6 +51,10 @@ class Skin(Node):
             point["x"], point["y"], point["z"] = np.divide(touch.place_mm, 1e3)
             point["nx"], point["ny"], point["nz"] = touch.normal
             point["area"], point["peak"], point["id"] = 1e-6 * touch.area_mm2, touch.peak, touch.id
+            doubts = (*(touch.error_mm or (None, None)), touch.amplitude, touch.log_likelihood_ratio)  # if taught
+            for name, value in zip(NUMBERS[-4:], doubts, strict=True):
+                point[name] = np.nan if value is None else value
+            point["error_x"], point["error_y"] = 1e-3 * point["error_x"], 1e-3 * point["error_y"]
         cloud = PointCloud2(header=header, height=1, width=len(points), fields=self.fields, is_dense=True)
         cloud.point_step, cloud.row_step = POINT.itemsize, points.nbytes
         cloud.data = array("B", points.tobytes())

@@ -46,8 +46,7 @@ from eitskin_proto.wire.messages import Event
 from eitskin_proto.wire.volts import SCANS, is_signed
 
 GIVE_WAY_S: Final = 0.001
-"""The least that ports wait, which count in milliseconds; several times what a subscriber takes to have its frame
-(``deliver`` of ``tools/studies/recording.py``)."""
+"""The least that ports wait, which count in milliseconds; several times what a subscriber takes to have its frame."""
 
 
 class DeferredWork:

@@ -1,4 +1,4 @@
-"""Recordings, damaged in their bytes, or written again with other contents in their messages.
+"""Recordings: damaged in their bytes, written again with other contents in their messages, or well-formed and hostile.
 
 The name of a damaged file says which command reads it; the whole one is read by each.
 """
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 import msgpack
-import numpy as np
+from tests.tools.recording.hostile.files import KINDS, Honest
 
 from . import mutations
 from .samples import TINY, commanded
@@ -21,7 +21,7 @@ LARGEST_NS: Final = 2**64 - 1
 COMMANDS: Final[dict[str, tuple[str, ...]]] = {
     "replay": ("--bundle", str(TINY), "--as-fast-as-possible", "--publish", "ipc://{0}/f", "--control", "ipc://{0}/c"),
     "reinfer": ("--bundle", str(TINY), "--out", "{0}/maps.npz", "--quiet"),
-    "convert": ("--out", "{0}/out.npz"),
+    "convert": ("--bundle", str(TINY), "--out", "{0}/out.npz"),
     "evaluate": ("--solver", "tikhonov", "--bundle", str(TINY), "--measured"),
     "doctor": ("--electrodes", "--recorded"),
     "view": (),
@@ -71,10 +71,12 @@ def make(folder: Path, rng: random.Random | None) -> tuple[Path, str]:
     if rng is None:
         path.write_bytes(_whole())
         return path, "whole"
-    how = rng.choice(("bytes", "messages"))
+    how = rng.choice(("bytes", "messages", rng.choice(list(KINDS))))
     path.write_bytes(mutations.bent(_whole(), rng) if how == "bytes" else _whole())
     if how == "messages":
         _rewrite(path, rng)
+    elif how in KINDS:
+        path.write_bytes(KINDS[how](Honest(path), rng))
     return path, f"{name}, {how}"
 
 
@@ -106,7 +108,7 @@ def _body(data: bytes, rng: random.Random) -> bytes:
     if rng.random() < 0.08:
         del fields[key]
     elif isinstance(value, bytes) and rng.random() < 0.8:
-        fields[key] = _array(value, rng)
+        fields[key] = mutations.bent(value, rng)[:200_000]
     elif isinstance(value, int | float) and not isinstance(value, bool) and rng.random() < 0.5:
         fields[key] = rng.choice((0, -1, 1, 2, 2**31, 2**53, 2**63, LARGEST_NS, value + 1, 1e300, -0.5, float("nan")))
     else:
@@ -115,18 +117,3 @@ def _body(data: bytes, rng: random.Random) -> bytes:
         return bytes(msgpack.packb(fields))
     except (OverflowError, UnicodeEncodeError):  # what MessagePack cannot hold
         return bytes(msgpack.packb({**fields, key: None}))
-
-
-def _array(data: bytes, rng: random.Random) -> bytes:
-    """Return bytes of numbers or of the wire with others in some places, or of another length."""
-    how, found = rng.random(), bytearray(data)
-    if how < 0.3 or len(data) < 8:
-        return mutations.bent(data, rng)[:200_000]
-    if how < 0.6:
-        found[rng.randrange(min(40, len(found)))] = rng.choice((0, 1, 127, 128, 255))
-        return bytes(found)
-    values = np.frombuffer(data[: len(data) // 8 * 8], dtype=rng.choice(("<f4", "<f8"))).copy()
-    hostile = rng.choice((np.nan, np.inf, 0.0, -1.0, 1e-40, 1e30, -1e30, 1e38, 5e-324, 1e300))
-    with np.errstate(all="ignore"):
-        values[rng.choice((slice(None), rng.randrange(len(values))))] = hostile
-    return values.tobytes() + data[len(values) * values.itemsize :]

@@ -9,6 +9,7 @@ import pytest
 
 import eitskin
 from eitskin.messaging.frame import Frame, unpack_frame
+from eitskin.messaging.frame_message import Demand
 from eitskin.messaging.streams import envelope
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
 from eitskin.messaging.streams.publisher import StreamPublisher
@@ -66,7 +67,7 @@ def reference(stretch: float = 1.0) -> Reference:
 class Taker:
     """Takes messages of frames and of streams in this process, as their subscribers get them."""
 
-    wanted, short = True, False
+    wanted, short, asked = True, False, Demand()
 
     def __init__(self) -> None:
         self.items: list[Any] = []
@@ -94,12 +95,18 @@ def play(path: Path, bundle: Path = TINY, **options: Any) -> list[Any]:
 
 
 def measured(
-    frames: int = 150, steps: list[Step] | None = None, *, reference_at: int | None = None, **options: Any
+    frames: int = 150,
+    steps: list[Step] | None = None,
+    *,
+    reference_at: int | None = None,
+    touches: bool = False,
+    **options: Any,
 ) -> list[Any]:
     """Return what streams and frames say of a played skin that gets a cloud after a while, and maybe a reference."""
     steps = scans(frames) if steps is None else steps
     line = RecordedLine("test", hello(), lambda: iter(steps), paced=False)
     taker = Taker()
+    taker.asked = Demand(touches=touches)
     with eitskin.Skin(line, bundle=load_bundle(TINY), reference=reference(), **options) as skin:
         line.ended = skin.stop
         volts = counts() * VOLTS

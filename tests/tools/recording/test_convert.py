@@ -14,15 +14,23 @@ import pytest
 from eitskin import Frame
 from eitskin.messaging.streams.measured import WireFrame
 from eitskin.messaging.streams.state import SkinState
+from eitskin.model.bundle import load_bundle
 from eitskin.reference.captured import stored
 from eitskin_tools import cli
-from eitskin_tools.recording.convert import table_of, write_npz, write_parquet
+from eitskin_tools.recording.convert import Table, table_of, write_npz, write_parquet
+from eitskin_tools.recording.frames import RecordedFrames
 from eitskin_tools.recording.layout import CLOUD as CLOUDS
 from eitskin_tools.recording.layout import MAP, STATE
 from eitskin_tools.recording.recorder import RecorderOptions
 from eitskin_tools.recording.script import Script, Step
 
-from .conftest import CLOUD, PERIOD_NS, VOLTS, measured, recorded, reference, scans
+from .conftest import CLOUD, PERIOD_NS, TINY, VOLTS, measured, recorded, reference, scans
+
+
+@pytest.fixture(scope="module")
+def items() -> list[Any]:
+    """What streams and frames say, with the touches."""
+    return measured(skip_unchanged=True, touches=True)
 
 
 @pytest.fixture
@@ -31,13 +39,25 @@ def with_maps(tmp_path: Path, items: list[Any]) -> Path:
     return tmp_path / "maps.mcap"
 
 
+def computed(script: Script) -> tuple[Table, RecordedFrames]:
+    """Return a recording as arrays with touches, and what computes these."""
+    frames = RecordedFrames(script, load_bundle(TINY))
+    return table_of(script, None, None, frames), frames
+
+
+def published(items: list[Any], name: str) -> list[Any]:
+    """Return a field of each touch that was published, with NaN for None."""
+    found = [getattr(touch, name) for item in items if isinstance(item, Frame) for touch in item.touches]
+    return [np.nan if value is None else value for value in found]
+
+
 def volts() -> np.ndarray:
     return np.array([np.frombuffer(step.frame.payload, "<i4", 104, 20) * VOLTS for step in scans(150)])
 
 
 def test_npz_has_what_was_measured_and_published(with_maps: Path, items: list[Any], tmp_path: Path) -> None:
     script = Script(with_maps)
-    write_npz(tmp_path / "a.npz", table_of(script), script)
+    write_npz(tmp_path / "a.npz", computed(script)[0], script)
     with np.load(tmp_path / "a.npz") as found:
         np.testing.assert_allclose(found["voltages_V"], volts(), rtol=1e-12)
         frames = [item for item in items if isinstance(item, Frame)]
@@ -47,6 +67,12 @@ def test_npz_has_what_was_measured_and_published(with_maps: Path, items: list[An
         assert found["cloud_mm"][index[-1]].tobytes() == CLOUD.astype("<f4").tobytes()
         assert index.tolist() == sorted(index.tolist())
         assert str(found["serial"]) == "TEST-1"
+        rows = [row for row, frame in enumerate(frames) for _ in frame.touches]
+        assert found["touch_row"].tolist() == rows
+        assert len(rows) > 20
+        for name in ("id", "parent", "centre_mm", "peak", "place_mm", "normal", "confidence", "amplitude"):
+            np.testing.assert_allclose(found[f"touch_{name}"], published(items, name), rtol=1e-5, atol=1e-5)
+        assert np.isnan(found["touch_error_mm"]).all(), "the bundle was not taught"
 
 
 def twice() -> list[Step]:
@@ -78,7 +104,7 @@ def test_evaluate_measured_reads_npz_and_recordings_alike(with_maps: Path, tmp_p
     from eitskin_tools.evaluation.measured_file import load_measured
 
     script = Script(with_maps)
-    write_npz(tmp_path / "a.npz", table_of(script), script)
+    write_npz(tmp_path / "a.npz", computed(script)[0], script)
     one, other = load_measured(tmp_path / "a.npz"), load_measured(with_maps)
     assert one.voltages_V.tobytes() == other.voltages_V.tobytes()
     assert one.clouds_mm.tobytes() == other.clouds_mm.tobytes()
@@ -87,10 +113,10 @@ def test_evaluate_measured_reads_npz_and_recordings_alike(with_maps: Path, tmp_p
 
 
 @pytest.mark.slow  # its package comes with the slow tests
-def test_parquet_has_the_same(with_maps: Path, tmp_path: Path) -> None:
+def test_parquet_has_the_same(with_maps: Path, items: list[Any], tmp_path: Path) -> None:
     pq = pytest.importorskip("pyarrow.parquet", reason="extra: parquet")
     script = Script(with_maps)
-    table = table_of(script)
+    table, _ = computed(script)
     write_parquet(tmp_path / "a.parquet", table, script)
     found = pq.read_table(tmp_path / "a.parquet")
     assert found.num_rows == 150
@@ -102,10 +128,18 @@ def test_parquet_has_the_same(with_maps: Path, tmp_path: Path) -> None:
     assert np.array([clouds[k] for k in sorted(clouds)], np.float32).tobytes() == table.clouds_mm.tobytes()
     assert found["cloud_mm"].null_count == 150 - len(table.clouds_mm)
     assert found.schema.metadata[b"serial"] == b"TEST-1"
+    touches = found["touches"].to_pylist()
+    assert [len(some) for some in touches] == [len(frame.touches) for frame in items if isinstance(frame, Frame)]
+    assert [one["id"] for some in touches for one in some] == published(items, "id")
+    places = [one["place_mm"] for some in touches for one in some]
+    np.testing.assert_allclose(places, published(items, "place_mm"), rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.slow  # the same
-def test_rosbag2_has_standard_messages_that_are_the_same(with_maps: Path, items: list[Any], tmp_path: Path) -> None:
+@pytest.mark.parametrize(("version", "storage"), [(8, "sqlite3"), (9, "mcap")])
+def test_rosbag2_has_standard_messages_that_are_the_same(
+    with_maps: Path, items: list[Any], tmp_path: Path, version: int, storage: str
+) -> None:
     pytest.importorskip("rosbags", reason="extra: ros")
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
@@ -113,8 +147,11 @@ def test_rosbag2_has_standard_messages_that_are_the_same(with_maps: Path, items:
     from eitskin_tools.recording.convert import write_rosbag
 
     script, store = Script(with_maps), get_typestore(Stores.ROS2_JAZZY)
-    count = write_rosbag(tmp_path / "bag", script)
-    rows, clouds, maps = [], [], []
+    count = write_rosbag(tmp_path / "bag", script, frames=computed(script)[1], version=version)
+    said = (tmp_path / "bag" / "metadata.yaml").read_text()
+    assert f"version: {version}\n" in said
+    assert f"storage_identifier: {storage}\n" in said
+    rows, clouds, maps, points = [], [], [], []
     with Reader(tmp_path / "bag") as bag:
         assert bag.message_count == count
         for connection, _, raw in bag.messages():
@@ -123,8 +160,18 @@ def test_rosbag2_has_standard_messages_that_are_the_same(with_maps: Path, items:
                 rows.append(np.frombuffer(message.data.tobytes(), "<f8"))
             elif connection.topic == "/eitskin/surface":
                 clouds.append(np.frombuffer(message.data.tobytes(), "<f4").reshape(-1, 3))
+            elif connection.topic == "/eitskin/touches":
+                kind = [(field.name, {6: "<u4", 7: "<f4"}[field.datatype]) for field in message.fields]
+                points.append(np.frombuffer(message.data.tobytes(), kind))
             elif connection.topic == "/eitskin/map":
                 maps.append((message.height, message.width, message.data.tobytes()))
+    assert [len(some) for some in points] == [len(frame.touches) for frame in items if isinstance(frame, Frame)]
+    touches = np.concatenate(points)
+    assert touches["id"].tolist() == published(items, "id")
+    places = np.stack([touches[name] for name in "xyz"], axis=-1)
+    np.testing.assert_allclose(1e3 * places, published(items, "place_mm"), rtol=1e-5)
+    np.testing.assert_allclose(1e6 * touches["area"], published(items, "area_mm2"), rtol=1e-5)
+    assert np.isnan(touches["amplitude"]).all()
     np.testing.assert_allclose(np.array(rows), volts(), rtol=1e-12)
     np.testing.assert_allclose(clouds[-1].T.reshape(3, 30, 45) * 1e3, CLOUD, rtol=1e-5, atol=1e-4)
     known = {frame.map.tobytes() for frame in items if isinstance(frame, Frame)}
@@ -174,7 +221,7 @@ def test_a_part_is_converted_by_the_command_line_and_a_folder_that_is_there_stay
     steps = list(script.steps())
     begin_ns, end_ns = ((steps[at].log_ns + steps[at + 1].log_ns) // 2 for at in (39, 99))
     span = [f"{1e-9 * (at_ns - script.first_ns):.9f}" for at_ns in (begin_ns, end_ns)]
-    words = ["convert", str(with_maps), "--from", span[0], "--to", span[1], "--json", "--out"]
+    words = ["convert", str(with_maps), "--bundle", str(TINY), "--from", span[0], "--to", span[1], "--json", "--out"]
     assert cli.main([*words, str(out)]) == 0
     said, err = capsys.readouterr()
     assert err == ""
@@ -187,7 +234,8 @@ def test_a_part_is_converted_by_the_command_line_and_a_folder_that_is_there_stay
         topics = Counter(one.topic for one in script.recording.entries() if begin_ns <= one.log_ns <= end_ns)
         maps = topics[MAP.topic]
         assert in_bag(out) == {  # and of surfaces and states the one that held at the beginning
-            "voltages": 60, "map": maps, "surface": 1 + topics[CLOUDS.topic], "state": 1 + topics[STATE.topic],
+            "touches": 60, "voltages": 60, "map": maps, "surface": 1 + topics[CLOUDS.topic],
+            "state": 1 + topics[STATE.topic],
         }  # fmt: skip
         assert found["messages"] == sum(in_bag(out).values())
         assert 0 < maps < 60

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 import eitskin
-from eitskin import Frame, WireFrame
+from eitskin import Frame
 from eitskin.acquisition.device import Device
 from eitskin_proto.wire.frames import HEADER
 from eitskin_tools.recording.replay import RecordedLine
-from eitskin_tools.recording.script import Script
 
-from .conftest import TINY, Taker, hello, play, recorded, reference, scans
+from .conftest import TINY, Taker, hello, play, reference, scans
 
 
 def test_it_answers_the_handshake_and_sends_what_was_recorded_in_order() -> None:
@@ -85,20 +84,3 @@ def test_a_program_sees_what_it_saw_then(file: Path, items: list[Any]) -> None:
         assert one.map.tobytes() == other.map.tobytes()
         assert one.serial_number == other.serial_number
     assert [one.events for one in again] == [one.events for one in then]
-
-
-def test_a_part_is_played(file: Path) -> None:
-    script = Script(file)
-    half = script.seconds / 2
-    frames = [item for item in play(file, from_s=half) if isinstance(item, WireFrame)]
-    assert 0 < len(frames) < script.frames
-    assert frames[-1].seq == 249
-
-
-def test_what_is_played_can_be_recorded_and_is_the_same(file: Path, tmp_path: Path) -> None:
-    recorded(tmp_path / "b.mcap", play(file))
-    one, two = (list(Script(path).steps()) for path in (file, tmp_path / "b.mcap"))
-    assert [step.frame.payload for step in one] == [step.frame.payload for step in two]
-    assert [step.cloud and step.cloud.cloud.tobytes() for step in one] == [
-        step.cloud and step.cloud.cloud.tobytes() for step in two
-    ]

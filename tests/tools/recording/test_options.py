@@ -24,19 +24,6 @@ def test_a_part_that_no_recording_has_is_refused(words: list[str], option: str, 
     assert f"{option} is {found}, expected 0 or more seconds after the first frame\n" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("found", ["0", "1e-09", "nan"])
-def test_a_pace_at_which_nothing_would_come_is_refused(found: str, capsys: Capture) -> None:
-    assert cli.main(["replay", "a.mcap", "--speed", found]) == 2
-    assert f"--speed is {found}, expected 0.001 to 1e+06\n" in capsys.readouterr().err
-
-
-def test_replay_takes_one_pace_only(file: Path, capsys: Capture) -> None:
-    with pytest.raises(SystemExit) as ended:
-        cli.main(["replay", str(file), "--speed", "2", "--as-fast-as-possible"])
-    assert ended.value.code == 2
-    assert "not allowed with" in capsys.readouterr().err
-
-
 @pytest.mark.process
 @pytest.mark.parametrize("pace", [["--as-fast-as-possible"], ["--speed", "1000"]])
 def test_a_part_is_played_to_its_end_and_the_program_ends(file: Path, tmp_path: Path, pace: list[str]) -> None:
@@ -98,17 +85,3 @@ def test_reinfer_without_the_bundle_that_ran_says_that_it_compares_with_nothing(
     assert cli.main(words) == 0
     (said,) = capsys.readouterr().out.splitlines()[1:]
     assert said == "not compared: name the bundle of the recording with --recorded-bundle"
-
-
-def test_a_picture_that_cannot_be_written_is_said_before_anything_is_computed(
-    file: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def never(*_: Any, **__: Any) -> None:
-        raise AssertionError("it was computed")
-
-    monkeypatch.setattr("eitskin_tools.recording.reinfer.reinfer", never)
-    picture = tmp_path / "nowhere" / "maps.png"
-    assert cli.main(["reinfer", str(file), "--bundle", str(TINY), "--plot", str(picture)]) != 0
-    said = capsys.readouterr().err
-    assert "nowhere" in said
-    assert said.count("\n") == 1

@@ -12,9 +12,9 @@ from eitskin import Frame, WireFrame
 from eitskin.model.bundle import load_bundle
 from eitskin_tools import cli
 from eitskin_tools.recording.plot import MAPS, Course, course_of
-from eitskin_tools.recording.script import SeekableRecording
+from eitskin_tools.recording.script import Script
 
-from .conftest import TINY, measured, recorded, scans
+from .conftest import TINY, recorded
 
 pytest.importorskip("matplotlib", reason="pictures need the extra 'plot'")
 
@@ -22,7 +22,7 @@ Capture = pytest.CaptureFixture[str]
 
 
 def course(path: Path, *span: float) -> Course:
-    return course_of(SeekableRecording(path), load_bundle(TINY), *span)
+    return course_of(Script(path), load_bundle(TINY), *span)
 
 
 def plot(path: Path, *words: str) -> int:
@@ -33,7 +33,7 @@ def test_a_picture_is_written_and_its_content_said(file: Path, capsys: Capture) 
     assert plot(file, "--quiet") == 0
     found = course(file)
     touched = sum(count > 0 for count in found.touches)
-    seconds, most = SeekableRecording(file).seconds, max(found.touches)
+    seconds, most = Script(file).seconds, max(found.touches)
     said = f"150 frames in {seconds:.1f} s, {touched} of them with touches, at most {most} at once"
     assert capsys.readouterr().out == f"{file.with_suffix('.png')}: {said}\n"
     assert file.with_suffix(".png").read_bytes()[:4] == b"\x89PNG"
@@ -47,7 +47,7 @@ def test_a_picture_is_written_and_its_content_said(file: Path, capsys: Capture) 
 def test_touches_areas_and_drift_are_those_of_the_published_frames(file: Path, items: list[Any]) -> None:
     published, found = [item for item in items if isinstance(item, Frame)], course(file)
     assert len(found.times_s) == len(published)
-    assert (found.times_s[0], found.times_s[-1]) == pytest.approx((0.0, SeekableRecording(file).seconds))
+    assert (found.times_s[0], found.times_s[-1]) == pytest.approx((0.0, Script(file).seconds))
     shown = np.array([frame.map.any() for frame in published])
     areas = np.array(found.areas_mm2)
     assert 20 < (areas > 0).sum() <= shown.sum()
@@ -79,12 +79,6 @@ def test_a_recording_of_the_wire_alone_has_maps_and_says_that_drift_is_missing(
     assert found.strongest
     assert np.isnan(found.drifts_percent).all()
     assert plot(tmp_path / "w.mcap", "--quiet") == 0
-
-
-def test_an_untouched_recording_has_a_picture(tmp_path: Path) -> None:
-    recorded(tmp_path / "u.mcap", measured(steps=scans(90)[:25]))
-    assert course(tmp_path / "u.mcap").strongest == {}
-    assert plot(tmp_path / "u.mcap", "--quiet") == 0
 
 
 def test_a_part_is_drawn_alone_and_one_behind_the_end_is_refused(file: Path, capsys: Capture) -> None:

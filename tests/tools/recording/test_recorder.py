@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.second_skin import SECOND, rolled
 
-from eitskin import CloudInUse, Conditions, Frame, SkinState, WireFrame
+from eitskin import CloudInUse, Frame, SkinState, WireFrame
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.recording import layout, pictures
 from eitskin_tools.recording.codec import digest_of, pack_map, unpack_json, unpack_map
@@ -76,12 +76,6 @@ def test_of_each_published_frame_a_note_says_what_it_was_and_a_digest_which_map(
     assert len({note["digest"] for note in notes}) == len(set(maps.values())) > 2
 
 
-def test_what_is_told_again_is_written_once(tmp_path: Path, items: list[Any]) -> None:
-    twice = [item for one in items for item in ([one, one] if isinstance(one, CloudInUse | Conditions) else [one])]
-    recorded(tmp_path / "a.mcap", twice)
-    assert sum(1 for _ in Recording(tmp_path / "a.mcap").entries({CLOUD.topic})) == 2
-
-
 @pytest.mark.parametrize("every", [1, 4])
 def test_maps_are_kept_where_they_are_asked_for(tmp_path: Path, items: list[Any], every: int) -> None:
     recorded(tmp_path / "a.mcap", items, RecorderOptions(maps=True, every=every))
@@ -106,15 +100,6 @@ def test_a_runtime_that_starts_anew_gets_a_file_of_its_own(tmp_path: Path, items
     assert first.head_text("run") != second.head_text("run")
     assert all(step.known for step in second.steps())
     assert next(second.steps()).reference is not None
-
-
-def test_frames_that_the_recorder_did_not_get_are_counted(tmp_path: Path, items: list[Any]) -> None:
-    wire = of(items, WireFrame)
-    left_out = {wire[20].n, wire[21].n, wire[50].n}
-    recorder = recorded(
-        tmp_path / "a.mcap", [item for item in items if not (isinstance(item, WireFrame) and item.n in left_out)]
-    )
-    assert recorder.missed == 3
 
 
 def test_all_has_the_clock_of_the_frames_though_the_wall_clock_jumps_and_the_recorder_has_another(
@@ -235,6 +220,5 @@ def test_messages_that_make_no_sense_are_counted_and_the_rest_is_read(tmp_path: 
         recorder.record(item)
     recorder.close()
     script = Script(tmp_path / "a.mcap")
-    assert script.malformed == 1
-    assert "make no sense" in script.ending
     assert len(list(script.steps())) == len(of(items, WireFrame))
+    assert script.ending == "; 2 messages make no sense"

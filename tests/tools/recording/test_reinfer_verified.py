@@ -13,7 +13,7 @@ from eitskin_sim.verification.snapped_units import UnitVerdict
 from eitskin_tools import cli
 from eitskin_tools.evaluation.verified import recorded as module
 from eitskin_tools.evaluation.verified.recorded import VerifiedSolver
-from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork
+from eitskin_tools.evaluation.verified.solver import MapVerdict
 from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES
 from eitskin_tools.recording.reinfer import ComputedFrame, Rerun, reinfer, write
 from eitskin_tools.recording.script import Script, Step
@@ -87,41 +87,6 @@ def test_touched_frames_are_given_with_the_cloud_and_the_reference_that_held(
         }  # fmt: skip
 
 
-def test_frames_of_a_shape_without_a_model_are_counted_and_the_model_is_tried_once(
-    file: Path, physics: list[Physics], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tries = []
-
-    def solve(self: Physics, case: Any) -> None:
-        tries.append(case)
-        raise ValueError("the cloud folds in its own plane")
-
-    monkeypatch.setattr(Physics, "solve", solve)
-    script, bundle = Script(file), load_bundle(TINY)
-    found = reinfer(script, bundle, VerifiedSolver(script, bundle)).fields()["verified"]
-    ((why, count),) = found["not_verified"].items()
-    assert "folds in its own plane" in why
-    assert count == sum(step.frame.touched for step in script.steps())
-    assert (found["frames"], found["p_value_median"], len(tries)) == (0, None, 2)  # one a shape
-
-
-def test_rows_that_are_missing_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    recorded(tmp_path / "a.mcap", measured(60))
-    script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
-    some = np.arange(104) < 26
-    monkeypatch.setattr("eitskin_tools.recording.reinfer.Rerun.missing", some)
-    seen = []
-
-    def solve(self: VerifiedNetwork, case: Any) -> Any:
-        seen.append(case.flat_reference != 0.0)
-        raise ValueError("enough")
-
-    monkeypatch.setattr(VerifiedNetwork, "solve", solve)
-    reinfer(script, bundle, VerifiedSolver(script, bundle))
-    assert seen
-    assert (seen[0] == ~some).all()
-
-
 def test_one_frame_in_some_meets_a_cloud_that_was_given_between(file: Path) -> None:
     class Looking:
         def __init__(self) -> None:
@@ -149,21 +114,6 @@ def test_the_command_says_what_physics_says(
     assert found["solver"] == "verified"
     assert found["other_bundle"] == found["bundle"]
     assert found["verified"]["frames"] == 10
-
-
-def test_without_a_touch_and_without_a_network_it_says_so_in_a_line(
-    file: Path, physics: list[Physics], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    words = ["reinfer", str(file), "--bundle", str(TINY), "--solver", "verified", "--quiet"]
-    script = Script(file)
-    early_s = (list(script.steps())[20].log_ns - script.first_ns) * 1e-9
-    assert cli.main([*words, "--to", f"{early_s:.9f}"]) == 0
-    assert "nothing to verify: no frame of this part was touched" in capsys.readouterr().out
-    monkeypatch.setattr(module, "NETWORK", "vd3t")
-    assert cli.main(words) != 0
-    said = capsys.readouterr().err
-    assert "'vd3t' does not exist" in said
-    assert said.count("\n") == 1
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import eitskin
-from eitskin import Conditions, Frame, SkinState, WireFrame
+from eitskin import Conditions, Frame, WireFrame
 from eitskin.model.bundle import Bundle, default_path, load_bundle
 from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.wire.frames import Frame as WireScan
@@ -90,20 +90,6 @@ def test_a_program_sees_the_same_maps_drift_and_electrodes(tmp_path: Path, bundl
         return [(one.electrodes, None if one.drift is None else one.drift.tobytes(), one.gate_threshold) for one in now]
 
     assert streamed(items) == streamed(drifted)
-
-
-def test_without_what_was_published_states_tell_of_drift_and_events(
-    tmp_path: Path, bundle: Bundle, drifted: list[Any]
-) -> None:
-    recorded(tmp_path / "w.mcap", [item for item in drifted if not isinstance(item, Frame)])
-    then, again = of(drifted, Frame), of(play(tmp_path / "w.mcap", bundle.path), Frame)
-    assert all(one.map.tobytes() == other.map.tobytes() for one, other in zip(again, then, strict=True))
-    assert [one.electrodes for one in again] == [one.electrodes for one in then]
-    events = {event for item in of(drifted, SkinState) for event in item.events}
-    for one in again:
-        assert all((one.sequence, text) in events for text in one.events if text.startswith(("electrode", "drift")))
-    known = {round(value, 3) for value in (one.drift_percent for one in then) if value is not None}
-    assert {one.drift_percent for one in again} <= known
 
 
 def test_a_part_begins_with_the_drift_and_the_electrodes_of_then(

@@ -20,7 +20,7 @@ def test_a_study_says_what_it_takes(name, capsys):
 
 @pytest.mark.parametrize(
     ("name", "wrong"),
-    [("memory", "--seconds=0"), ("recording", "--pages=99"), ("skins", "--counts=x"), ("touches", "--frames=5"),
+    [("memory", "--seconds=0"), ("skins", "--counts=x"), ("touches", "--frames=5"),
      ("verified_stream", "--frames=5")],
 )  # fmt: skip
 def test_a_wrong_option_is_one_line_and_bad_usage(name, wrong, capsys):

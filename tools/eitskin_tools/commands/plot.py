@@ -27,20 +27,20 @@ def run(arguments: argparse.Namespace) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from eitskin_tools.console.terminal import StatusLine
     from eitskin_tools.recording.plot import course_of, draw
-    from eitskin_tools.recording.script import SeekableRecording, bundle_of
+    from eitskin_tools.recording.script import Script, bundle_of
 
-    moments = SeekableRecording(arguments.file)
-    bundle = bundle_of(moments, arguments.bundle)
+    script = Script(arguments.file)
+    bundle = bundle_of(script, arguments.bundle)
     line = StatusLine(sys.stderr)
 
     def progress(done_s: float, of_s: float) -> None:
         if not arguments.quiet:
             line.show(f"{done_s:.0f} of {of_s:.0f} s computed")
 
-    course = course_of(moments, bundle, arguments.from_s, arguments.to_s, progress)
+    course = course_of(script, bundle, arguments.from_s, arguments.to_s, progress)
     line.end()
-    if moments.ending:
-        print(f"eitskin plot: {moments.path}{moments.ending}", file=sys.stderr)
+    if script.ending:
+        print(f"eitskin plot: {script.path}{script.ending}", file=sys.stderr)
     touched = sum(count > 0 for count in course.touches)
     said = (
         f"{len(course.times_s)} frames in {course.end_s - course.begin_s:.1f} s, {touched} of them with touches, at "

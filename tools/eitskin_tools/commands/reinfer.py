@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from eitskin_tools.command_line import files, kinds, options
+from eitskin_tools.command_line import files, kinds, needs, options
 from eitskin_tools.command_line.options import add_span, check_span
 from eitskin_tools.errors import UsageError
 
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--solver",
         metavar="NAME",
-        help="vd2t, vd2t-int8, vd2t-small, tikhonov, or any of 'eitskin evaluate', also 'verified' (extra: sim)",
+        help="vd2t, vd2t-int8, vd2t-small, tikhonov, or 'verified' (extra: sim)",
     )
     parser.add_argument(
         "--every", type=int, default=1, metavar="N", help="with another solver: compute one frame in N (default 1)"
@@ -48,19 +48,24 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from eitskin_tools.console.terminal import StatusLine
-    from eitskin_tools.recording.reinfer import comparison_solver, reinfer
-    from eitskin_tools.recording.script import Script
+    from eitskin_tools.recording.reinfer import VERIFIED, comparison_solver, reinfer
+    from eitskin_tools.recording.script import Script, bundle_of
 
     script = Script(arguments.file)
-    if script.ending:
-        print(f"eitskin reinfer: {script.path}{script.ending}", file=sys.stderr)
     recorded = _recorded(script, arguments)
-    other = comparison_solver(script, recorded, arguments.bundle, arguments.solver, {"verified": _verified})
+    other: Any
+    if arguments.solver == VERIFIED:
+        needs.require("--solver verified", ("scipy",))
+        from eitskin_tools.evaluation.verified.recorded import VerifiedSolver
+
+        other = VerifiedSolver(script, recorded if arguments.bundle is None else bundle_of(script, arguments.bundle))
+    else:
+        other = comparison_solver(script, recorded, arguments.bundle, arguments.solver)
     line = StatusLine(sys.stderr)
 
-    def progress(done: int, of: int) -> None:
+    def progress(done_s: float, of_s: float) -> None:
         if not arguments.quiet:
-            line.show(f"{done} of {of} frames")
+            line.show(f"{done_s:.0f} of {of_s:.0f} s computed")
 
     found = reinfer(
         script,
@@ -73,6 +78,8 @@ def run(arguments: argparse.Namespace) -> int:
         progress=progress,
     )
     line.end()
+    if script.ending:
+        print(f"eitskin reinfer: {script.path}{script.ending}", file=sys.stderr)
     if arguments.out is not None:
         from eitskin_tools.recording.reinfer import write
 
@@ -91,13 +98,6 @@ def run(arguments: argparse.Namespace) -> int:
         for text in _lines(fields):
             print(text)
     return 1 if found.equality is not None and found.equality.differing else 0
-
-
-def _verified(script: Any, bundle: Any) -> Any:
-    """Return the verified solver on a recording's frames."""
-    from eitskin_tools.evaluation.verified.recorded import VerifiedSolver
-
-    return VerifiedSolver(script, bundle)
 
 
 def _recorded(script: Any, arguments: argparse.Namespace) -> Any:

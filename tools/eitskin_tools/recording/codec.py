@@ -18,13 +18,14 @@ import msgpack  # type: ignore[import-untyped]
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.messaging.regions import MOST_PIXELS
 from eitskin_tools.recording.layout import RecordingError
 
 DIGEST_BYTES: Final = 8
 """Of a map: two maps of a recording of a year are alike by chance once in 10^9."""
 
-MAX_SIDE_PX: Final = 4096
-"""Pixels; a bound on what is read."""
+LARGEST_JSON: Final = 1 << 16
+"""Bytes of a message that is read; a frame's has one thousand."""
 
 
 def digest_of(values: npt.NDArray[np.float32]) -> str:
@@ -52,7 +53,7 @@ def unpack_map(data: bytes) -> tuple[int, npt.NDArray[np.float32]]:
     try:
         fields = msgpack.unpackb(data, strict_map_key=True)
         rows, columns = (int(side) for side in fields["shape"])
-        if not (0 < rows <= MAX_SIDE_PX and 0 < columns <= MAX_SIDE_PX):
+        if not all(0 < side <= most for side, most in zip((rows, columns), MOST_PIXELS, strict=True)):
             raise ValueError(f"its shape is {rows}, {columns}")
         return int(fields["seq"]), np.frombuffer(fields["map"], dtype="<f4").reshape(rows, columns)
     except Exception as error:  # msgpack's exceptions have no common base
@@ -73,6 +74,8 @@ def unpack_json(data: bytes) -> dict[str, Any]:
     Raises:
         RecordingError: It is none.
     """
+    if len(data) > LARGEST_JSON:
+        raise RecordingError(f"a message of the recording has {len(data)} bytes, expected {LARGEST_JSON} at most")
     try:
         found = json.loads(data)
     except (ValueError, RecursionError) as error:

@@ -6,12 +6,15 @@ NPZ and Parquet have a row a frame ::
     voltages_V (n, 104) V       cloud_index (n,) into the clouds, -1 for none or unknown
     map (n, rows, columns)      where the recording has it
     reference_V (104,) V        cloud_mm (k, 3, rows, columns), with predicted_V and predicted_flat_V (k, 104)
+    touches                     computed by the bundle; fields as in :class:`eitskin.Touch`, NaN for None
 
-Frames of the idle mode, of a few drives, are left out and counted.
+Parquet has a list of touches in each row. NPZ has an array a field, ``touch_id`` (m,), ``touch_centre_mm`` (m, 2), ...,
+and ``touch_row`` (m,), the row of each touch. Frames of the idle mode, of a few drives, are left out and counted.
 
 rosbag2 is written without ROS, in standard messages that every ROS 2 machine plays:
 
 ===================  =======================  =======================================================
+/eitskin/touches     sensor_msgs/PointCloud2  a point a touch, computed by the bundle, each frame
 /eitskin/voltages    sensor_msgs/Image        64FC1, one row of 104 V a frame
 /eitskin/map         sensor_msgs/Image        32FC1, where the recording has maps; row 0 is y = 0
 /eitskin/surface     sensor_msgs/PointCloud2  x y z in metres, when a cloud came into use
@@ -19,18 +22,20 @@ rosbag2 is written without ROS, in standard messages that every ROS 2 machine pl
 ===================  =======================  =======================================================
 """
 
+import shutil
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.errors import FrameError
-from eitskin.messaging.streams.measured import CloudInUse, WireFrame
+from eitskin.messaging.frame import Frame
 from eitskin.reference.normaliser import normaliser_of, rows_of
+from eitskin.touches.touch import Touch
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.files.arrays import save_arrays
 from eitskin_proto.files.writing import replacing
@@ -39,12 +44,16 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
 from eitskin_proto.wire.volts import view_of
 from eitskin_tools.recording.codec import unpack_map
-from eitskin_tools.recording.layout import CLOUD, MAP, STATE, WIRE, RecordingError
+from eitskin_tools.recording.frames import RecordedFrames
+from eitskin_tools.recording.layout import MAP, STATE, RecordingError
 from eitskin_tools.recording.reader import Entry
-from eitskin_tools.recording.script import Script, reference_of
+from eitskin_tools.recording.script import Script, Step, reference_of
 
 MAX_FRAMES: Final = 2_000_000
 """In memory: nearly three hours at 200 frames/s, 1.7 GB."""
+
+MAX_MAPS: Final = 200_000
+"""In memory: a gigabyte."""
 
 NUMBER_MASK: Final = (1 << 32) - 1
 """Of published frames are kept beside maps modulo one more."""
@@ -55,6 +64,22 @@ COLUMNS: Final[dict[str, Any]] = {
     "cloud_index": np.int64,
 }  # fmt: skip
 """A value a frame."""
+
+TOUCH: Final = np.dtype([
+    ("id", "<u4"), ("parent", "<u4"), ("age_s", "<f4"), ("centre_mm", "<f4", 2), ("axes_mm", "<f4", 2),
+    ("angle_rad", "<f4"), ("area_mm2", "<f4"), ("peak", "<f4"), ("strength", "<f4"), ("confidence", "<f4"),
+    ("place_mm", "<f4", 3), ("normal", "<f4", 3), ("surface_mm2", "<f4"), ("error_mm", "<f4", 2), ("amplitude", "<f4"),
+    ("log_likelihood_ratio", "<f4"),
+])  # fmt: skip
+"""The fields of :class:`eitskin.Touch`, in their order."""
+
+FIELDS_OF: Final = attrgetter(*(TOUCH.names or ()))
+
+
+def touch_array(touches: tuple[Touch, ...]) -> npt.NDArray[np.void]:
+    """Return touches as ``TOUCH`` (n,), with NaN for what is None."""
+    rows = [tuple(np.nan if value is None else value for value in FIELDS_OF(touch)) for touch in touches]
+    return np.array(rows, dtype=TOUCH)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,17 +101,33 @@ class Table:
     """(k, 104), NaN where there is none."""
     maps: npt.NDArray[np.float32] | None
     """(n, rows, columns), NaN where the recording has none; None where it has none at all."""
+    touches: npt.NDArray[np.void] | None
+    """(m,) of ``TOUCH``; None where they were not computed."""
+    touch_row: npt.NDArray[np.int64]
+    """(m,) the frame of each touch."""
     left_out: int
     """Frames of a few drives, or malformed ones."""
 
 
-def table_of(script: Script, from_s: float | None = None, to_s: float | None = None) -> Table:
+def _computed(
+    script: Script, from_s: float | None, to_s: float | None, frames: RecordedFrames | None
+) -> Iterator[tuple[Step, Frame | None]]:
+    """Yield the frames of a part, each with its touches where there is something that computes them."""
+    if frames is not None:
+        return frames.part(from_s, to_s, frames.watch())
+    return ((step, None) for step in script.part(from_s, to_s))
+
+
+def table_of(
+    script: Script, from_s: float | None = None, to_s: float | None = None, frames: RecordedFrames | None = None
+) -> Table:
     """Return a recording as arrays.
 
     Args:
         script: The recording.
         from_s: Begin so long after the first frame.
         to_s: End so long after it.
+        frames: Computes the touches; None for none.
 
     Raises:
         RecordingError: It holds no whole frame, or more than fit into memory.
@@ -95,14 +136,17 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
     reference: bytes | None = None
     first = held = ""
     normaliser, view = normaliser_of(script.hello, rows_of(script.hello)), view_of(script.hello)
-    revisions = sorted(script.clouds)
-    index_of = {revision: index for index, revision in enumerate(revisions)}
     rows: dict[str, list[Any]] = {name: [] for name in COLUMNS}
     volts: list[npt.NDArray[np.float64]] = []
-    numbers, later = list[int](), list[bool]()
+    numbers, later, touch_row = list[int](), list[bool](), list[int]()
+    touches, clouds = [touch_array(())], list[Any]()
+    index_of = dict[int, int]()
     left_out, cloud = 0, -1
-    for step in script.steps(from_s, to_s):
+    for step, computed in _computed(script, from_s, to_s, frames):
         frame = step.frame
+        if (new := step.cloud) is not None and new.revision not in index_of:
+            index_of[new.revision] = len(clouds)
+            clouds.append(new)
         if step.conditions is not None:
             cloud, held = index_of.get(step.conditions.cloud, -1), step.conditions.reference
             if reference is None:
@@ -117,6 +161,9 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
             continue
         if len(volts) >= MAX_FRAMES:
             raise RecordingError(f"{script.path} has more than {MAX_FRAMES} frames: choose a part with --from and --to")
+        if computed is not None and computed.touches:
+            touches.append(touch_array(computed.touches))
+            touch_row += [len(volts)] * len(computed.touches)
         normaliser.load(view.counts)
         volts.append(normaliser.voltages().copy())
         later.append(held != first)
@@ -132,7 +179,6 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
     if not volts:
         raise RecordingError(f"{script.path} has no complete frame in this part{script.ending}")
     columns = {name: np.array(rows[name], dtype=kind) for name, kind in COLUMNS.items()}
-    clouds = [script.clouds[revision] for revision in revisions]
     return Table(
         columns,
         np.array(volts),
@@ -142,6 +188,8 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
         _volts([one.predicted for one in clouds]),
         _volts([one.predicted_flat for one in clouds]),
         _maps(script, numbers, columns),
+        None if frames is None else np.concatenate(touches),
+        np.array(touch_row, dtype=np.int64),
         left_out,
     )
 
@@ -186,8 +234,12 @@ def _maps(script: Script, numbers: list[int], columns: dict[str, npt.NDArray[Any
     first: list[int] = []
     found: list[tuple[int, npt.NDArray[np.float32]]] = []
     for entry in script.recording.entries({MAP.topic}):
-        first.append(entry.sequence)
-        found.append(unpack_map(entry.data))
+        sequence, values = unpack_map(entry.data)
+        if not found or values.shape == found[0][1].shape:
+            first.append(entry.sequence)
+            found.append((sequence, values))
+        if max(len(found), len(numbers)) > MAX_MAPS:
+            raise RecordingError(f"{script.path} has more than {MAX_MAPS} maps: choose a part with --from and --to")
     if not found:
         return None
     maps = np.full((len(numbers), *found[0][1].shape), np.nan, dtype=np.float32)
@@ -225,6 +277,8 @@ def write_npz(path: Path, found: Table, script: Script) -> None:
         arrays |= {"cloud_mm": found.clouds_mm, "cloud_index": found.columns["cloud_index"]}
     if found.maps is not None:
         arrays["map"] = found.maps
+    if found.touches is not None:
+        arrays |= {"touch_row": found.touch_row, **{f"touch_{name}": found.touches[name] for name in TOUCH.names or ()}}
     with replacing(path) as stream:
         save_arrays(stream, arrays, compressed=True)
 
@@ -233,7 +287,7 @@ def write_parquet(path: Path, found: Table, script: Script) -> None:
     """Write a table as Parquet, a row a frame.
 
     A cloud stands in the row of its first frame, with its predictions; other rows have its number and no cloud. The
-    reference stands in the file's own metadata, as NPY in hex: readers take some megabytes there, and no more.
+    file's own metadata has the reference, as NPY in hex.
 
     Raises:
         OSError: It cannot be written.
@@ -245,6 +299,14 @@ def write_parquet(path: Path, found: Table, script: Script) -> None:
     columns["voltages_V"] = _lists(pa, found.voltages_V)
     if found.maps is not None:
         columns["map"] = _lists(pa, found.maps.reshape(len(found.maps), -1))
+    if found.touches is not None:
+        fields = [
+            pa.array(values) if values.ndim == 1 else _lists(pa, values)
+            for values in (np.ascontiguousarray(found.touches[name]) for name in TOUCH.names or ())
+        ]
+        begins = np.searchsorted(found.touch_row, np.arange(len(found.voltages_V) + 1)).astype(np.int32)
+        structs = pa.StructArray.from_arrays(fields, names=list(TOUCH.names or ()))
+        columns["touches"] = pa.ListArray.from_arrays(pa.array(begins), structs)
     clouds, first = np.unique(found.columns["cloud_index"], return_index=True)
     row_of = {row: cloud for row, cloud in zip(first.tolist(), clouds.tolist(), strict=True) if cloud >= 0}
     for name, values, kind in (
@@ -282,13 +344,32 @@ def _hex(values: npt.NDArray[Any]) -> str:
 
 
 FRAME_ID: Final = "skin"
-FLOAT32: Final = 7
-"""``sensor_msgs/PointField.FLOAT32``"""
+FLOAT32, UINT32 = 7, 6
+"""``sensor_msgs/PointField``"""
 
-BAG_VERSION: Final = 9
+POINT: Final = ("x", "y", "z", "nx", "ny", "nz", "area", "peak", "error_x", "error_y", "amplitude",
+                "log_likelihood_ratio")  # fmt: skip
+"""Float fields of a touch, in metres, as docs/examples/ros2_node.py publishes them; ``id`` follows."""
+
+KINDS: Final = {
+    "touches": "sensor_msgs/msg/PointCloud2", "voltages": "sensor_msgs/msg/Image", "map": "sensor_msgs/msg/Image",
+    "surface": "sensor_msgs/msg/PointCloud2", "state": "std_msgs/msg/String",
+}  # fmt: skip
+"""Message of each topic below ``/eitskin/``."""
+
+VERSIONS: Final = {8: ("ROS2_HUMBLE", "SQLITE3"), 9: ("ROS2_JAZZY", "MCAP")}
+"""Of rosbag2's metadata: the release that reads it, and the storage that comes with that."""
 
 
-def write_rosbag(folder: Path, script: Script, from_s: float | None = None, to_s: float | None = None) -> int:
+def write_rosbag(
+    folder: Path,
+    script: Script,
+    from_s: float | None = None,
+    to_s: float | None = None,
+    *,
+    frames: RecordedFrames | None = None,
+    version: int = 9,
+) -> int:
     """Write a recording as a folder of rosbag2, and return how many messages it has.
 
     Args:
@@ -296,9 +377,12 @@ def write_rosbag(folder: Path, script: Script, from_s: float | None = None, to_s
         script: The recording.
         from_s: Begin so long after the first frame.
         to_s: End so long after it.
+        frames: Computes the touches; None for none.
+        version: Of rosbag2's metadata, one of ``VERSIONS``.
 
     Raises:
         RecordingError: The folder is there.
+        SkinError: The recording cannot be used with the bundle.
         OSError: It cannot be written.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
@@ -306,36 +390,18 @@ def write_rosbag(folder: Path, script: Script, from_s: float | None = None, to_s
 
     if folder.exists():
         raise RecordingError(f"{folder} already exists: name another folder, or remove it")
-    store = get_typestore(Stores.ROS2_JAZZY)
-    messages = _Messages(store, script)
-    begin_ns = script.first_ns + int((from_s or 0.0) * 1e9)
-    end_ns = script.last_ns if to_s is None else script.first_ns + int(to_s * 1e9)
-    count = 0
-    with Writer(folder, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as bag:
-        kinds = {"voltages": "sensor_msgs/msg/Image", "map": "sensor_msgs/msg/Image",
-                 "surface": "sensor_msgs/msg/PointCloud2", "state": "std_msgs/msg/String"}  # fmt: skip
-        to = {name: bag.add_connection(f"/eitskin/{name}", kind, typestore=store) for name, kind in kinds.items()}
-        makers: dict[str, Callable[[bytes, int], Any]] = {
-            WIRE.topic: messages.voltages, MAP.topic: messages.map, CLOUD.topic: messages.surface,
-            STATE.topic: messages.text,
-        }  # fmt: skip
-        names = {WIRE.topic: "voltages", MAP.topic: "map", CLOUD.topic: "surface", STATE.topic: "state"}
-
-        def write(entry: Entry, at_ns: int) -> int:
-            found, name = makers[entry.topic](entry.data, at_ns), names[entry.topic]
-            if found is not None:
-                bag.write(to[name], at_ns, store.serialize_cdr(found, kinds[name]))
-            return found is not None
-
-        held: dict[str, Entry] = {}  # what was said last before the part, and holds at its beginning
-        for entry in script.recording.entries(names):
-            if entry.log_ns < begin_ns:
-                if entry.topic in (CLOUD.topic, STATE.topic):
-                    held[entry.topic] = entry
-            elif entry.log_ns <= end_ns:
-                while held:
-                    count += write(held.popitem()[1], begin_ns)
-                count += write(entry, entry.log_ns)
+    release, storage = VERSIONS[version]
+    store = get_typestore(Stores[release])
+    messages, count = _Messages(store, script), 0
+    try:
+        with Writer(folder, version=version, storage_plugin=StoragePlugin[storage]) as bag:
+            to = {name: bag.add_connection(f"/eitskin/{name}", kind, typestore=store) for name, kind in KINDS.items()}
+            for name, at_ns, message in messages.of(script, from_s, to_s, frames):
+                bag.write(to[name], at_ns, store.serialize_cdr(message, KINDS[name]))
+                count += 1
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
     return count
 
 
@@ -347,50 +413,80 @@ class _Messages:
         self._normaliser = normaliser_of(script.hello, rows_of(script.hello))
         self._view = view_of(script.hello)
 
-    def _type(self, name: str) -> Any:
-        return self._types[name]
+    def of(
+        self, script: Script, from_s: float | None, to_s: float | None, frames: RecordedFrames | None
+    ) -> Iterator[tuple[str, int, Any]]:
+        """Yield the name, the time and the message of all that a part has."""
+        for step, computed in _computed(script, from_s, to_s, frames):
+            at_ns = step.log_ns
+            if step.cloud is not None:
+                points = np.ascontiguousarray(step.cloud.cloud.reshape(3, -1).T * np.float32(1e-3), dtype="<f4")
+                yield "surface", at_ns, self._points(points, "xyz", at_ns)
+            if (values := self._voltages(step)) is not None:
+                yield "voltages", at_ns, self._image(values, "64FC1", at_ns)
+            if computed is not None:
+                yield "touches", at_ns, self._touches(computed.touches, at_ns)
+        begin_ns = script.first_ns + round((from_s or 0.0) * 1e9)
+        end_ns = script.last_ns if to_s is None else script.first_ns + round(to_s * 1e9)
+        held: Entry | None = None  # the state that holds at the beginning of the part
+        for entry in script.recording.entries({MAP.topic, STATE.topic}, to_ns=end_ns):
+            if entry.log_ns < begin_ns:
+                held = entry if entry.topic == STATE.topic else held
+                continue
+            if entry.log_ns > end_ns:
+                continue
+            if held is not None:
+                yield "state", begin_ns, self._text(held.data)
+                held = None
+            if entry.topic == MAP.topic:
+                yield "map", entry.log_ns, self._image(unpack_map(entry.data)[1], "32FC1", entry.log_ns)
+            else:
+                yield "state", entry.log_ns, self._text(entry.data)
 
     def _header(self, wall_ns: int) -> Any:
-        stamp = self._type("builtin_interfaces/msg/Time")(sec=wall_ns // 10**9, nanosec=wall_ns % 10**9)
-        return self._type("std_msgs/msg/Header")(stamp=stamp, frame_id=FRAME_ID)
+        stamp = self._types["builtin_interfaces/msg/Time"](sec=wall_ns // 10**9, nanosec=wall_ns % 10**9)
+        return self._types["std_msgs/msg/Header"](stamp=stamp, frame_id=FRAME_ID)
 
     def _image(self, values: npt.NDArray[Any], encoding: str, wall_ns: int) -> Any:
         rows, columns = values.shape
-        return self._type("sensor_msgs/msg/Image")(
+        return self._types["sensor_msgs/msg/Image"](
             header=self._header(wall_ns), height=rows, width=columns, encoding=encoding, is_bigendian=0,
             step=columns * values.itemsize, data=np.frombuffer(values.tobytes(), dtype=np.uint8),
         )  # fmt: skip
 
-    def voltages(self, data: bytes, wall_ns: int) -> Any:
-        """Return the voltages of a whole scan; None for any other frame."""
+    def _voltages(self, step: Step) -> npt.NDArray[np.float64] | None:
+        """Return (1, 104) voltages of a whole scan; None for any other frame."""
         try:
-            self._view.load(WireFrame.of(data).payload)
-        except (FrameError, ProtocolError):
+            self._view.load(step.frame.payload)
+        except ProtocolError:
             return None
         if self._view.drives != ALL_DRIVES:
             return None
         self._normaliser.load(self._view.counts)
-        return self._image(self._normaliser.voltages()[None], "64FC1", wall_ns)
+        return self._normaliser.voltages()[None]
 
-    def map(self, data: bytes, wall_ns: int) -> Any:
-        """Return a map."""
-        return self._image(unpack_map(data)[1], "32FC1", wall_ns)
+    def _touches(self, touches: tuple[Touch, ...], wall_ns: int) -> Any:
+        found = touch_array(touches)
+        points = np.zeros(len(found), dtype=[*((name, "<f4") for name in POINT), ("id", "<u4")])
+        for k in range(3):
+            points[POINT[k]], points[POINT[3 + k]] = 1e-3 * found["place_mm"][:, k], found["normal"][:, k]
+        points["area"], points["error_x"], points["error_y"] = 1e-6 * found["area_mm2"], *(1e-3 * found["error_mm"].T)
+        for name in ("peak", "amplitude", "log_likelihood_ratio", "id"):
+            points[name] = found[name]
+        return self._points(points, (*POINT, "id"), wall_ns)
 
-    def surface(self, data: bytes, wall_ns: int) -> Any:
-        """Return a cloud in metres; None for one that makes no sense."""
-        try:
-            cloud = CloudInUse.of(data).cloud
-        except FrameError:
-            return None
-        points = np.ascontiguousarray(cloud.reshape(3, -1).T * np.float32(1e-3), dtype="<f4")
-        field = self._type("sensor_msgs/msg/PointField")
-        fields = [field(name=name, offset=4 * at, datatype=FLOAT32, count=1) for at, name in enumerate("xyz")]
-        return self._type("sensor_msgs/msg/PointCloud2")(
+    def _points(self, points: npt.NDArray[Any], names: Any, wall_ns: int) -> Any:
+        """Return points of 4-byte fields with these names."""
+        field, size = self._types["sensor_msgs/msg/PointField"], 4 * len(names)
+        fields = [
+            field(name=name, offset=4 * at, datatype=UINT32 if name == "id" else FLOAT32, count=1)
+            for at, name in enumerate(names)
+        ]
+        return self._types["sensor_msgs/msg/PointCloud2"](
             header=self._header(wall_ns), height=1, width=len(points), fields=fields, is_bigendian=False,
-            point_step=12, row_step=12 * len(points), data=np.frombuffer(points.tobytes(), dtype=np.uint8),
+            point_step=size, row_step=size * len(points), data=np.frombuffer(points.tobytes(), dtype=np.uint8),
             is_dense=True,
         )  # fmt: skip
 
-    def text(self, data: bytes, _: int) -> Any:
-        """Return a text."""
-        return self._type("std_msgs/msg/String")(data=data.decode("utf-8", "replace"))
+    def _text(self, data: bytes) -> Any:
+        return self._types["std_msgs/msg/String"](data=data.decode("utf-8", "replace"))

@@ -5,7 +5,7 @@ only noise had changed, a published frame has the map of an earlier one. If that
 the frame's own map is computed.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, Final
 
@@ -14,58 +14,62 @@ import numpy.typing as npt
 
 from eitskin.frame_record import STAGES
 from eitskin.messaging.frame import COUNTS, MAX_TEXT, MAX_TEXTS, Frame
-from eitskin.messaging.streams.measured import CloudInUse
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import default_solver
+from eitskin.model.taught import TaughtFinder
 from eitskin.touches.surface import Surface
 from eitskin.touches.touch import LAYOUT, unpack_touches
 from eitskin.touches.watch import TouchWatch
 from eitskin_tools.recording.reinfer import NO_SOLVER, ComputedFrame, Rerun
-from eitskin_tools.recording.script import SeekableRecording, Step
+from eitskin_tools.recording.script import Script, Step
 
 
 class RecordedFrames:
     """Computes the frames of any part of a recording.
 
     Args:
-        moments: The recording.
+        script: The recording.
         bundle: Computes the maps.
 
     Raises:
         BundleError: The bundle cannot be used.
     """
 
-    def __init__(self, moments: SeekableRecording, bundle: Bundle) -> None:
-        self._moments, self._grid = moments, bundle.skin.grid
-        self._rerun = Rerun(moments, bundle)
+    def __init__(self, script: Script, bundle: Bundle) -> None:
+        self._script, self._grid = script, bundle.skin.grid
+        self._rerun = Rerun(script, bundle)
         self._flat = Surface(self._grid.flat_cloud_mm(), self._grid)
         self._nothing = np.zeros(self._grid.shape, dtype=np.float32)
         self._solver = default_solver(bundle)
-        self._blank = blank(moments, self._nothing)
+        self._blank = blank(script, self._nothing)
 
-    def part(self, from_s: float, to_s: float, watch: TouchWatch) -> Iterator[tuple[CloudInUse | None, Frame | None]]:
-        """Yield each frame, with the cloud if a new one holds from it on; None for a frame that cannot be computed.
+    def watch(self) -> TouchWatch:
+        """Return what numbers the touches of parts that follow each other."""
+        field = self._rerun.field
+        return TouchWatch(self._grid, None if field is None else TaughtFinder(field, self._grid))
+
+    def part(self, from_s: float | None, to_s: float | None, watch: TouchWatch) -> Iterator[tuple[Step, Frame | None]]:
+        """Yield each frame of the wire, and as a subscriber gets it; None for a frame that cannot be computed.
 
         Args:
             from_s: Begin so long after the first frame.
-            to_s: End so long after it; the frame at this time belongs to the next part.
+            to_s: End so long after it.
             watch: Numbers the touches; it may have seen the part before.
 
         Raises:
             SkinError: Reference or cloud cannot be used with the bundle.
             OSError: The file cannot be read any more.
         """
-        span = self._moments.span(from_s, to_s)
         surface, cloud = self._flat, 0
         kept, shown = self._nothing, -1
-        for step in map(self._with_map, span.steps):
+        for step in map(self._with_map, self._script.part(from_s, to_s)):
             frame = step.frame
             if step.cloud is not None:
                 cloud, surface = step.cloud.revision, Surface(step.cloud.cloud, self._grid)
             stands = self._rerun.as_recorded and frame.map_seq == shown
             found = self._rerun.compute(step, every=not stands)
             if found is None or frame.seq is None:
-                yield step.cloud, None
+                yield step, None
                 continue
             has_map = found.touched and found.solver != NO_SOLVER
             if has_map and not stands:  # it stays while frames go out without one: a later one may have it
@@ -75,9 +79,8 @@ class RecordedFrames:
                 values.ravel().astype(float) if has_map else None, shown, surface, frame.device_us or 0
             )
             touches = unpack_touches(listed[0], LAYOUT.size, *listed[1:])
-            note = span.notes.get(-1 if frame.frame is None else frame.frame, {})
-            told = published(step, note, found, self._moments.first_ns)
-            yield step.cloud, replace(self._blank, **told, map=values, cloud=cloud, touch_list=touches)
+            told = published(step, found, self._script.first_ns)
+            yield step, replace(self._blank, **told, map=values, cloud=cloud, touch_list=touches)
 
     def _with_map(self, step: Step) -> Step:
         """Return a frame as if its map had been requested, which a recorder alone does not do."""
@@ -94,7 +97,7 @@ MAX_COUNT: Final = 1 << 53
 """Of a count that a page understands."""
 
 
-def blank(told: SeekableRecording, nothing: npt.NDArray[np.float32]) -> Frame:
+def blank(told: Script, nothing: npt.NDArray[np.float32]) -> Frame:
     """Return a frame with only the values common to all frames of a recording.
 
     Args:
@@ -110,16 +113,15 @@ def blank(told: SeekableRecording, nothing: npt.NDArray[np.float32]) -> Frame:
     )  # fmt: skip
 
 
-def published(step: Step, note: Mapping[str, Any], found: ComputedFrame, first_ns: int) -> dict[str, Any]:
+def published(step: Step, found: ComputedFrame, first_ns: int) -> dict[str, Any]:
     """Return the fields of a frame.
 
     Args:
         step: As it was measured.
-        note: What was noted of it; empty where nothing was.
         found: As it was computed now.
         first_ns: Wall clock of the recording's first frame, from which time is counted.
     """
-    frame = step.frame
+    frame, note = step.frame, step.note
     stamps = note.get("host_ns")
     stamps = stamps if isinstance(stamps, dict) else {}
     counts = note.get("counts")

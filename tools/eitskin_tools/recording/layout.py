@@ -47,9 +47,9 @@ class Channel:
     topic: str
     encoding: str
     """Of its messages: ``json`` or ``msgpack``."""
-    schema_name: str = ""
+    schema_name: str
     schema: str = ""
-    """A JSON schema; empty for none."""
+    """A JSON schema; empty for MessagePack."""
     lasts: bool = False
     """Its last message holds until the next: each file of a series begins with it."""
 
@@ -86,12 +86,12 @@ FRAME_SCHEMA: Final = _schema(
     title="What was published of a frame, its map left out",
 )  # fmt: skip
 
-WIRE: Final = Channel("/eitskin/wire", "msgpack")
-CLOUD: Final = Channel("/eitskin/cloud", "msgpack", lasts=True)
+WIRE: Final = Channel("/eitskin/wire", "msgpack", "eitskin.Wire")
+CLOUD: Final = Channel("/eitskin/cloud", "msgpack", "eitskin.Cloud", lasts=True)
 STATE: Final = Channel("/eitskin/state", "json", "eitskin.State", STATE_SCHEMA, lasts=True)
-CONDITIONS: Final = Channel("/eitskin/conditions", "msgpack", lasts=True)
+CONDITIONS: Final = Channel("/eitskin/conditions", "msgpack", "eitskin.Conditions", lasts=True)
 FRAME: Final = Channel("/eitskin/frame", "json", "eitskin.Frame", FRAME_SCHEMA)
-MAP: Final = Channel("/eitskin/map", "msgpack")
+MAP: Final = Channel("/eitskin/map", "msgpack", "eitskin.Map")
 
 
 def _object(title: str, **properties: Any) -> dict[str, Any]:

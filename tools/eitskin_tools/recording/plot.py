@@ -9,17 +9,16 @@ import numpy as np
 
 from eitskin.messaging.frame import Frame
 from eitskin.model.bundle import Bundle
-from eitskin.touches.watch import TouchWatch
 from eitskin_tools.pictures import draw_map, save
 from eitskin_tools.recording.frames import RecordedFrames
 from eitskin_tools.recording.layout import RecordingError
-from eitskin_tools.recording.script import SeekableRecording
+from eitskin_tools.recording.script import Script
 
 MAPS: Final = 4
 """Maps in the picture: the strongest of each quarter of the time."""
 
-PART_S: Final = 1.0
-"""Of the recording, read at once."""
+PROGRESS_FRAMES: Final = 200
+"""Between two reports of the progress."""
 
 NAN: Final = float("nan")
 
@@ -68,7 +67,7 @@ class Course:
 
 
 def course_of(
-    moments: SeekableRecording,
+    script: Script,
     bundle: Bundle,
     from_s: float | None = None,
     to_s: float | None = None,
@@ -77,7 +76,7 @@ def course_of(
     """Compute the maps and touches of a recording, or of a part of it.
 
     Args:
-        moments: The recording.
+        script: The recording.
         bundle: Computes the maps.
         from_s: Begin so long after the first frame.
         to_s: End so long after it.
@@ -88,21 +87,16 @@ def course_of(
         SkinError: The recording cannot be used with the bundle.
         OSError: The file cannot be read any more.
     """
-    begin_s, end_s = from_s or 0.0, min(moments.seconds, moments.seconds if to_s is None else to_s)
-    course, frames, watch = Course(begin_s, end_s), RecordedFrames(moments, bundle), TouchWatch(bundle.skin.grid)
-    at_s = begin_s
-    while at_s <= end_s:
-        next_s = at_s + PART_S
-        until_s = next_s if next_s <= end_s else end_s + 1e-6  # with the last frame
-        for _, frame in frames.part(at_s, until_s, watch):
-            if frame is not None:
-                course.add(frame)
-        at_s = next_s
-        if progress is not None:
-            progress(min(at_s, end_s) - begin_s, end_s - begin_s)
+    begin_s, end_s = from_s or 0.0, min(script.seconds, script.seconds if to_s is None else to_s)
+    course, frames = Course(begin_s, end_s), RecordedFrames(script, bundle)
+    for step, frame in frames.part(from_s, to_s, frames.watch()):
+        if frame is not None:
+            course.add(frame)
+        if progress is not None and step.frame.n % PROGRESS_FRAMES == 0:
+            progress(1e-9 * (step.log_ns - script.first_ns) - begin_s, end_s - begin_s)
     if not course.times_s:
         part = f"from {begin_s:g} s" + ("" if to_s is None else f" to {to_s:g} s")
-        raise RecordingError(f"{moments.path} has no frame to draw {part}; it lasts {moments.seconds:.1f} s")
+        raise RecordingError(f"{script.path} has no frame to draw {part}; it lasts {script.seconds:.1f} s")
     return course
 
 

@@ -3,7 +3,10 @@
 The reader reads the heads of the file's records once. A chunk's head has the times of its first and last messages, and
 the index behind it has its channels. So it keeps 60 bytes for each quarter of a second, and finds any part without the
 file's summary. A file that was cut off is read to its end (``cut``); a chunk whose checksum is wrong is left out and
-counted (``damaged``). Sizes are bounded before anything is unpacked, and nothing is executed.
+counted (``damaged``). Nothing is executed.
+
+Time and memory are in proportion to the size of the file: the reader bounds what a chunk unpacks to and how many
+records it has before it looks at them.
 """
 
 import struct
@@ -19,7 +22,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Message, Metadata
+from mcap.records import Attachment, Channel, Chunk, Metadata
 
 from eitskin_proto.files.plain import stated
 from eitskin_proto.files.reading import opened
@@ -28,9 +31,18 @@ from eitskin_tools.recording.layout import FORMAT, HEAD, REFERENCE, TOPICS, VERS
 MAGIC: Final = b"\x89MCAP0\r\n"
 
 LARGEST_RECORDING: Final = 1 << 40
-LARGEST_RECORD: Final = 64 << 20
 LARGEST_CHUNK: Final = 8 << 20
-"""Bounds in bytes on what is read; a chunk of ours has about a megabyte."""
+LARGEST_TEXT: Final = 1 << 20
+"""Bounds in bytes on what is read: a chunk, packed or not, has about a megabyte; a reference has 10 kB."""
+
+MOST_PACKED: Final = 100
+"""Times that a chunk may be larger than packed; those of a skin are 3 to 5 times larger."""
+
+MOST_RECORDS: Final = 20_000
+"""Records in a chunk; a quarter of a second has a thousand."""
+
+MOST_NAMED: Final = 1000
+"""Of these, schemas and channels; a file has eight of each."""
 
 LATEST_NS: Final = (1 << 63) - 1
 """The year 2262: what arrays of times can hold."""
@@ -46,6 +58,9 @@ CHUNK_TIMES: Final = struct.Struct("<QQ")
 
 INDEX_HEAD: Final = struct.Struct("<HI")
 """How an index begins: its channel, and the bytes of its entries."""
+
+MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
+"""How a message begins: channel, sequence, log time, publish time."""
 
 UNREADABLE: Final = (McapError, struct.error, ValueError, IndexError, OverflowError, zstandard.ZstdError, RuntimeError)
 """What the parts of the library raise at bytes that make no sense."""
@@ -117,7 +132,7 @@ class Recording:
         while len(head := stream.read(RECORD_HEAD.size)) == RECORD_HEAD.size:
             opcode, length = RECORD_HEAD.unpack(head)
             at = stream.tell()
-            if length > LARGEST_RECORD or at + length > size:
+            if at + length > size:
                 return
             if opcode == Opcode.FOOTER:
                 self.cut = False
@@ -128,7 +143,7 @@ class Recording:
                 channel, entries = INDEX_HEAD.unpack(stream.read(INDEX_HEAD.size))
                 if entries:
                     self._having.setdefault(channel, []).append(len(self.chunks) - 1)
-            elif opcode in (Opcode.METADATA, Opcode.ATTACHMENT, Opcode.CHANNEL):
+            elif opcode in (Opcode.METADATA, Opcode.ATTACHMENT, Opcode.CHANNEL) and length <= LARGEST_TEXT:
                 with suppress(*UNREADABLE):
                     self._read_metadata(opcode, ReadDataStream(BytesIO(stream.read(length))))
             stream.seek(at + length)
@@ -214,31 +229,38 @@ class Recording:
         place = self.chunks[number]
         with opened(self.path, LARGEST_RECORDING) as stream:
             stream.seek(place.at)
-            data = stream.read(place.length)
+            data = stream.read(min(place.length, LARGEST_CHUNK))
         try:
-            found = unpacked(Chunk.read(ReadDataStream(BytesIO(data))))
+            return list(self._entries(unpacked(Chunk.read(ReadDataStream(BytesIO(data))))))
         except UNREADABLE:
             self._damaged.add(number)
             return []
-        entries: list[Entry] = []
-        for one in found:
-            if isinstance(one, Channel):
-                self._names[one.id] = one.topic
-            elif (topic := self._names.get(one.channel_id)) is not None and one.log_time <= LATEST_NS:
-                entries.append(Entry(topic, one.log_time, one.sequence, one.data))
-        return entries
 
+    def _entries(self, data: bytes) -> Iterator[Entry]:
+        """Yield the messages of a chunk's content.
 
-def unpacked(chunk: Chunk) -> list[Channel | Message]:
-    """Return channels and messages of a chunk.
-
-    Args:
-        chunk: As it stands in the file.
-
-    Raises:
-        Exception: One of ``UNREADABLE``: it is damaged, or too large.
-    """
-    return list(_inner(_bytes_of(chunk)))
+        Raises:
+            Exception: One of ``UNREADABLE``: a record makes no sense, or there are more than any recorder writes.
+        """
+        at = records = named = 0
+        while at < len(data):
+            opcode, length = RECORD_HEAD.unpack_from(data, at)
+            begin, at, records = at + RECORD_HEAD.size, at + RECORD_HEAD.size + length, records + 1
+            named += opcode != Opcode.MESSAGE
+            if at > len(data) or records > MOST_RECORDS or named > MOST_NAMED:
+                raise ValueError("a record beyond its chunk, or too many of them")
+            if opcode == Opcode.MESSAGE:
+                content = begin + MESSAGE_HEAD.size
+                if content > at:
+                    raise ValueError("a message without a head")
+                channel_id, sequence, log_ns, _ = MESSAGE_HEAD.unpack_from(data, begin)
+                if (topic := self._names.get(channel_id)) is not None and log_ns <= LATEST_NS:
+                    yield Entry(topic, log_ns, sequence, data[content:at])
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(ReadDataStream(BytesIO(data[begin:at])))
+                self._names[channel.id] = channel.topic
+            elif opcode != Opcode.SCHEMA:
+                raise ValueError(f"a record of kind {opcode} within a chunk")
 
 
 def check_magic(stream: BinaryIO, path: Path) -> None:
@@ -256,15 +278,15 @@ def check_magic(stream: BinaryIO, path: Path) -> None:
         )
 
 
-def _bytes_of(chunk: Chunk) -> bytes:
-    """Return the content of a chunk, unpacked and checked against its checksum.
+def unpacked(chunk: Chunk) -> bytes:
+    """Return the content of a chunk, checked against its checksum.
 
     Raises:
-        ValueError: It is too large, packed in another way, or damaged.
+        Exception: One of ``UNREADABLE``: it is too large, packed in another way, or damaged.
     """
     size = chunk.uncompressed_size
-    if size > LARGEST_CHUNK:
-        raise ValueError(f"a chunk of {size} bytes")
+    if size > min(LARGEST_CHUNK, MOST_PACKED * max(len(chunk.data), 100)):
+        raise ValueError(f"a chunk that unpacks from {len(chunk.data)} to {size} bytes")
     if chunk.compression == "zstd":
         if zstandard.frame_content_size(chunk.data) > size:
             raise ValueError("a chunk that says two sizes")
@@ -280,19 +302,3 @@ def _bytes_of(chunk: Chunk) -> bytes:
     if len(data) != size or (chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc):
         raise ValueError("a damaged chunk")
     return data
-
-
-def _inner(data: bytes) -> Iterator[Channel | Message]:
-    stream = ReadDataStream(BytesIO(data))
-    while stream.count < len(data):
-        opcode, length = stream.read1(), stream.read8()
-        end = stream.count + length
-        if end > len(data):
-            raise ValueError("a record beyond its chunk")
-        if opcode == Opcode.CHANNEL:
-            yield Channel.read(stream)
-        elif opcode == Opcode.MESSAGE:
-            yield Message.read(stream, length)
-        elif opcode != Opcode.SCHEMA:  # a kilobyte can unpack to millions of what means nothing
-            raise ValueError(f"a record of kind {opcode} within a chunk")
-        stream.read(end - stream.count)

@@ -14,7 +14,6 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -24,23 +23,18 @@ from eitskin.errors import MismatchError
 from eitskin.health.imputation import Consistency
 from eitskin.messaging.regions import whole
 from eitskin.messaging.streams.measured import WireFrame
-from eitskin.model import manifest
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import SCALED, SMALLEST_MAP, default_solver, solvers
+from eitskin.model.engine import SCALED, SMALLEST_MAP, default_solver
 from eitskin.model.geometry import GeometryGraph
+from eitskin.model.taught import TaughtField
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.recorded import RecordedHealth
-from eitskin.reference.normaliser import normaliser_of
 from eitskin_proto.files.arrays import save_arrays
 from eitskin_proto.files.writing import replacing
-from eitskin_proto.sensor.table import N_ROWS
-from eitskin_proto.wire.scan_rows import ALL_DRIVES
-from eitskin_proto.wire.volts import view_of
-from eitskin_tools.command_line import needs
 from eitskin_tools.pictures import draw_map, save
-from eitskin_tools.recording.codec import digest_of, unpack_json
-from eitskin_tools.recording.layout import FRAME, RecordingError
-from eitskin_tools.recording.script import Script, SeekableRecording, Step, bundle_of, reference_of
+from eitskin_tools.recording.codec import digest_of
+from eitskin_tools.recording.layout import RecordingError
+from eitskin_tools.recording.script import Script, Step, bundle_of, reference_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +81,9 @@ class Verdicts:
 NO_SOLVER: Final = "none"
 """The solver of a map that is 0."""
 
+VERIFIED: Final = "verified"
+"""The solver that checks the network's touches by the forward model."""
+
 ALL_SOLVERS_NS: Final = 1 << 62
 """A latency budget that every solver meets: with one, the pipeline has all solvers of the bundle."""
 
@@ -121,7 +118,7 @@ class Rerun:
         ValueError: It has no such solver.
     """
 
-    def __init__(self, script: SeekableRecording, bundle: Bundle, solver: str | None = None) -> None:
+    def __init__(self, script: Script, bundle: Bundle, solver: str | None = None) -> None:
         self._script, self._bundle = script, bundle
         self.as_recorded = bundle.id == script.head_text("bundle")
         """The bundle is the one that was running."""
@@ -142,8 +139,13 @@ class Rerun:
 
     def _check(self, solver: str) -> None:
         if solver not in self._solvers:
-            names = ", ".join(engine.name for engine in self._pipeline.engines)
-            raise ValueError(f"solver {solver!r} does not exist; {self._bundle.path} has {names}")
+            names = ", ".join([*(engine.name for engine in self._pipeline.engines), VERIFIED])
+            raise ValueError(f"solver {solver!r} does not exist; expected one of {names}")
+
+    @property
+    def field(self) -> TaughtField | None:
+        """What finds touches that were learned from presses; None in other bundles."""
+        return self._pipeline.field
 
     @property
     def change(self) -> npt.NDArray[np.float32]:
@@ -257,21 +259,26 @@ class Equality:
         """Frames with unknown equality."""
         return self.unknown_why.total()
 
-    def add_computed(self, sequence: int, found: ComputedFrame) -> None:
-        """Take what a frame came to."""
+    def _keep(self, sequence: int, found: ComputedFrame) -> None:
         self._set_zero_digest(found)
         self._digests[sequence] = self._zero if found.solver == NO_SOLVER else digest_of(found.map)
         if len(self._digests) > MAX_DIGESTS:
             self._digests.popitem(last=False)
 
-    def compare(self, frame: WireFrame, digest: str, found: ComputedFrame | None) -> None:
-        """Hold a published frame's digest against what was computed.
+    def add(self, step: Step, found: ComputedFrame | None) -> None:
+        """Hold a frame's digest, if it was published, against what was computed.
 
         Args:
-            frame: Of the wire.
-            digest: Of the map that was published.
-            found: What the frame came to; None where nothing could be computed.
+            step: The frame.
+            found: What it came to; None where nothing could be computed.
         """
+        frame = step.frame
+        if found is not None and frame.seq is not None and frame.map_seq == frame.seq:
+            self._keep(frame.seq, found)
+        if (digest := step.note.get("digest")) is not None:
+            self._compare(frame, digest, found)
+
+    def _compare(self, frame: WireFrame, digest: str, found: ComputedFrame | None) -> None:
         self.published += 1
         if found is not None:
             self._set_zero_digest(found)
@@ -391,13 +398,7 @@ class FrameSolver(Protocol):
         """Return the result of a frame; None if it is unknown."""
 
 
-Makers = Mapping[str, Callable[[Script, Bundle], FrameSolver]]
-"""What makes solvers that neither a bundle nor the simulation has, by their names."""
-
-
-def comparison_solver(
-    script: Script, recorded: Bundle, named: Path | None, solver: str | None, makers: Makers = MappingProxyType({})
-) -> FrameSolver | None:
+def comparison_solver(script: Script, recorded: Bundle, named: Path | None, solver: str | None) -> FrameSolver | None:
     """Return what to compare with what was running; None where that itself is asked for.
 
     Args:
@@ -405,77 +406,16 @@ def comparison_solver(
         recorded: The bundle that was running.
         named: Another bundle's file; None for the same.
         solver: Its name; None for the bundle's own choice.
-        makers: Of further solvers, which need the simulation.
 
     Raises:
         SkinError: The bundle is of another skin, or cannot be used.
         ValueError: There is no such solver.
-        MissingExtraError: The solver needs packages that are not there.
     """
     bundle = recorded if named is None else bundle_of(script, named)
-    if solver is None:
-        return None if bundle.id == recorded.id else Rerun(script, bundle)
-    if solver in solvers(bundle) or (solver in manifest.SOLVERS and solver != "l1"):
-        return Rerun(script, bundle, solver)
-    needs.require(f"--solver {solver}", ("scipy",))
-    return (
-        makers[solver](script, bundle) if solver in makers else SimulatedSolver(script, bundle, solver, tuple(makers))
-    )
+    return None if solver is None and bundle.id == recorded.id else Rerun(script, bundle, solver)
 
 
-class SimulatedSolver:
-    """A solver of the simulation on recorded frames, with the gate's recorded decisions.
-
-    Its untouched voltages are the forward model's prediction for the cloud in use.
-
-    Args:
-        script: The recording.
-        bundle: Gives the labels of its maps.
-        name: As ``eitskin evaluate --solver`` takes it.
-        besides: Further known names.
-
-    Raises:
-        ValueError: There is none of this name.
-    """
-
-    def __init__(self, script: Script, bundle: Bundle, name: str, besides: tuple[str, ...] = ()) -> None:
-        from eitskin_sim.evaluation.harness import SOLVERS
-
-        if name not in SOLVERS:
-            every = dict.fromkeys((*manifest.SOLVERS, *SOLVERS, *besides))
-            raise ValueError(f"solver {name!r} does not exist; expected one of {', '.join(every)}")
-        self._script, self._bundle, self._name, self._solve = script, bundle, name, SOLVERS[name]
-        self.bundle_id = bundle.id
-        self._normaliser = normaliser_of(script.hello)
-        self._view = view_of(script.hello)
-        self._nothing = np.zeros(bundle.skin.grid.shape, dtype=np.float32)
-        self._sheet: Any = None
-        self._flat_V: Any = None
-
-    def compute(self, step: Step) -> ComputedFrame | None:
-        """Compute a frame; None if the recording lacks its reference, or it was withheld."""
-        from eitskin_sim.evaluation.harness import Case, Sheet
-        from eitskin_sim.surface.predict import flat_voltages
-
-        skin = self._bundle.skin
-        if step.reference is not None:
-            self._flat_V = reference_of(self._script, step.reference, skin).flat().voltages_V
-        if step.cloud is not None:
-            self._sheet = Sheet(step.cloud.cloud.astype(np.float64), np.full(N_ROWS, np.nan), skin)
-        if self._flat_V is None or self._sheet is None or not step.known or step.frame.withheld:
-            return None
-        self._view.load(step.frame.payload)
-        if not step.frame.touched or self._view.drives != ALL_DRIVES:
-            return ComputedFrame(self._nothing, step.frame.touched, "none")
-        self._normaliser.load(self._view.counts)
-        held = self._sheet.predicted() * self._flat_V / flat_voltages(skin)
-        labels: Any = "units" if self._bundle.labels == "units" else "area"
-        lowering = self._bundle.touch_kind == "lower"
-        case = Case(self._normaliser.voltages(), held, self._flat_V, self._sheet, labels, lowering=lowering)
-        return ComputedFrame(np.asarray(self._solve(case), dtype=np.float32), True, self._name)
-
-
-Progress = Callable[[int, int], None]
+Progress = Callable[[float, float], None]
 
 
 @dataclass(slots=True)
@@ -547,18 +487,6 @@ class Reinferred:
         return found
 
 
-def digests(script: Script) -> dict[int, str]:
-    """Return the digest of each published map, by the number of the published frame."""
-    found = {}
-    for entry in script.recording.entries({FRAME.topic}):
-        try:
-            note = unpack_json(entry.data)
-            found[int(note["number"])] = str(note["digest"])
-        except (RecordingError, KeyError, TypeError, ValueError, OverflowError):
-            continue
-    return found
-
-
 def reinfer(
     script: Script,
     bundle: Bundle,
@@ -581,14 +509,13 @@ def reinfer(
         to_s: End so long after it.
         every: One of this many frames goes to ``solver``, or is kept.
         keep: How many maps may be kept; 0 for none.
-        progress: Called with the frames done and all frames.
+        progress: Called with the seconds done and all seconds.
 
     Raises:
         SkinError: The recording, its reference or its clouds cannot be used with the bundle.
     """
     rerun = Rerun(script, bundle)
-    published = digests(script) if solver is None and rerun.as_recorded else {}
-    equality = Equality() if published else None
+    equality = Equality() if solver is None and rerun.as_recorded else None
     agreement = None if solver is None else Agreement(bundle.skin.grid.pixel_mm)
     maps, others = (Maps(keep) if keep else None), (Maps(keep) if keep and solver is not None else None)
     count = withheld = 0
@@ -605,9 +532,9 @@ def reinfer(
         count += 1
         withheld += bool(step.frame.withheld)
         if progress is not None and count % 200 == 0:
-            progress(count, script.frames)
+            progress((step.log_ns - script.first_ns) * 1e-9, script.seconds)
         if equality is not None:
-            _compare_published(equality, step, found, published)
+            equality.add(step, found)
         if agreement is not None and found is not None and other is not None:
             agreement.add(found, other)
         shown = found if solver is None else other
@@ -617,6 +544,7 @@ def reinfer(
                 others.add(step, found)
     elapsed_s, cpu_s = time.perf_counter() - start_s, time.process_time() - start_cpu_s
     recorded_s, verdicts = (last_ns - first_ns) * 1e-9, getattr(solver, "verdicts", None)
+    equality = equality if equality is not None and equality.published else None
     return Reinferred(count, elapsed_s, cpu_s, recorded_s, withheld, equality, agreement, maps, others, verdicts)
 
 
@@ -631,15 +559,6 @@ def _merged(before: Step | None, step: Step) -> Step:
         step.cloud or before.cloud,
         step.reference or before.reference,
     )
-
-
-def _compare_published(equality: Equality, step: Step, found: ComputedFrame | None, published: dict[int, str]) -> None:
-    """Hold one frame against what was published of it."""
-    frame = step.frame
-    if found is not None and frame.seq is not None and frame.map_seq == frame.seq:
-        equality.add_computed(frame.seq, found)
-    if frame.frame is not None and frame.frame in published:
-        equality.compare(frame, published[frame.frame], found)
 
 
 def write(path: Path, found: Reinferred) -> None:

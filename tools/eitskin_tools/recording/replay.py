@@ -13,7 +13,6 @@ is played again and again.
 
 import math
 import struct
-from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -24,9 +23,12 @@ from queue import Empty, SimpleQueue
 from time import perf_counter_ns
 from typing import Any, Final
 
+from eitskin.errors import BundleError, HandshakeError
 from eitskin.health.imputation import Consistency
 from eitskin.messaging.streams.measured import Conditions
+from eitskin.model.bundle import Bundle
 from eitskin.model.engine import solvers
+from eitskin.pipeline.idle import IdleGate
 from eitskin.pipeline.recorded import Distance, RecordedHealth
 from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
@@ -35,8 +37,7 @@ from eitskin_proto.wire.codes import Code, MessageType
 from eitskin_proto.wire.framing import Deframer, encode
 from eitskin_proto.wire.messages import Ack, Hello, Time
 from eitskin_proto.wire.volts import LARGEST_VOLTS
-from eitskin_tools.recording.codec import unpack_json
-from eitskin_tools.recording.layout import FRAME, RecordingError
+from eitskin_tools.recording.layout import RecordingError
 from eitskin_tools.recording.script import Script, Step, bundle_of, reference_of
 
 _SEQUENCE: Final = struct.Struct("<II")
@@ -226,8 +227,6 @@ HEALTH_EVENTS: Final = ("electrode", "drift")
 GATE_OVERRULED: Final = "gate_overruled"
 """The event of a frame whose map showed a touch that the gate did not see."""
 
-UNKNOWN_DISTANCE: Final = (math.nan, math.nan, math.nan)
-
 MAX_PERCENT: Final = 10**6
 """Percent; beyond it, and where it is no number, a distance is unknown."""
 
@@ -282,14 +281,12 @@ class Player:
         assert first.conditions is not None
         assert first.reference is not None
         began, reference = first.conditions, reference_of(script, first.reference, loaded.skin)
-        self._notes: PublishedNotes | None = None
 
         def steps() -> Iterator[Step]:
-            self._notes = PublishedNotes(script, manner.from_s) if same else None
             return islice(script.steps(manner.from_s, manner.to_s), left_out, None)
 
-        same = loaded.id == script.head_text("bundle")
-        arrays = loaded.consistency_arrays() if same else None
+        self._same = loaded.id == script.head_text("bundle")
+        arrays = loaded.consistency_arrays() if self._same else None
         exclude = tuple(one for one, state, _ in began.electrodes if state == "excluded")
         self._health = None if arrays is None else RecordedHealth(Consistency.of(arrays), exclude)
 
@@ -303,7 +300,7 @@ class Player:
             solver=solver,
             skip_unchanged=began.skip_unchanged,
             exclude=exclude,
-            idle_after_s=NEVER_S if _idles(script) else None,
+            idle_after_s=NEVER_S if _has_idle_gate(loaded, script.hello) else None,
         )
         self._reference = began.reference
         if self._health is not None:
@@ -343,19 +340,21 @@ class Player:
 
     def _decide(self, step: Step) -> None:
         """Give the pipeline what was decided of a frame, as far as it still holds."""
-        if self._notes is None:
+        if not self._same:
             return
-        notes, frame = self._notes.of(step), step.frame
+        frame, note = step.frame, step.note
+        events = _texts(note.get("events"))
         if self._health is not None:
-            self._health.report(notes.of_health, notes.distance)
+            told = tuple(text for text in events if text.startswith(HEALTH_EVENTS))
+            self._health.report(told, _numbers(note.get(name) for name in ("drift", "drift_sd", "drift_uneven")))
         decided = self.skin.pipeline.decisions
         by_hand = self._health is not None and self._health.by_hand is not None
         if by_hand or self.skin.loop.reference is not self._held_against or frame.withheld or frame.seq is None:
             decided.clear()
             return
-        overruled = GATE_OVERRULED in notes.events
+        overruled = GATE_OVERRULED in events
         decided.touched = frame.touched and not overruled
-        decided.inferred_untouched = overruled or "map:untouched" in notes.skipped
+        decided.inferred_untouched = overruled or "map:untouched" in _texts(note.get("skipped"))
         decided.keeps_map = None if frame.map_seq is None or frame.solver == "none" else frame.map_seq != frame.seq
 
     def _use_conditions(self, conditions: Conditions) -> None:
@@ -396,92 +395,16 @@ def _first_known(script: Script, manner: ReplayOptions) -> tuple[Step, int]:
     )
 
 
-def _idles(script: Script) -> bool:
-    """Whether the device idled at times."""
-    return any(status.get("mode_changes") for state in script.states if isinstance(status := state.get("status"), dict))
-
-
-@dataclass(frozen=True, slots=True)
-class FrameNotes:
-    """What is noted of a frame."""
-
-    events: tuple[str, ...]
-    """At it: all of them where what was published was recorded, else what the states told."""
-    skipped: tuple[str, ...]
-    """What was left out for it; empty where what was published was not recorded."""
-    distance: Distance
-    """How far the sheet was from its reference."""
-
-    @property
-    def of_health(self) -> tuple[str, ...]:
-        """Events of electrodes and drift."""
-        return tuple(text for text in self.events if text.startswith(HEALTH_EVENTS))
-
-
-class PublishedNotes:
-    """What a recording says of drift, and of what happened and was left out, frame by frame in their order.
-
-    By what was published of each frame, exactly; where that was not recorded, by the states, of which one came a
-    second, rounded as they are.
-
-    Args:
-        script: The recording.
-        from_s: Begin so long after its first frame.
-    """
-
-    def __init__(self, script: Script, from_s: float | None) -> None:
-        begin_ns = script.first_ns + int((from_s or 0.0) * 1e9)
-        self._notes = _notes(script, begin_ns)
-        self._note = next(self._notes, None)
-        offset_ns = script.recording.wall_minus_host_ns
-        made = ((state.get("made_ns"), state) for state in script.states)
-        self._states = [(at + offset_ns, _drift_of(state)) for at, state in made if isinstance(at, int)]
-        self._events: dict[int, tuple[str, ...]] = {}
-        for state in script.states:
-            events = state.get("events")
-            for event in events if isinstance(events, list) else ():
-                match event:
-                    case [int(sequence), str(text)]:
-                        self._events[sequence] = (*self._events.get(sequence, ()), text)
-
-    def of(self, step: Step) -> FrameNotes:
-        """Return what is noted of a frame."""
-        frame, skipped = step.frame, tuple[str, ...]()
-        events = self._events.get(-1 if frame.seq is None else frame.seq, ())
-        distance = self._distance_at(step.log_ns)
-        if frame.frame is not None:
-            while self._note is not None and self._note["number"] < frame.frame:
-                self._note = next(self._notes, None)
-            if (note := self._note) is not None and note["number"] == frame.frame:
-                events, skipped = _texts(note.get("events")), _texts(note.get("skipped"))
-                distance = _numbers(note.get(name) for name in ("drift", "drift_sd", "drift_uneven"))
-        return FrameNotes(events, skipped, distance)
-
-    def _distance_at(self, log_ns: int) -> Distance:
-        index = bisect_right(self._states, log_ns, key=lambda one: one[0])
-        return self._states[max(index - 1, 0)][1] if self._states else UNKNOWN_DISTANCE
-
-
-def _notes(script: Script, begin_ns: int) -> Iterator[dict[str, Any]]:
-    for entry in script.recording.entries({FRAME.topic}, begin_ns):
-        try:
-            note = unpack_json(entry.data)
-        except RecordingError:
-            continue
-        if isinstance(note.get("number"), int):
-            yield note
+def _has_idle_gate(bundle: Bundle, hello: Hello) -> bool:
+    try:
+        IdleGate(bundle.gate_arrays(), hello)
+    except (BundleError, HandshakeError):
+        return False
+    return True
 
 
 def _texts(values: Any) -> tuple[str, ...]:
     return tuple(text for text in values if isinstance(text, str)) if isinstance(values, list | tuple) else ()
-
-
-def _drift_of(state: dict[str, Any]) -> Distance:
-    status = state.get("status")
-    drift = status.get("drift") if isinstance(status, dict) else None
-    if not isinstance(drift, dict):
-        return UNKNOWN_DISTANCE
-    return _numbers(drift.get(name) for name in ("percent", "sd_percent", "uneven_percent"))
 
 
 def _numbers(values: Iterator[Any]) -> Distance:

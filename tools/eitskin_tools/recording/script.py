@@ -1,13 +1,12 @@
 """A recording as a sequence of events: each frame with its cloud, reference and conditions.
 
-:class:`SeekableRecording` returns any part: its frames, the published frames, and the state at its beginning, without
-reading earlier parts. It keeps the clouds and conditions that were read last, so its memory does not grow with the
-file. :class:`Script` has read the whole file once, and knows its faults.
+:class:`Script` returns any part without reading earlier ones. It keeps the chunks, clouds and conditions that were read
+last, so its memory does not grow with the file, and its work for a frame is bounded.
 """
 
 import hashlib
 from bisect import bisect_right
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -28,7 +27,7 @@ from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_proto.wire.messages import Hello
 from eitskin_proto.wire.volts import unpack_hello
 from eitskin_tools.recording.codec import unpack_json
-from eitskin_tools.recording.layout import CLOUD, CONDITIONS, FRAME, STATE, WIRE, RecordingError
+from eitskin_tools.recording.layout import CLOUD, CONDITIONS, FRAME, WIRE, RecordingError
 from eitskin_tools.recording.reader import LATEST_NS, Entry, Recording
 
 MAX_CACHED: Final = 256
@@ -37,6 +36,12 @@ MAX_CACHED: Final = 256
 MAX_DISTANCE: Final = 16
 """Chunks before a frame's, and behind it, that are searched for what held; the one before has it, unless it is
 damaged."""
+
+NEIGHBOURS: Final = (0, 1, -1, 2, -2)
+"""Chunks, counted from a frame's, that its note may be in: half a second to either side."""
+
+MOST_FRAMES_S: Final = 5000
+"""Frames in a second of a recording; the fastest devices measure a few hundred."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,19 +57,25 @@ class Step:
     known: bool = True
     """Whether the recording has all that the frame met: it may lack that of the first ones, if something changed just
     then, and of those behind a damaged chunk."""
+    published: bytes = b""
+    """What was noted when the frame was published; empty where nothing was."""
+
+    @property
+    def note(self) -> dict[str, Any]:
+        """What was noted, as :func:`eitskin_tools.recording.codec.note_of` makes it; empty if it makes no sense."""
+        with suppress(RecordingError):
+            return unpack_json(self.published or b"{}")
+        return {}
 
 
 @dataclass(frozen=True, slots=True)
-class Span:
-    """Some of a recording."""
-
-    steps: tuple[Step, ...]
-    """The frames of the wire; the first of which it is known has all that held then."""
-    notes: dict[int, dict[str, Any]]
-    """What was published, by the number of the published frame; as far as it was recorded."""
+class _Chunk:
+    entries: list[Entry]
+    notes: dict[int, bytes]
+    """By the number of the published frame, modulo 2^32."""
 
 
-class SeekableRecording:
+class Script:
     """A recording of which parts are read.
 
     Args:
@@ -83,6 +94,9 @@ class SeekableRecording:
         self._references = {hashlib.sha256(data).hexdigest(): data for data in self.recording.attached.values()}
         self._clouds = _ByRevision(CLOUD.topic, CloudInUse.of)
         self._conditions = _ByRevision(CONDITIONS.topic, Conditions.of)
+        self._chunks = OrderedDict[int, _Chunk]()
+        self._searched = set[int]()
+        self._malformed = set[tuple[int, int]]()
         first, last = self._end(1), self._end(-1)
         if first is None or last is None:
             raise RecordingError(f"{path} holds no frame from the device{self.ending}")
@@ -106,7 +120,7 @@ class SeekableRecording:
 
     def _end(self, way: int) -> int | None:
         for number in self.recording.having(WIRE.topic)[::way]:
-            if found := [entry.log_ns for entry in self.recording.read(number) if entry.topic == WIRE.topic]:
+            if found := [entry.log_ns for entry in self._read(number).entries if entry.topic == WIRE.topic]:
                 return found[0] if way > 0 else found[-1]
         return None
 
@@ -116,15 +130,21 @@ class SeekableRecording:
 
     @property
     def ending(self) -> str:
-        """What is wrong with the file's end or middle, as a clause; "" if nothing is known to be."""
+        """What is wrong with the file's end or middle, as far as it was read, as a clause; "" if nothing is."""
         found = "; it was cut off and ends early" if self.recording.cut else ""
-        damaged = self.recording.damaged
-        return found + (f"; {damaged} damaged chunks are left out" if damaged else "")
+        if damaged := self.recording.damaged:
+            found += f"; {damaged} damaged chunks are left out"
+        return found + (f"; {len(self._malformed)} messages make no sense" if self._malformed else "")
 
     @property
     def seconds(self) -> float:
         """From the first frame to the last."""
         return max(self.last_ns - self.first_ns, 0) * 1e-9
+
+    @cached_property
+    def frames(self) -> int:
+        """Frames of the wire; reads the whole file."""
+        return sum(1 for _ in self.recording.entries({WIRE.topic}))
 
     def reference(self) -> bytes:
         """Return the reference of the first frame whose reference is known, as ``eitskin reference`` writes it.
@@ -142,16 +162,14 @@ class SeekableRecording:
 
         Args:
             from_s: Begin so long after the first frame, with everything that held then.
-            to_s: End so long after the first frame.
+            to_s: End so long after it.
 
         Raises:
-            RecordingError: There is no frame between the two.
+            RecordingError: There is no frame between the two, or there are more than any device measures.
             OSError: The file cannot be read any more.
         """
-        begin_ns = self.first_ns + int((from_s or 0.0) * 1e9)
-        end_ns = LATEST_NS if to_s is None else self.first_ns + int(to_s * 1e9)
         count = 0
-        for step in self._steps(begin_ns, end_ns):
+        for step in self.part(from_s, to_s):
             count += 1
             yield step
         if not count:
@@ -160,91 +178,99 @@ class SeekableRecording:
                 f"lasts {self.seconds:.1f} s"
             )
 
-    def span(self, from_s: float, to_s: float) -> Span:
-        """Return a part.
-
-        Args:
-            from_s: Its beginning, after the first frame.
-            to_s: Its end, which belongs to the next part.
-
-        Raises:
-            OSError: The file cannot be read any more.
-        """
-        begin_ns, end_ns = self.first_ns + round(from_s * 1e9), self.first_ns + round(to_s * 1e9)
-        notes: dict[int, dict[str, Any]] = {}
-        return Span(tuple(self._steps(begin_ns, end_ns - 1, notes)), notes)
-
-    def _steps(self, begin_ns: int, end_ns: int, notes: dict[int, dict[str, Any]] | None = None) -> Iterator[Step]:
-        """Yield the frames of a span of the wall clock, and put what was published of them into ``notes``."""
+    def part(self, from_s: float | None, to_s: float | None) -> Iterator[Step]:
+        """Yield the same as ``steps``, or nothing where there is no frame."""
+        begin_ns = self.first_ns + round((from_s or 0.0) * 1e9)
+        end_ns = LATEST_NS if to_s is None else self.first_ns + round(to_s * 1e9)
         before: Conditions | None = None
+        counts = Counter[int]()
         for number in self.recording.between(begin_ns, end_ns):
-            for entry in self._read(number):
-                if not begin_ns <= entry.log_ns <= end_ns:
+            wires = [
+                (place, entry)
+                for place, entry in enumerate(self._read(number).entries)
+                if entry.topic == WIRE.topic and begin_ns <= entry.log_ns <= end_ns
+            ]
+            seconds = [entry.log_ns // 10**9 for _, entry in wires]
+            counts.update(seconds)
+            if any(counts[second] > MOST_FRAMES_S for second in seconds):
+                raise RecordingError(
+                    f"{self.path}: found over {MOST_FRAMES_S} frames in a second, more than any device measures; "
+                    "record again"
+                )
+            for place, entry in wires:
+                try:
+                    frame = WireFrame.of(entry.data, n=entry.sequence)
+                except FrameError:
+                    self._malformed.add((number, place))
                     continue
-                if entry.topic == FRAME.topic and notes is not None:
-                    _add_note(notes, entry.data)
-                elif entry.topic == WIRE.topic:
-                    try:
-                        frame = WireFrame.of(entry.data, n=entry.sequence)
-                    except FrameError:
-                        continue
-                    now = self._lookup(self._conditions, frame.conditions, number)
-                    step = self._step(frame, entry.log_ns, now, before, number)
-                    yield step
-                    before = now if step.known else before
+                step = self._step(frame, entry.log_ns, before, number)
+                yield step
+                before = step.conditions if step.conditions is not None else before
 
-    def _step(
-        self, frame: WireFrame, log_ns: int, now: Conditions | None, before: Conditions | None, number: int
-    ) -> Step:
+    def _step(self, frame: WireFrame, log_ns: int, before: Conditions | None, number: int) -> Step:
         """Return a frame with what changed before it; with nothing where the recording lacks some of what it met.
 
         Args:
             frame: It.
             log_ns: When it was read, on the wall clock.
-            now: What held; None if it is not there.
             before: What held when everything was known last; None at the beginning.
             number: Of its chunk.
         """
+        note = self._note(frame, number)
+        now = self._lookup(self._conditions, frame.conditions, number)
         if now is None:
-            return Step(frame, log_ns, known=False)
+            return Step(frame, log_ns, known=False, published=note)
         if now is before:
-            return Step(frame, log_ns)
+            return Step(frame, log_ns, published=note)
         new_cloud = before is None or before.cloud != now.cloud
         new_reference = before is None or before.reference != now.reference
         cloud = self._lookup(self._clouds, now.cloud, number) if new_cloud else None
         reference = self._references.get(now.reference) if new_reference else None
         if (new_cloud and cloud is None) or (new_reference and reference is None):
-            return Step(frame, log_ns, known=False)
-        return Step(frame, log_ns, now, cloud, reference)
+            return Step(frame, log_ns, known=False, published=note)
+        return Step(frame, log_ns, now, cloud, reference, published=note)
+
+    def _note(self, frame: WireFrame, number: int) -> bytes:
+        """Return what was noted of a frame, in its chunk or in one near it."""
+        if frame.frame is None:
+            return b""
+        for one in (number + k for k in NEIGHBOURS):
+            notes = self._read(one).notes if 0 <= one < len(self.recording.chunks) else {}
+            if (found := notes.get(frame.frame & 0xFFFFFFFF)) is not None:
+                return found
+        return b""
 
     def _lookup(self, cache: "_ByRevision", revision: int, number: int) -> Any:
         """Return what had a revision when a chunk was written; None where it is not near that chunk."""
-        if (found := cache.get(revision)) is not None or revision in cache.missing:
+        if (found := cache.get(revision)) is not None:
             return found
-        having = self.recording.having(cache.topic)
+        if (place := cache.places.get(revision)) is not None:
+            return cache.add(self._read(place[0]).entries[place[1]].data, place)
+        having = cache.chunks = cache.chunks or self.recording.having(cache.topic)
         at = bisect_right(having, number)
         for one in (*having[max(at - MAX_DISTANCE, 0) : at][::-1], *having[at : at + MAX_DISTANCE]):
-            self._read(one)
-            if (found := cache.get(revision)) is not None:
-                return found
-        cache.missing.add(revision)
+            if one not in self._searched:
+                self._read(one)
+                if (found := cache.get(revision)) is not None:
+                    return found
         return None
 
-    def _read(self, number: int) -> list[Entry]:
-        """Return the messages of a chunk, having kept what lasts."""
+    def _read(self, number: int) -> _Chunk:
+        """Return a chunk, having kept what lasts."""
+        if (found := self._chunks.get(number)) is not None:
+            return found
         entries = self.recording.read(number)
-        for entry in entries:
-            for cache in (self._clouds, self._conditions):
-                if entry.topic == cache.topic:
-                    cache.add(entry.data)
-        return entries
-
-
-def _add_note(notes: dict[int, dict[str, Any]], data: bytes) -> None:
-    """Add what was published of a frame, unless it makes no sense."""
-    with suppress(RecordingError, KeyError, TypeError, ValueError, OverflowError):
-        note = unpack_json(data)
-        notes[int(note["number"])] = note
+        notes = {entry.sequence: entry.data for entry in entries if entry.topic == FRAME.topic}
+        found = self._chunks[number] = _Chunk(entries, notes)
+        if len(self._chunks) > len(NEIGHBOURS) + 1:
+            self._chunks.popitem(last=False)
+        if number not in self._searched:
+            self._searched.add(number)
+            for place, entry in enumerate(entries):
+                for cache in (self._clouds, self._conditions):
+                    if entry.topic == cache.topic and cache.add(entry.data, (number, place)) is None:
+                        self._malformed.add((number, place))
+        return found
 
 
 class _ByRevision:
@@ -258,74 +284,30 @@ class _ByRevision:
     def __init__(self, topic: str, parse: Callable[[bytes], Any]) -> None:
         self.topic, self._parse = topic, parse
         self._found = OrderedDict[int, Any]()
-        self.missing: set[int] = set()
-        """Revisions that were not found."""
-        self.malformed = 0
-        """Messages that make no sense."""
+        self.places = dict[int, tuple[int, int]]()
+        """Chunk and place in it of each."""
+        self.chunks: list[int] = []
+        """Those that have some."""
 
-    def add(self, data: bytes) -> None:
+    def add(self, data: bytes, place: tuple[int, int]) -> Any:
+        """Keep a message; return it parsed, or None if it makes no sense."""
         try:
             found = self._parse(data)
         except FrameError:
-            self.malformed += 1
-            return
+            return None
+        self.places[found.revision] = place
         if found.revision not in self._found:  # the same one stays the same object, which says that nothing changed
             self._found[found.revision] = found
         self._found.move_to_end(found.revision)
         while len(self._found) > MAX_CACHED:
             self._found.popitem(last=False)
+        return self._found[found.revision]
 
     def get(self, revision: int) -> Any:
         return self._found.get(revision)
 
 
-class Script(SeekableRecording):
-    """A recording that was gone through once.
-
-    Args:
-        path: Of the recording.
-
-    Raises:
-        RecordingError: It cannot be used, or holds no frame.
-        MismatchError: It is of another protocol.
-        OSError: It cannot be read.
-    """
-
-    def __init__(self, path: str | Path) -> None:
-        self.malformed = 0
-        """Messages that make no sense."""
-        super().__init__(path)
-        self.states: list[dict[str, Any]] = []
-        """All that was said of the skin, in order."""
-        self.frames = 0
-        """Of the wire."""
-        for number in range(len(self.recording.chunks)):
-            for entry in self._read(number):
-                self.frames += entry.topic == WIRE.topic
-                if entry.topic == STATE.topic:
-                    try:
-                        self.states.append(unpack_json(entry.data))
-                    except RecordingError:
-                        self.malformed += 1
-        self.malformed += self._clouds.malformed + self._conditions.malformed
-
-    @property
-    def ending(self) -> str:
-        """What is wrong with the file's end or middle, as a clause; "" if nothing is."""
-        return super().ending + (f"; {self.malformed} messages make no sense" if self.malformed else "")
-
-    @cached_property
-    def clouds(self) -> dict[int, CloudInUse]:
-        """All clouds, by revision: some 20 kB each."""
-        found = {}
-        for entry in self.recording.entries({CLOUD.topic}):
-            with suppress(FrameError):
-                cloud = CloudInUse.of(entry.data)
-                found[cloud.revision] = cloud
-        return found
-
-
-def bundle_of(script: SeekableRecording, named: str | Path | None = None) -> Bundle:
+def bundle_of(script: Script, named: str | Path | None = None) -> Bundle:
     """Return the bundle that a recording was made with.
 
     Args:
@@ -350,7 +332,7 @@ def bundle_of(script: SeekableRecording, named: str | Path | None = None) -> Bun
     )
 
 
-def for_skin(bundle: Bundle, script: SeekableRecording) -> Bundle:
+def for_skin(bundle: Bundle, script: Script) -> Bundle:
     """Return a bundle, or refuse it.
 
     Raises:
@@ -366,7 +348,7 @@ def for_skin(bundle: Bundle, script: SeekableRecording) -> Bundle:
     return bundle
 
 
-def reference_of(script: SeekableRecording, content: bytes, skin: Skin | None = None) -> Reference:
+def reference_of(script: Script, content: bytes, skin: Skin | None = None) -> Reference:
     """Return a recorded reference.
 
     Raises:

@@ -260,9 +260,8 @@ class RecordingWriter:
             self.sync()
 
     def _register(self, channel: Channel) -> int:
-        schema = 0
-        if channel.schema:
-            schema = self._writer.register_schema(channel.schema_name, "jsonschema", channel.schema.encode())
+        encoding = "jsonschema" if channel.schema else ""  # an empty schema is one: Rerun wants one of each channel
+        schema = self._writer.register_schema(channel.schema_name, encoding, channel.schema.encode())
         return self._writer.register_channel(channel.topic, channel.encoding, schema)
 
     def sync(self) -> None:

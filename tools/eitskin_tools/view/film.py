@@ -22,7 +22,7 @@ from eitskin_tools.recording.codec import unpack_json
 from eitskin_tools.recording.frames import RecordedFrames, count, number, texts
 from eitskin_tools.recording.layout import FRAME, WIRE, RecordingError
 from eitskin_tools.recording.reader import Entry, Recording
-from eitskin_tools.recording.script import SeekableRecording, bundle_of
+from eitskin_tools.recording.script import Script, bundle_of
 from eitskin_tools.view.messages import event_list, frame_message, packed, skin_message, status_message, surface_message
 from eitskin_tools.view.server import PageServer
 
@@ -49,20 +49,20 @@ class Film:
     """
 
     def __init__(self, path: Path, bundle: Path | None = None) -> None:
-        self._moments = SeekableRecording(path)
-        found = bundle_of(self._moments, bundle)
-        self._frames = RecordedFrames(self._moments, found)
+        self._script = Script(path)
+        found = bundle_of(self._script, bundle)
+        self._frames = RecordedFrames(self._script, found)
         self.path, self.skin, self.labels = path, found.skin, found.labels
-        self.seconds = self._moments.seconds
-        self.ending = self._moments.ending.removeprefix("; ")
+        self.seconds = self._script.seconds
+        self.ending = self._script.ending.removeprefix("; ")
         """A defect of the file in words, or ""."""
-        self.first_ns = self._moments.first_ns
+        self.first_ns = self._script.first_ns
         """Wall clock of the first frame."""
         self.parts = math.floor(self.seconds / PART_S) + 1
         self._lock = threading.Lock()
         self._made: OrderedDict[int, bytes] = OrderedDict()
         self._watches: OrderedDict[int, TouchWatch] = OrderedDict()
-        self._run = self._moments.head_text("run")
+        self._run = self._script.head_text("run")
 
     def part(self, number: int) -> bytes:
         """Return the messages of a part, one after another.
@@ -83,10 +83,10 @@ class Film:
             return self._made[number]
 
     def _make(self, number: int) -> bytes:
-        watch = self._watches.pop(number - 1, None) or TouchWatch(self.skin.grid)
+        watch = self._watches.pop(number - 1, None) or self._frames.watch()
         messages: list[bytes] = []
-        for cloud, frame in self._frames.part(number * PART_S, (number + 1) * PART_S, watch):
-            if cloud is not None:
+        for step, frame in self._frames.part(number * PART_S, (number + 1) * PART_S - 1e-9, watch):
+            if (cloud := step.cloud) is not None:
                 messages.append(surface_message(cloud.revision, cloud.cloud, self._run, 0, Pose()))
             if frame is not None:
                 messages.append(frame_message(frame, 0, Pose()))

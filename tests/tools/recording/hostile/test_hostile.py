@@ -1,86 +1,95 @@
 """Recordings that say what no recorder writes: each is read, or refused in a line, and soon."""
 
 import json
-import struct
-import zlib
+import random
+import time
+from contextlib import suppress
 
 import pytest
-import zstandard
-from mcap.records import Chunk
 
+from eitskin.model.bundle import load_bundle
+from eitskin_proto.errors import SkinError
 from eitskin_proto.files.digest import sha256_of, sha256_of_values
 from eitskin_tools.cli import main
+from eitskin_tools.recording.convert import table_of
 from eitskin_tools.recording.frames import number
-from eitskin_tools.recording.layout import FRAME, STATE, WIRE, RecordingError
-from eitskin_tools.recording.reader import Recording, unpacked
+from eitskin_tools.recording.layout import FRAME, WIRE, RecordingError
+from eitskin_tools.recording.plot import course_of
+from eitskin_tools.recording.reader import MOST_RECORDS, Recording
+from eitskin_tools.recording.reinfer import reinfer
 from eitskin_tools.recording.replay import Player, ReplayOptions
-from eitskin_tools.recording.script import Script, SeekableRecording
+from eitskin_tools.recording.script import MOST_FRAMES_S, Script
+from eitskin_tools.view.film import Film
 
 from ..conftest import TINY, Taker, rewritten
+from .files import KINDS, LARGEST, Honest, chunk, message, record
+from .files import WIRE as WIRE_NUMBER
 
 HUGE = 10**400
+CPU_S = 10.0
+"""Of reading one file in several ways; it takes half a second."""
 
 
-def with_fields(file, topic, **fields):
-    """Write it anew with other fields in every JSON message of a channel."""
-    return rewritten(
-        file, lambda at, data, ns: (json.dumps(json.loads(data) | fields).encode() if at == topic else data, ns)
-    )
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(2))
+def test_a_file_that_asks_for_endless_work_is_read_or_refused_soon(file, kind, seed):
+    path = file.with_name(f"{kind}.mcap")
+    path.write_bytes(KINDS[kind](Honest(file), random.Random(seed)))
+    began_s = time.process_time()
+    with suppress(SkinError):
+        film = Film(path, TINY)
+        for part in {0, film.parts // 2, film.parts - 1}:
+            film.part(part)
+    for read in (reinfer, course_of, lambda script, _: table_of(script)):
+        with suppress(SkinError):
+            read(Script(path), load_bundle(TINY))
+    assert time.process_time() - began_s < CPU_S
+
+
+@pytest.mark.parametrize(
+    "inner",
+    [record(3, b"") * 1001, message(WIRE_NUMBER, 0, b"") * (MOST_RECORDS + 1), record(12, b"x"), bytes(LARGEST),
+     random.Random(0).randbytes(9 << 20)],
+    ids=["schemas", "messages", "metadata", "packed", "large"],
+)  # fmt: skip
+def test_a_chunk_that_no_recorder_writes_is_left_out(file, inner):
+    honest = Honest(file)
+    file.write_bytes(honest.file(honest.body, chunk(inner)))
+    found = Recording(file)
+    assert len(list(found.entries())) == len(honest.rows)
+    assert found.damaged == 1
+
+
+def test_frames_faster_than_those_of_any_device_are_refused(file):
+    honest, rng = Honest(file), random.Random(0)
+    frames = honest.frames(MOST_FRAMES_S + 1, 1, read_ns=lambda _: rng.getrandbits(60))
+    file.write_bytes(honest.file(chunk(b"".join(frames))))
+    with pytest.raises(RecordingError, match=f"over {MOST_FRAMES_S} frames in a second"):
+        Film(file, TINY).part(0)
 
 
 @pytest.mark.parametrize("words", [("convert", "--out", "c.npz"), ("reinfer", "--quiet", "--out", "m.npz")])
 def test_times_after_every_era_are_left_out(file, words, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = rewritten(file, lambda topic, data, ns: (data, (1 << 63) + ns if topic == WIRE.topic else ns))
-    more = ["--bundle", str(TINY)] if words[0] == "reinfer" else []
-    assert main([words[0], str(path), *words[1:], *more]) == 1
+    assert main([words[0], str(path), *words[1:], "--bundle", str(TINY)]) == 1
     assert "holds no frame from the device" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "fields", [{"events": 7}, {"status": None}, {"status": [1]}, {"status": {"drift": {"percent": HUGE}}}]
-)
-def test_states_that_make_no_sense_say_nothing(file, fields):
-    path = with_fields(file, STATE.topic, **fields)
-    with Player(Script(path), ReplayOptions(paced=False), bundle=TINY) as player:
-        assert sum(1 for _ in player.skin.publish(Taker())) > 100
-
-
-@pytest.mark.parametrize("fields", [{"drift": HUGE, "drift_sd": float("inf")}, {"number": float("inf")}])
+@pytest.mark.parametrize("fields", [{"drift": HUGE, "drift_sd": float("inf")}, {"number": float("inf")}, {"events": 7}])
 def test_notes_that_make_no_sense_say_nothing(file, fields):
-    path = with_fields(file, FRAME.topic, **fields)
+    path = rewritten(
+        file, lambda at, data, ns: (json.dumps(json.loads(data) | fields).encode() if at == FRAME.topic else data, ns)
+    )
     with Player(Script(path), ReplayOptions(paced=False), bundle=TINY) as player:
         assert sum(1 for _ in player.skin.publish(Taker())) > 100
     assert main(["reinfer", str(path), "--bundle", str(TINY), "--quiet"]) in (0, 1)
-    assert SeekableRecording(path).span(0.0, 1.0).steps
+    assert Film(path, TINY).part(0)
 
 
 def test_numbers_that_a_page_cannot_hold_are_none():
     assert [number(value) for value in (HUGE, -HUGE, float("nan"), float("inf"), "1", None)] == [None] * 6
     assert (number(3), number(-0.5)) == (3.0, -0.5)
-
-
-def test_a_reference_that_is_lacking_is_not_looked_for_in_every_second_of_a_thousand_years(file):
-    last = [one.log_ns for one in Recording(file).entries({WIRE.topic})][-1]
-    path = rewritten(file, lambda _, data, ns: (data, (1 << 62) if ns == last else ns), attached=False)
-    moments = SeekableRecording(path)
-    assert moments.seconds > 1e9
-    with pytest.raises(RecordingError, match="has no reference"):
-        moments.reference()
-
-
-@pytest.mark.parametrize("unit", [bytes(9), b"\x0c" + struct.pack("<Q", 1) + b"x"])
-def test_a_chunk_of_millions_of_nothings_is_damaged_at_once(unit):
-    inner = unit * 100_000
-    chunk = Chunk("zstd", zstandard.compress(inner), 1, 0, zlib.crc32(inner), len(inner))
-    with pytest.raises(ValueError, match="a record of kind"):
-        unpacked(chunk)
-
-
-def test_a_chunk_that_says_that_it_is_larger_than_any_is_not_unpacked():
-    chunk = Chunk("zstd", zstandard.compress(bytes(9 << 20)), 1, 0, 0, 9 << 20)
-    with pytest.raises(ValueError, match="a chunk of"):
-        unpacked(chunk)
 
 
 def reinfers_or_says_why(path, capsys):

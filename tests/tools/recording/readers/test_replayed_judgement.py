@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from eitskin import Frame, WireFrame
 from eitskin.model.bundle import Bundle, default_path, load_bundle
 from eitskin.model.gate import RememberingGate
 from eitskin_proto.wire.frames import Frame as WireScan
-from eitskin_tools.recording.replay import Player, RecordedLine, ReplayOptions
+from eitskin_tools.recording.replay import RecordedLine
 from eitskin_tools.recording.script import Script, Step
 
 from ..conftest import PERIOD_NS, Taker, hello, play, recorded
@@ -103,22 +102,6 @@ def test_a_part_that_begins_under_a_faint_press_shows_it_from_its_first_frame(
     assert [again[seq].map_sequence for seq in touched] == [then[seq].map_sequence for seq in touched]
 
 
-def test_a_recording_that_began_under_the_press_is_played_as_it_was(
-    tmp_path: Path, bundle: Bundle, pressed: list[Any]
-) -> None:
-    """What the gate remembered of the frames before the file is told by its frames."""
-    first = 100 + PRESS + 40
-    sequences = [getattr(item, "sequence", getattr(item, "seq", 0)) for item in pressed]
-    framed = [isinstance(item, WireFrame | Frame) for item in pressed]
-    late = [
-        item for item, is_frame, seq in zip(pressed, framed, sequences, strict=True) if not is_frame or seq >= first
-    ]
-    recorded(tmp_path / "a.mcap", late)
-    then, again = of(pressed), of(play(tmp_path / "a.mcap", bundle.path))
-    assert min(again) == first
-    assert [frame.touched for frame in again.values()] == [then[seq].touched for seq in again]
-
-
 def test_the_untouched_frames_whose_maps_were_computed_are_those_of_then(
     tmp_path: Path, bundle: Bundle, pressed: list[Any]
 ) -> None:
@@ -133,23 +116,6 @@ def test_the_untouched_frames_whose_maps_were_computed_are_those_of_then(
     assert len(again) > 100
     assert [frame.skipped for frame in again.values()] == [then[seq].skipped for seq in again]
     assert any("map:untouched" in frame.skipped for frame in again.values())
-
-
-def test_another_bundle_and_another_reference_judge_anew(tmp_path: Path, bundle: Bundle, pressed: list[Any]) -> None:
-    recorded(tmp_path / "a.mcap", pressed)
-    step = next(Script(tmp_path / "a.mcap").steps())
-    other = default_path("area")
-    with Player(Script(tmp_path / "a.mcap"), ReplayOptions(paced=False), bundle=other) as player:
-        player.line.before(step)
-        assert player.skin.pipeline.decisions.touched is None
-    with Player(Script(tmp_path / "a.mcap"), ReplayOptions(paced=False), bundle=bundle.path) as player:
-        player.line.before(step)
-        assert player.skin.pipeline.decisions.touched is False
-        reference = player.skin.reference
-        assert reference is not None
-        player.skin.loop.use_reference(replace(reference))
-        player.line.before(replace(step, conditions=None, reference=None, cloud=None))
-        assert player.skin.pipeline.decisions.touched is None
 
 
 @pytest.mark.process
