@@ -4,10 +4,13 @@ import contextlib
 import io
 import re
 import shlex
+from functools import cache
 
 from eitskin_tools.cli import _parser
 
 from .markdown import commands, pages
+
+parser_of = cache(_parser)
 
 PLACEHOLDERS = {"K": "2", "K-L": "2-4", "MM": "10", "N": "2", "S": "5", "X": "1", "Y": "2", "Z": "3"}
 """Numbers; every other word in capitals stands for a text."""
@@ -32,7 +35,7 @@ def understood(words):
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            _parser(words[0] if not words[0].startswith("-") else None).parse_args(words)
+            parser_of(words[0] if not words[0].startswith("-") else None).parse_args(words)
     except SystemExit as end:
         return end.code == 0, said.getvalue()
     return True, ""
