@@ -18,7 +18,6 @@ from typing import Any
 
 from eitskin_tools.command_line import options
 from eitskin_tools.console.terminal import say
-from eitskin_tools.console.words import event_words
 from eitskin_tools.errors import UsageError
 
 REPEAT_S = 0.1
@@ -68,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     options.check_positive(arguments, "frames", "seconds", "timeout_s", "max_age_ms")
     from eitskin.messaging.regions import Region
     from eitskin.messaging.subscription import subscribe
-    from eitskin_tools.console.stream_view import StreamView
+    from eitskin_tools.console.stream_view import StreamView, describe
 
     skin = options.chosen_skin(arguments)
     if arguments.region is not None:
@@ -94,7 +93,9 @@ def run(arguments: argparse.Namespace) -> int:
         keys=keys,
     )
     view = StreamView(sys.stdout, grid=skin.grid)
-    show: Callable[[Any], None] = _print if arguments.mode == "all" else view.show
+    show: Callable[[Any], None] = view.show
+    if arguments.mode == "all":
+        show = lambda frame: say(describe(frame, 0.0, skin.grid))  # noqa: E731
     if arguments.touches:
         show = _touch_lines(REPEAT_S if arguments.mode == "latest" else 0.0)
     latencies: list[float] = []
@@ -166,15 +167,6 @@ def _verified_summary(verdicts: Any, checked: int, flagged: int, spent_us: list[
         "checked": checked, "flagged": flagged, "lost": verdicts.lost, "rejected": verdicts.rejected,
         "extra_us": quantiles(np.array(spent_us)),
     }  # fmt: skip
-
-
-def _print(frame: Any) -> None:
-    peak = f"peak {frame.map.max():.2f}" if frame.touched else "untouched"
-    events = f" [{'; '.join(event_words(one) for one in frame.events)}]" if frame.events else ""
-    say(
-        f"frame {frame.sequence}  {peak}  {frame.solver}  age {frame.age_s * 1e3:.2f} ms  "
-        f"latency {frame.latency_s * 1e3:.2f} ms  cloud {frame.cloud}{events}",
-    )
 
 
 def _touch_lines(every_s: float) -> Callable[[Any], None]:
