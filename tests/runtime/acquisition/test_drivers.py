@@ -213,6 +213,7 @@ def test_a_polled_driver_needs_no_descriptor(tiny):
     with eitskin.Skin(source=device, bundle=tiny) as skin:
         skin.capture_reference(20, force=True)
         assert not next(skin.frames()).touched
+        assert "rate unknown" not in "".join(skin.transport.report())  # one scan was timed
     assert device.closed
 
 
@@ -336,6 +337,12 @@ def test_a_driver_waits_for_a_board_that_boots_and_goes_on_after_an_unplug(tiny,
             assert line.returns == 1
 
 
+def test_a_reference_waits_for_its_port(tmp_path):
+    with Lines(at_rest, text) as device:
+        threading.Timer(0.2, (tmp_path / "late").symlink_to, [device.port]).start()
+        assert capture(f"line:{tmp_path}/late", 10, reconnect_s=60.0).frames == 10
+
+
 def test_half_frames_are_counted_as_lost():
     numbers = itertools.count()
 
@@ -362,7 +369,7 @@ def started(port):
     ("port", "error", "text"),
     [
         ("nobody:/dev/x", eitskin.TransportError, "no driver is called 'nobody'; there are cn0565, line, sciospec"),
-        ("line:/dev/none", eitskin.PortMissing, "/dev/none cannot be opened"),
+        ("line:/dev/none", eitskin.PortMissing, "no port /dev/none: plug the device in"),
         ("line:{port}?colour=3", eitskin.TransportError, "colour"),
         ("line:{port}?numbers=208&order=opposite-192", eitskin.TransportError, "208 numbers, expected the 192 rows"),
         ("sciospec:{port}?rate=0", eitskin.TransportError, "sciospec rate is 0, expected"),

@@ -80,11 +80,11 @@ def streaming(tmp_path, monkeypatch):
     monkeypatch.setenv("VERIFIER_SCRIPT", str(tmp_path))
 
     @contextmanager
-    def run(mode="always", *, max_failures=5, every_map=False, **device):
+    def run(mode="always", *, max_failures=5, every_map=False, source=None, **device):
         with ExitStack() as stack:
-            port = stack.enter_context(virtual_skin(**{"touches": TOUCHED, **device}))
+            port = None if source else stack.enter_context(virtual_skin(**{"touches": TOUCHED, **device}))
             bundle = TESTS / "golden" / "tiny.eitskin"
-            skin = stack.enter_context(Skin(port, bundle=bundle, skip_unchanged=not every_map))
+            skin = stack.enter_context(Skin(port, bundle=bundle, skip_unchanged=not every_map, source=source))
             skin.capture_reference(10)
             publisher = Publisher(f"ipc://{tmp_path}/frames")
             stack.callback(publisher.close)

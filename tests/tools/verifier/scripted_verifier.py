@@ -12,6 +12,8 @@ import time
 import types
 from pathlib import Path
 
+import numpy as np
+
 FOLDER = Path(os.environ["VERIFIER_SCRIPT"])
 
 
@@ -20,6 +22,8 @@ class Checker:
         if (FOLDER / "bad_model").exists():
             raise ValueError("the cloud folds in its own plane")
         setup.described()
+        ratio = np.frombuffer(setup.spread_V) / np.abs(np.frombuffer(setup.reference_V))
+        (FOLDER / "spread").write_text(str(np.median(ratio)))
 
     def learn_baseline(self, letter):
         with (FOLDER / "rested").open("a") as file:

@@ -6,6 +6,7 @@ import os
 import signal
 import time
 
+import numpy as np
 import pytest
 
 import eitskin
@@ -59,6 +60,18 @@ def test_a_frame_is_followed_by_its_verdict_which_subscribe_prints(streaming, ca
     assert frame.received_ns <= found.received_ns
     assert (status["mode"], status["state"], status["restarts"], status["nice"]) == ("always", "ready", 0, 5)
     assert status["checked"] >= 1
+
+
+def test_a_program_that_gives_volts_has_the_noise_of_its_reference(streaming, tmp_path):
+    def scans():
+        noise = np.random.default_rng(0)
+        while True:
+            time.sleep(0.005)
+            yield 1e-2 * 300.0 ** (-np.arange(104) / 103) * (1.0 + 1e-3 * noise.standard_normal(104))
+
+    with streaming(source=scans()) as stream, stream.subscribed() as verdicts:
+        first(verdicts, lambda one: one.state == "ready")
+    assert 5e-4 < float((tmp_path / "spread").read_text()) < 2e-3
 
 
 def test_what_rests_is_verified_once(streaming):

@@ -221,7 +221,8 @@ def open_text_line(rest: str) -> TextLine:
     baud = options.whole("baud", DEFAULT_BAUD, low=300, high=1 << 30)
     if not path:
         raise ValueError("expected line:PATH, such as line:/dev/ttyACM0 or line:-")
-    source = SerialPort(path, baud) if Path(path).is_char_device() and path != "-" else _Pipe(path)
+    piped = path == "-" or (Path(path).exists() and not Path(path).is_char_device())
+    source = _Pipe(path) if piped else SerialPort(path, baud)
     try:
         return TextLine(source, options)
     except BaseException:

@@ -25,7 +25,7 @@ WIRE = WireFrame(
 CLOUD = CloudInUse(
     revision=2, cloud=RNG.normal(size=(3, 5, 7)).astype(np.float32), predicted=RNG.normal(size=104),
     predicted_flat=RNG.normal(size=104), taken_ns=5, why="given",
-    log_predicted=RNG.normal(size=104).astype(np.float32), seq=9, utc_ns=6,
+    log_predicted=RNG.normal(size=928).astype(np.float32), seq=9, utc_ns=6,
 )  # fmt: skip
 
 CONDITIONS = Conditions(
