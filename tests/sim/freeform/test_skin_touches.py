@@ -7,8 +7,8 @@ import pytest
 
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.toml import named
+from eitskin_sim.arrays import Array
 from eitskin_sim.freeform.touches import pool_of
-from eitskin_sim.scene.touch_table import Array
 
 HYDROGEL = named("hydrogel")
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.arrays import Array
 from eitskin_sim.scene.parts import Bend
-from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import fit_cloud
 from eitskin_sim.surface.smoothed import Scan, smoothed

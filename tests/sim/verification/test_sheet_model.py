@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.arrays import Array
 from eitskin_sim.devices.device import ideal
 from eitskin_sim.freeform.sheet import inverted_metric
 from eitskin_sim.scene.parts import Bend, LaterChanges
-from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import fit_cloud, noise_tangents
 from eitskin_sim.surface.smoothed import smoothed

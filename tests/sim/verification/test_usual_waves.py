@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.arrays import Array
 from eitskin_sim.fem.mesh import Metric
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.family import Family, draw
 from eitskin_sim.scene.nominal import nominal_sheet
-from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import fit_cloud
 from eitskin_sim.surface.smoothed import Scan, smoothed

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from eitskin_sim.arrays import Array
 from eitskin_sim.dataset.plan import DEFORMATIONS_PER_POOL, VALIDATION_SHARE, make_plan
 from eitskin_sim.dataset.shards import make_shard, reference, shard_job, unit_contrasts, unit_sets
 from eitskin_sim.fem.forward import Factor
@@ -21,7 +22,6 @@ from eitskin_sim.freeform.parts import geometry
 from eitskin_sim.freeform.sheet import inverted_sheet, sheet_blocks
 from eitskin_sim.freeform.voltages import pool_voltages
 from eitskin_sim.scene.family import draw, paper_bends
-from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.unit_grid.patterns import paper_touch_sets
 from eitskin_sim.unit_grid.skeleton import unit_system
 from eitskin_sim.unit_grid.units import UnitGenerator

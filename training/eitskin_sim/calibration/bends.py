@@ -17,12 +17,12 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import chi2
 
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.parts import Range
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.calibration import solved
 from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.meshing import scene_mesh
@@ -32,8 +32,6 @@ from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.parts import Bend, Sheet
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import FittedSurface, fit_cloud, noise_tangents
-
-Array = npt.NDArray[np.float64]
 
 DRAWS: Final = 120
 SEED: Final = 23_011

@@ -17,12 +17,10 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import chi2
 
 from eitskin_proto.errors import SkinError
-
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
 
 SOFTENING_ERRORS: Final = (0.1, 0.01, 0.002, 0.0)
 """Relative errors that are added to every row, one after the other."""

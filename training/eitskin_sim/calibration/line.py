@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
 
 ROUNDS: Final = 50
 """Of weighted least squares, which settle on the least absolute sum."""

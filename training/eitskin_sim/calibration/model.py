@@ -14,6 +14,7 @@ import numpy.typing as npt
 from eitskin_proto.sensor.table import FULL_TABLE, N_FULL_ROWS, N_ROWS, TABLE
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.wire.scan_rows import TABLE_ROW_OF_FULL
+from eitskin_sim.arrays import Array
 from eitskin_sim.calibration.modes import SmoothModes
 from eitskin_sim.calibration.parameters import (
     COMMON_OFFSET,
@@ -31,8 +32,6 @@ from eitskin_sim.devices.readings import responses_of
 from eitskin_sim.fem.forward import flat_metric
 from eitskin_sim.measurement.front_end import FrontEnd, capacitance
 from eitskin_sim.scene.parts import Electrodes, Touch
-
-Array = npt.NDArray[np.float64]
 
 MODEL_ERROR: Final = 5e-4
 """Of every row, relative: the mesh's 2e-4, and what of the layer is finer than its modes."""

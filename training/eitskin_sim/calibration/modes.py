@@ -10,11 +10,9 @@ Modes are its leading eigenfunctions on a grid, carried to any point by the kern
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.skin.parts import Range
-
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
 
 GRID_MM: Final = 10.0
 """Distance of the grid's points: below half of the shortest correlation length that matters."""

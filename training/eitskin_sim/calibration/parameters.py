@@ -14,14 +14,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.devices.draws import MIN_ELECTRODE_SIZE_RATIO
-
-Array = npt.NDArray[np.float64]
 
 LEVEL_SPREAD: Final = 0.7
 """Of the logarithm of the level: a factor of two either way."""

@@ -1,12 +1,10 @@
 """Rows of a recording: those of the table among all 208, and their noise."""
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_FULL_ROWS, ROW_IN_FULL
 from eitskin_proto.skin.skin import Skin
-
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
 
 
 def of_table(values: Array) -> Array:

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import chi2
 
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.calibration import stamp as stamps
 from eitskin_sim.calibration.bends import bend_error
 from eitskin_sim.calibration.fit import MISFIT_LEVEL, CalibrationError
@@ -22,8 +22,6 @@ from eitskin_sim.calibration.model import GAUGE, Model, ModelVoltages, SheetStat
 from eitskin_sim.calibration.recording import LaterReading, Recording
 from eitskin_sim.calibration.rows import noise_V, of_table
 from eitskin_sim.surface.predict import fit_cloud
-
-Array = npt.NDArray[np.float64]
 
 DRIFT: Final = 0.01
 """Of real skins within a hundred presses."""

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from eitskin_sim.arrays import Array
 from eitskin_sim.devices.loose_contacts import loose_contacts
 from eitskin_sim.fem.borders.cut_elements import touch
 from eitskin_sim.fem.forward import Factor, System, assemble
@@ -23,7 +23,6 @@ from eitskin_sim.fem.mesh import TensorMesh
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.parts import Electrodes, Scene, Sheet, Touch
 
-Array = npt.NDArray[np.float64]
 Metric = Callable[[Array], Array]
 
 ELEMENT_MM: Final = 3.0

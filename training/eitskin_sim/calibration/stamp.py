@@ -14,15 +14,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.skin.parts import Touches
+from eitskin_sim.arrays import Array
 from eitskin_sim.calibration.parameters import ParameterGroup, Parameters
 from eitskin_sim.scene.parts import MIN_LOG_CONTRAST, Touch
 from eitskin_sim.scene.shapes import Disc, Rect, Shape
 from eitskin_sim.scene.soft_touch import MIN_BORDER_MM
-
-Array = npt.NDArray[np.float64]
 
 STRENGTH: Final = "press_log_contrast"
 PRESS_CONTRAST: Final = "press_own"

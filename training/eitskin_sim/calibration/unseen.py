@@ -12,16 +12,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.calibration.bends import bend_error, scan_error
 from eitskin_sim.calibration.parameters import ParameterGroup
 from eitskin_sim.calibration.solved import Metric
 from eitskin_sim.surface.predict import fit_cloud
-
-Array = npt.NDArray[np.float64]
 
 UNSEEN: Final = "reference_unseen"
 """Group of the parameters u, which are no numbers of the skin's file."""

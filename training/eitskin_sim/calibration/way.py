@@ -18,9 +18,8 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.noise_law import noise_of
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.arrays import Array
 from eitskin_sim.solvers.operators import build_operators
-
-Array = npt.NDArray[np.float64]
 
 TOUCH_SIGMA_MM: Final = 8.0
 """Of the touch that is looked for."""

@@ -20,11 +20,11 @@ import numpy.typing as npt
 from eitskin_proto.sensor.table import N_ELECTRODES, TABLE
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.toml import parse
+from eitskin_sim.arrays import Array
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.devices.device import Device
 from eitskin_sim.devices.draws import DrawnDevice, Moment, draw_device, draw_drift, draw_front_end, draw_moment
 from eitskin_sim.devices.readings import corrected, drive_differences, readings, sheet_differences
-from eitskin_sim.scene.bend import Array
 from eitskin_sim.scene.family import scaled
 from eitskin_sim.scene.folds import check_bend
 from eitskin_sim.scene.nominal import nominal_sheet

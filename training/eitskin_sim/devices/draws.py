@@ -16,17 +16,15 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.parts import Range
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.measurement.front_end import FrontEnd, capacitance
 from eitskin_sim.scene.parts import Bend, Electrodes, LaterChanges, Sheet, SmoothField
-
-Array = npt.NDArray[np.float64]
 
 SEEDS: Final = 2**31
 """Seeds of smooth fields are below."""

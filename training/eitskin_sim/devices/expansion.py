@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.arrays import Array
 from eitskin_sim.devices.device import Device
 from eitskin_sim.devices.loose_contacts import loose_contacts
 from eitskin_sim.fem.forward import assemble
@@ -29,8 +29,6 @@ from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.layer import log_conductivity
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet
-
-Array = npt.NDArray[np.float64]
 
 WAVES: Final = (10, 7)
 """Cosines along x and along y: fields of 25 mm correlation have 1e-3 of their variance beyond, on the paper's sheet."""

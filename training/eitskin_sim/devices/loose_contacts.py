@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.fem.contacts import FRINGE_SHARE, Contacts, Part, elements_along, gathered
 from eitskin_sim.fem.forward import System, assemble
-from eitskin_sim.fem.mesh import MM, Array, Index, Metric, TensorMesh
+from eitskin_sim.fem.mesh import MM, Metric, TensorMesh
 from eitskin_sim.fem.q2 import GAUSS, LINE_POINTS, LINE_WEIGHTS, WEIGHTS, values
 from eitskin_sim.scene.electrodes import Piece, place
 from eitskin_sim.scene.layer import is_uneven, relative_conductivity

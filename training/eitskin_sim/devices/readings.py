@@ -9,15 +9,12 @@ the ring. From D follow potentials, up to a constant, and from these the front e
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.arrays import Array
 from eitskin_sim.devices.device import Device
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.scene.parts import Bend, Scene
-
-Array = npt.NDArray[np.float64]
-
 
 FINE_MM: Final = 3.0
 """Element size: the untouched voltages of 16 drawn electrodes are 2e-4 from converged, and 1e-4 over the flat ones."""

@@ -7,10 +7,10 @@ The same draws serve every size of a deviation: an electrode that deviates by z 
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.evaluation.mismatch import Mismatch
 from eitskin_sim.measurement.front_end import FrontEnd, capacitance
 from eitskin_sim.scene.family import scaled
@@ -18,8 +18,6 @@ from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
 from eitskin_sim.scene.parts import Bend, Electrodes, LaterChanges, Scene, Sheet, SmoothField, Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
 from eitskin_sim.surface.measured_cloud import measured_cloud
-
-Array = npt.NDArray[np.float64]
 
 MAX_OFFSET_SD = 2.5
 """Largest deviation of an electrode in standard deviations: it stays on its side of the border."""

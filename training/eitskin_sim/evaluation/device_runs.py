@@ -17,11 +17,11 @@ from functools import lru_cache
 from typing import Any, Final, Literal, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.device import DRAW_SEED, Device, draw_device
 from eitskin_sim.evaluation.harness import Case, Reference, Run, Sheet
@@ -36,8 +36,6 @@ from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.parts import Phantom, Scene
 from eitskin_sim.surface.predict import flat_voltages, predict
-
-Array = npt.NDArray[np.float64]
 
 ELEMENT_MM: Final = 3.0
 """Of the true devices' mesh: 0.1 s a scene; dV is 2e-4 to 4e-4 off (rms), a tenth of N2 at 50 dB."""

@@ -17,10 +17,10 @@ from functools import lru_cache
 from typing import Final, Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.evaluation.metrics import Score, scaled, score
 from eitskin_sim.evaluation.truth import check_truths, truth_map
 from eitskin_sim.fem.solve import solve_scene
@@ -41,8 +41,6 @@ from eitskin_sim.solvers.sbl import sbl_image
 from eitskin_sim.solvers.tikhonov import tikhonov_matrix
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import flat_voltages, predict
-
-Array = npt.NDArray[np.float64]
 
 Reference = Literal["pre", "post", "predicted"]
 """The reference of the voltages."""

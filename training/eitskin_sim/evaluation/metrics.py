@@ -35,8 +35,7 @@ from scipy.spatial.distance import cdist
 
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
-
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
 
 TOUCHED: Final = 0.5
 """A pixel or unit at or above this is touched."""

@@ -3,14 +3,12 @@
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.arrays import Array
 from eitskin_sim.evaluation.metrics import touch_centres_mm, truth_level
-
-Array = npt.NDArray[np.float64]
 
 MAX_MATCH_DISTANCE_MM: Final = 15.0
 """A touch is missed if none is found this near to it."""

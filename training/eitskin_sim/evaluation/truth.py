@@ -9,16 +9,14 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.evaluation.metrics import touched_units
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.parts import Phantom, SceneError
-
-Array = npt.NDArray[np.float64]
 
 OTHER_SHEET: Final = 0.1
 """A side that is off by a larger part of the map's is another sheet's."""

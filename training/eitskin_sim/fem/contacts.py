@@ -12,7 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from eitskin_sim.fem.mesh import MM, Array, Index, Metric, TensorMesh
+from eitskin_sim.arrays import Array, Index
+from eitskin_sim.fem.mesh import MM, Metric, TensorMesh
 from eitskin_sim.fem.q2 import GAUSS, WEIGHTS, edge_integrals, values
 from eitskin_sim.scene.electrodes import Piece
 from eitskin_sim.scene.parts import Electrodes, Sheet

@@ -29,6 +29,7 @@ from scipy.optimize import nnls
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.fem.borders.cut_elements import touch
 from eitskin_sim.fem.forward import Plate, System, assemble_pieces, metric_at_points
 from eitskin_sim.fem.mesh import MM, Metric, TensorMesh, graded_lines
@@ -37,8 +38,6 @@ from eitskin_sim.fem.q2 import GAUSS, WEIGHTS, values
 from eitskin_sim.scene.electrodes import Piece, place
 from eitskin_sim.scene.parts import Scene
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 Box = tuple[float, float, float, float]
 
 REACH_THICKNESSES: Final = 2.5

@@ -21,15 +21,13 @@ from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
 from eitskin_proto.sensor.table import FULL_TABLE, N_ELECTRODES, RECIPROCAL_IN_FULL, ROW_IN_FULL, TABLE
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.fem.contacts import Contacts, contacts_of
 from eitskin_sim.fem.mesh import MM, Metric, TensorMesh
 from eitskin_sim.fem.q2 import GAUSS, WEIGHTS, gradients
 from eitskin_sim.scene.electrodes import Piece, place
 from eitskin_sim.scene.layer import is_uneven, relative_conductivity
 from eitskin_sim.scene.parts import Electrodes, Sheet
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)

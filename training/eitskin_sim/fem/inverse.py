@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import lapack
 
-from eitskin_sim.fem.mesh import Array, Index
+from eitskin_sim.arrays import Array, Index
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,14 +18,12 @@ from scipy.sparse import csr_array
 
 from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.fem.forward import Factor, assemble, flat_metric
 from eitskin_sim.fem.mesh import MERGE_MM, Metric, TensorMesh, graded_lines
 from eitskin_sim.fem.meshing import CAP_MM, REFERENCE_MM, electrode_lines, on_sheet
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_electrodes, nominal_sheet
 from eitskin_sim.scene.parts import Electrodes, Sheet
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 COARSE_MM: Final = 4.5
 """The element size for classical solvers: 0.1 s a Jacobian, within 1e-3 (edge contacts 4e-3) of the converged one."""

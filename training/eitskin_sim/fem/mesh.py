@@ -14,12 +14,10 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.scene.parts import SceneError
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 Metric = Callable[[Array], Array]
 """(n, 2) flat points in mm -> (n, 3) first fundamental form E, F, G per mm^2 of the flat sheet."""
 

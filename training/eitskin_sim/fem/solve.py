@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.table import FULL_TABLE, ROW_IN_FULL
+from eitskin_sim.arrays import Array
 from eitskin_sim.fem.borders.cut_elements import factorise, touch
 from eitskin_sim.fem.depth import plates
 from eitskin_sim.fem.forward import Factor, assemble
@@ -15,7 +15,6 @@ from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Scene, SceneError
 from eitskin_sim.scene.soft_touch import check_touches
 
-Array = npt.NDArray[np.float64]
 Law = Literal["constant", "modes"]
 """How a face contact passes current."""
 

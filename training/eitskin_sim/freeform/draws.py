@@ -28,12 +28,12 @@ import numpy.typing as npt
 
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_sim.fem.mesh import Index
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.freeform.sets import PartSets
 from eitskin_sim.freeform.touches import CLASSES, pool_of
 from eitskin_sim.scene.gap import gap_mm, half_extents_mm
 from eitskin_sim.scene.published import PHANTOM_RECTS_MM
-from eitskin_sim.scene.touch_table import RECTANGLE, Array, TouchTable, gather
+from eitskin_sim.scene.touch_table import RECTANGLE, TouchTable, gather
 
 COUNT_CHANCES: Final = (0.02, 0.29, 0.21, 0.16, 0.11, 0.09, 0.07, 0.03, 0.02)
 """Chances of 0, 1 .. 8 touches."""

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from eitskin_sim.fem.mesh import Index
+from eitskin_sim.arrays import Index
 from eitskin_sim.freeform.mesh import SharedMesh
 
 MAX_ELEMENTS_PER_SIDE: Final = 5

@@ -22,12 +22,12 @@ import numpy.typing as npt
 from scipy.linalg import blas, lapack
 
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.fem.borders.cut_touches import Cuts, check_pieces, find_cuts
-from eitskin_sim.fem.mesh import Index
 from eitskin_sim.freeform.layout import Fronts, Layout, make_layout
 from eitskin_sim.freeform.mesh import SharedMesh, with_contacts, without_middle
 from eitskin_sim.freeform.sheet import InvertedSheet, touched_blocks
-from eitskin_sim.scene.touch_table import Array, TouchTable, gather
+from eitskin_sim.scene.touch_table import TouchTable, gather
 
 PARTS_PER_BATCH: Final = 32
 """Parts whose geometry is held together: 1 MB."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.fem.mesh import Index
+from eitskin_sim.arrays import Index
 from eitskin_sim.freeform.mesh import SharedMesh
 from eitskin_sim.freeform.parts import PartGeometry, reached
 from eitskin_sim.scene.touch_table import TouchTable

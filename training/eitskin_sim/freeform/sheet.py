@@ -6,6 +6,7 @@ import numpy as np
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.devices.device import IDEAL, Device, ideal
 from eitskin_sim.devices.loose_contacts import system_on
 from eitskin_sim.fem.borders.cut_blocks import cut_blocks
@@ -18,7 +19,7 @@ from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh, with_contacts, wi
 from eitskin_sim.scene.bend import metric
 from eitskin_sim.scene.layer import is_uneven, relative_conductivity
 from eitskin_sim.scene.parts import Bend, Sheet
-from eitskin_sim.scene.touch_table import Array, TouchTable
+from eitskin_sim.scene.touch_table import TouchTable
 from eitskin_sim.unit_grid.units import to_voltages
 
 

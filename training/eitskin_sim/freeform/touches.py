@@ -33,9 +33,10 @@ import numpy.typing as npt
 
 from eitskin_proto.skin import touch_kind as ways
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.scene.gap import half_extents_mm
 from eitskin_sim.scene.soft_touch import MIN_BORDER_MM
-from eitskin_sim.scene.touch_table import DISC, ELLIPSE, RECTANGLE, Array, TouchTable, gather
+from eitskin_sim.scene.touch_table import DISC, ELLIPSE, RECTANGLE, TouchTable, gather
 
 TouchKind = Literal["hard", "firm", "press", "raise", "both", "skin"]
 """The paper's touches; those of good conductors on a sheet of a lab; presses that lower conductance; touches that raise

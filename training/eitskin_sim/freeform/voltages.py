@@ -23,13 +23,14 @@ from scipy.linalg import blas, lapack
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.freeform.draws import SetPool
 from eitskin_sim.freeform.mesh import ELEMENT_MM, SharedMesh, shared_mesh
 from eitskin_sim.freeform.parts import CondensedPart, PartGeometry, between, condense, geometry, joined_geometry
 from eitskin_sim.freeform.sets import PartSets, chains, merged
 from eitskin_sim.freeform.sheet import InvertedSheet
 from eitskin_sim.scene.parts import Electrodes
-from eitskin_sim.scene.touch_table import Array, TouchTable
+from eitskin_sim.scene.touch_table import TouchTable
 from eitskin_sim.unit_grid.units import to_voltages
 
 

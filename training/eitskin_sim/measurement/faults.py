@@ -21,9 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.sensor.table import FULL_TABLE, N_ELECTRODES
+from eitskin_sim.arrays import Array
 from eitskin_sim.fem.forward import Factor
-
-Array = npt.NDArray[np.float64]
 
 COMPLIANCE_OHM: Final = 3300.0
 """The load up to which the source holds its current: 3.3 V at 1 mA."""

@@ -22,8 +22,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES, TABLE, voltages_from_potentials
+from eitskin_sim.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Potentials = npt.NDArray[np.float64] | npt.NDArray[np.complex128]
 Each = float | tuple[float, ...]
 """One number of all sixteen, or one of each."""

@@ -14,15 +14,13 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.arrays import Array
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
 from eitskin_sim.scene.touch_table import ELLIPSE, cover
-
-Array = npt.NDArray[np.float64]
 
 SAMPLES_PER_SIDE: Final = 24
 """Samples a side of a pixel where shapes overlap: a straight border is then off by at most 1/24 of a pixel."""

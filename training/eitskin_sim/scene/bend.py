@@ -17,12 +17,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from eitskin_sim.arrays import Array
 from eitskin_sim.scene.parts import Bend, Sheet, Touch
 from eitskin_sim.scene.soft_touch import dent_heights, dents_of
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

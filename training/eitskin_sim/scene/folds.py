@@ -16,14 +16,12 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from eitskin_sim.arrays import Array
 from eitskin_sim.scene.bend import RollFrame, first_form, frame_at, heights, second_form, surface
 from eitskin_sim.scene.parts import Bend, SceneError, Sheet, Touch
 from eitskin_sim.scene.soft_touch import dents_of
-
-Array = npt.NDArray[np.float64]
 
 MIN_CLEARANCE: Final = 0.3
 """Least m: 1 / (2 pi) is 0.16, and as much again for what lies between the directions and points that are looked at."""

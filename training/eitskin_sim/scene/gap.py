@@ -7,7 +7,8 @@ is. An ellipse counts as the rectangle around it.
 
 import numpy as np
 
-from eitskin_sim.scene.touch_table import DISC, ELLIPSE, Array
+from eitskin_sim.arrays import Array
+from eitskin_sim.scene.touch_table import DISC, ELLIPSE
 
 
 def gap_mm(one: Array, other: Array) -> Array:

@@ -15,11 +15,9 @@ and a field of infinite l is a constant.
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from eitskin_sim.arrays import Array
 from eitskin_sim.scene.parts import LaterChanges, Sheet, SmoothField
-
-Array = npt.NDArray[np.float64]
 
 WAVES: Final = 64
 """N: their sum's kurtosis is 2 % below that of a normal draw."""

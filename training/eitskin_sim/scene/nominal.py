@@ -8,13 +8,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, SceneError, Sheet, Touch
-
-Array = npt.NDArray[np.float64]
 
 
 def nominal_sheet(skin: Skin) -> Sheet:

@@ -10,15 +10,13 @@ from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.arrays import Array
 from eitskin_sim.scene.shapes import Shape
-
-Array = npt.NDArray[np.float64]
 
 MIN_LOG_CONTRAST: Final = 1e-6
 """A touch whose contrast is nearer to 1 than this changes nothing of the sheet that anybody could measure."""

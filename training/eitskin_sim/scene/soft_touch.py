@@ -14,14 +14,12 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtr
 
 from eitskin_proto.fields import Fields
+from eitskin_sim.arrays import Array
 from eitskin_sim.scene.parts import MIN_LOG_CONTRAST, Scene, SceneError, Sheet, Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
-
-Array = npt.NDArray[np.float64]
 
 MIN_BORDER_MM: Final = 0.5
 """The narrowest graded border that a mesh represents; below it a border is sharp."""

@@ -24,10 +24,9 @@ from scipy.sparse import csr_array
 
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.arrays import Array
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
-
-Array = npt.NDArray[np.float64]
 
 RECTANGLE: Final = 0.0
 DISC: Final = 1.0

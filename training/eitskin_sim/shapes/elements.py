@@ -16,13 +16,14 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.fem.borders.cut_touches import Cuts, find_cuts
-from eitskin_sim.fem.mesh import Index, TensorMesh
+from eitskin_sim.fem.mesh import TensorMesh
 from eitskin_sim.freeform.mesh import with_contacts, without_middle
 from eitskin_sim.freeform.sheet import AssembledSheet, touched_blocks
 from eitskin_sim.scene.gap import half_extents_mm
 from eitskin_sim.scene.soft_touch import MIN_BORDER_MM
-from eitskin_sim.scene.touch_table import RECTANGLE, Array, TouchTable
+from eitskin_sim.scene.touch_table import RECTANGLE, TouchTable
 from eitskin_sim.shapes.parameters import ANGLE, BORDER, HALF_LENGTH, X, parameters_of, pieces_of
 
 BLOCK: Final = 9

@@ -16,7 +16,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.scene.touch_table import DISC, RECTANGLE, Array
+from eitskin_sim.arrays import Array
+from eitskin_sim.scene.touch_table import DISC, RECTANGLE
 
 X, Y, HALF_LENGTH, HALF_WIDTH, ANGLE, LOG_CONTRAST, BORDER = range(7)
 """Places of the parameters of one touch."""

@@ -22,11 +22,10 @@ import numpy.typing as npt
 from scipy.linalg import lapack
 from scipy.sparse import csr_array
 
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.fem.inverse import PartialInverse, solve_lines
-from eitskin_sim.fem.mesh import Index
 from eitskin_sim.freeform.mesh import SharedMesh
 from eitskin_sim.freeform.sheet import AssembledSheet
-from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.elements import Blocks, Rates, rates, touched
 from eitskin_sim.unit_grid.units import to_voltages
 

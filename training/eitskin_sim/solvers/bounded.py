@@ -13,12 +13,10 @@ hundred projected gradient steps, for comparison, are still 1e-4 above the minim
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy import linalg
 from scipy.linalg import lapack
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
+from eitskin_sim.arrays import Array, Mask
 
 BLOCK_ROUNDS: Final = 25
 """Rounds in which all cells change at once, before one at a time."""

@@ -10,9 +10,8 @@ steps are those of Beck and Teboulle (SIAM J. Imaging Sci. 2, 2009); momentum is
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
 
 FACTOR: Final = 0.01
 """Regularisation, relative to the one that leaves nothing; best of 0.03, 0.01 and the paper's 0.001 on random sets."""

@@ -23,12 +23,11 @@ import numpy.typing as npt
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.fem.forward import flat_metric
 from eitskin_sim.fem.jacobian import relative_jacobian
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
 from eitskin_sim.surface.predict import fit_cloud
-
-Array = npt.NDArray[np.float64]
 
 Cells = Literal["pixels", "units"]
 """The unknowns: the map's pixels, or its touch units."""

@@ -23,9 +23,8 @@ import numpy.typing as npt
 from scipy import linalg
 from scipy.sparse import coo_array, csr_array
 
+from eitskin_sim.arrays import Array
 from eitskin_sim.solvers.bounded import bounded_minimum, inverse
-
-Array = npt.NDArray[np.float64]
 
 WINDOW: Final = (2, 2)
 """Cluster size 4 (paper section V.B), as a square."""

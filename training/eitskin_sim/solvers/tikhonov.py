@@ -11,10 +11,9 @@ cells.
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy import linalg
 
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
 
 FACTOR: Final = 1e-4
 """Relative to the largest squared singular value; best of 1e-2 to 1e-5 on random touch sets at ten bends."""

@@ -10,12 +10,10 @@ rises from 0.56 to 0.72, and that of l1 from 0.38 to 0.85.
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.arrays import Array
 from eitskin_sim.solvers.operators import SATURATED_CONTRAST
-
-Array = npt.NDArray[np.float64]
 
 COMMON_SD: Final = 0.05
 """Standard deviation of the logarithm of the factor common to all rows: drift since the reference."""

@@ -16,12 +16,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtr
 
+from eitskin_sim.arrays import Array
 from eitskin_sim.surface.rows import find_rows
-
-Array = npt.NDArray[np.float64]
 
 DEGREE: Final = 5
 """Degree of a side's polynomial."""

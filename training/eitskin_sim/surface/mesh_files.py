@@ -4,11 +4,9 @@ import re
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from eitskin_sim.arrays import Array
 from eitskin_sim.surface.words import check_count, table
-
-Array = npt.NDArray[np.float64]
 
 STL_HEAD: Final = 84
 """Bytes of a binary STL file before its triangles: a text, and their number."""

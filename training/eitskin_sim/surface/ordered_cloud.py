@@ -25,12 +25,11 @@ from eitskin_proto.skin.cloud import align_cloud, flat_cloud
 from eitskin_proto.skin.cloud_file import Surface, save_surface
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.surface.outline import find_outline, largest_hole_mm
 from eitskin_sim.surface.pieces import keep_sheet
 from eitskin_sim.surface.smooth_surface import by_arc_length, fit_surface, nodes_of, side_lengths_mm
 from eitskin_sim.surface.unroll import unroll
-
-Array = npt.NDArray[np.float64]
 
 LARGEST_HOLE_MM: Final = 15.0
 """A hole up to this diameter is filled."""

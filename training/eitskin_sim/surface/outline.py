@@ -16,13 +16,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
+from eitskin_sim.arrays import Array
 from eitskin_sim.surface.edge import DEGREE, Edge, fit_edge
-
-Array = npt.NDArray[np.float64]
 
 STRIP_MM: Final = 8.0
 """Width of the strips in which a side is looked for at first."""

@@ -10,12 +10,10 @@ from itertools import islice
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.files.plain import quoted
+from eitskin_sim.arrays import Array
 from eitskin_sim.surface.words import check_count, table
-
-Array = npt.NDArray[np.float64]
 
 LARGEST_HEADER: Final = 65_536
 """Longest header in bytes."""

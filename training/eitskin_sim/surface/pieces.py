@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse import csgraph
 
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
 
 CELL_MM: Final = 4.0
 """Side of a cube; with fewer points than ``MIN_POINTS`` in a cube on average, cubes are larger."""

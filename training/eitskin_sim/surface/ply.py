@@ -13,12 +13,10 @@ from itertools import islice
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.files.plain import quoted
+from eitskin_sim.arrays import Array
 from eitskin_sim.surface.words import check_count, table
-
-Array = npt.NDArray[np.float64]
 
 PLY_TYPES: Final = {
     "char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I", "float": "f", "double": "d",

@@ -14,12 +14,11 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.files.arrays import read_npy
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.files.reading import FileError, read_bytes
+from eitskin_sim.arrays import Array
 from eitskin_sim.surface.mesh_files import read_obj, read_stl
 from eitskin_sim.surface.pcd import read_pcd
 from eitskin_sim.surface.ply import read_ply
 from eitskin_sim.surface.text_points import read_text
-
-Array = npt.NDArray[np.float64]
 
 LARGEST_FILE: Final = 256 << 20
 """Bytes of a file of points."""

@@ -29,12 +29,11 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import check_cloud
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.mesh import TensorMesh
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_electrodes, nominal_scene, nominal_sheet
-
-Array = npt.NDArray[np.float64]
 
 KNOTS_MM: Final = 20.0
 """The spline's knots are no farther apart: 88 coefficients for the paper's 1350 points, and a bump of sigma 12 mm still

@@ -7,9 +7,8 @@ found by the depth's Fourier sum: with n points without rows its size is about 1
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
 
 DEPTH_ROWS: Final = 8.0
 """How deep under the side rows are looked for, in mean distances of the points."""

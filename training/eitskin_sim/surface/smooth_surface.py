@@ -15,11 +15,10 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy import linalg
 from scipy.interpolate import make_interp_spline
 
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
 
 CELL_MM: Final = 6.0
 """Side of the cells whose points are averaged: 425 of them, and a fit of a fifth of the cost of 4.5 mm cells'."""

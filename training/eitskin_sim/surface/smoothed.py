@@ -22,7 +22,8 @@ import numpy as np
 
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.surface.predict import Array, FittedSurface, noise_roots, noise_tangents
+from eitskin_sim.arrays import Array
+from eitskin_sim.surface.predict import FittedSurface, noise_roots, noise_tangents
 
 PLACES_PER_KNOT: Final = 3
 """Places for each of the spline's knots, along a side, between which differences are taken."""

@@ -11,12 +11,10 @@ from collections.abc import Callable, Iterator
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.files.plain import quoted
+from eitskin_sim.arrays import Array
 from eitskin_sim.surface.words import table
-
-Array = npt.NDArray[np.float64]
 
 COMMENTS: Final = (b"#", b"//", b"%", b"!")
 """What a line that holds no point may begin with."""

@@ -24,7 +24,7 @@ from scipy import linalg, sparse
 from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
 
 CELL_MM: Final = 4.0
 """Side of a cube. Under it the noise is not averaged, over it curvature and close layers are lost."""

@@ -5,9 +5,8 @@ from itertools import islice
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
 
 MAX_POINTS: Final = 4_000_000
 """A scanner of 0.1 mm sees 1,500,000 on the sheet."""

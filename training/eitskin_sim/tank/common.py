@@ -18,13 +18,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_sim.arrays import Array
 from eitskin_sim.solvers.operators import SATURATED_CONTRAST
 from eitskin_sim.tank.images import signed_l1
-
-Array = npt.NDArray[np.float64]
 
 SIGNIFICANT_SD: Final = 4.0
 """A common factor is distinguished from objects above this many of its standard errors."""

@@ -10,17 +10,15 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.arrays import Array
 from eitskin_sim.fem.contacts import contacts_of
 from eitskin_sim.fem.forward import System, assemble, flat_metric
 from eitskin_sim.fem.mesh import Metric, TensorMesh
 from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.parts import Electrodes, Sheet
 from eitskin_sim.tank.disc_map import DiscMap
-
-Array = npt.NDArray[np.float64]
 
 SIDE_MM: Final = 100.0
 """Of the square: meshes are as fine in the disc's middle as this is to its diameter."""

@@ -19,7 +19,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ellipj, ellipk, ellipkinc
 
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
+
 Complex = npt.NDArray[np.complex128]
 
 M: Final = float(np.sqrt(2.0) - 1.0) ** 4

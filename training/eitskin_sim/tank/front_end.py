@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.sensor.table import FULL_TABLE, N_ELECTRODES, N_FULL_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL
+from eitskin_sim.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
 LOWEST_LEVEL: Final = 0.01

@@ -8,14 +8,12 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from eitskin_sim.arrays import Array
 from eitskin_sim.solvers.l1 import l1_image
 from eitskin_sim.solvers.operators import SATURATED_CONTRAST
 from eitskin_sim.solvers.sbl import sbl_image
 from eitskin_sim.tank.model import CELLS, TankModel
-
-Array = npt.NDArray[np.float64]
 
 SBL_NOISE: Final = 0.2
 """Relative to the changes' root mean square, as on sheets: the linearisation's error. In 32 simulated tanks with one to

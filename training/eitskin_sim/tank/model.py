@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.table import FULL_TABLE, RECIPROCAL_IN_FULL, ROW_IN_FULL
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.fem.jacobian import cell_mesh, cell_of_element, jacobian
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.parts import Scene
@@ -19,8 +19,6 @@ from eitskin_sim.solvers.tikhonov import tikhonov_matrix
 from eitskin_sim.tank.disc import SIDE_MM, Disc, assemble_disc
 from eitskin_sim.tank.front_end import OffsetAndGains, best_model, fit_front_end
 from eitskin_sim.tank.recording import TankError, TankFrame
-
-Array = npt.NDArray[np.float64]
 
 CELLS: Final = (30, 30)
 """Of the square."""

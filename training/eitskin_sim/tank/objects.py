@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.arrays import Array
 from eitskin_sim.tank.disc import EVEN_DEG
 from eitskin_sim.tank.model import TankModel
 from eitskin_sim.tank.recording import Material, Object, Unknown
-
-Array = npt.NDArray[np.float64]
 
 MIN_SEPARATION_RADII: Final = 1.0 / 3.0
 """So near to an object, in radii, is no other one."""

@@ -16,6 +16,7 @@ from scipy.sparse import csr_array
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.fem.forward import System, flat_metric
 from eitskin_sim.fem.jacobian import jacobian
 from eitskin_sim.fem.mesh import TensorMesh
@@ -24,8 +25,6 @@ from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.nominal import nominal_sheet
 from eitskin_sim.scene.parts import Bend, Scene
 from eitskin_sim.tank.disc import Disc, assemble_disc, turned_form
-
-Array = npt.NDArray[np.float64]
 
 ELEMENT_MM: Final = 3.0
 """Of the square's mesh, whose side is 100 mm."""

@@ -25,8 +25,8 @@ import numpy.typing as npt
 from scipy.linalg import blas, lapack
 
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.fem.forward import System
-from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.scene.parts import MIN_LOG_CONTRAST
 from eitskin_sim.unit_grid.skeleton import Condensed, UnitMesh, condense_at, square_root
 

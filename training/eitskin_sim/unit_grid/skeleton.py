@@ -27,11 +27,12 @@ from scipy.linalg import lapack
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.devices.loose_contacts import system_on
 from eitskin_sim.fem.contacts import Contacts
 from eitskin_sim.fem.forward import System
-from eitskin_sim.fem.mesh import Array, Index, TensorMesh
+from eitskin_sim.fem.mesh import TensorMesh
 from eitskin_sim.fem.meshing import electrode_lines, lines_between
 from eitskin_sim.scene.bend import metric
 from eitskin_sim.scene.parts import Bend, Electrodes, Sheet

@@ -19,8 +19,8 @@ from scipy.linalg import blas, lapack
 
 from eitskin_proto.sensor.table import N_ELECTRODES, TABLE, voltages_from_potentials
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.devices.device import Device
-from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.unit_grid.contrasts import MAX_CONDENSED_UNITS, ContrastUnits, check_contrasts, updated
 from eitskin_sim.unit_grid.skeleton import Condensed, assemble_skeleton, condense_units, unit_system

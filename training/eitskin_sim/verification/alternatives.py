@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from eitskin_sim.arrays import Array
 from eitskin_sim.scene.gap import gap_mm
-from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE, Array
+from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE
 from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.fit import IMPOSSIBLE_TOUCH_ERRORS, Budget, Fit, Frame, refine

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from eitskin_sim.arrays import Array
 from eitskin_sim.verification import constants as c
-from eitskin_sim.verification.residual import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ The verifier keeps one only if it explains the frame.
 import time
 from collections.abc import Callable
 
-from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.arrays import Array
 from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.sheet_model import SheetModel

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.scene.soft_touch import MIN_BORDER_MM
-from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.parameters import (
     BORDER,
     HALF_LENGTH,

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.arrays import Array
 from eitskin_sim.shapes.parameters import HALF_LENGTH, HALF_WIDTH, N_PARAMETERS, areas_mm2
 from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.alternatives import scaled_to_contrast

@@ -11,9 +11,9 @@ import numpy as np
 
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.fem.mesh import Index
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.scene.gap import gap_mm
-from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE, Array, cover, pixel_lines
+from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE, cover, pixel_lines
 from eitskin_sim.shapes.parameters import parameters_of
 from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.touch_prior import Joints, TouchPrior, crack_mm

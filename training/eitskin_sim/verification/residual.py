@@ -18,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
+from eitskin_sim.arrays import Array
 from eitskin_sim.verification import constants as c
 
-Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.bool_]
 
 Law = Literal["N1", "N2", "N3", "none", "measured"]

@@ -12,7 +12,8 @@ import numpy as np
 
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.scene.touch_table import RECTANGLE, Array
+from eitskin_sim.arrays import Array
+from eitskin_sim.scene.touch_table import RECTANGLE
 from eitskin_sim.shapes.parameters import (
     ANGLE,
     HALF_LENGTH,

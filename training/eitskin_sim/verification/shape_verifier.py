@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.arrays import Array
 from eitskin_sim.verification import alternatives
 from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.deformation import Deformation

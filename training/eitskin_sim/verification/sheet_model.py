@@ -15,11 +15,11 @@ import numpy.typing as npt
 
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.fem.mesh import Metric
 from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.sheet import assembled_metric
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_sheet
-from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import Solved, TouchedSheet
 from eitskin_sim.surface.predict import FittedSurface, fit_cloud
 from eitskin_sim.surface.smoothed import Scan, smoothed

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.skin.grid import Grid
-from eitskin_sim.fem.mesh import Index
-from eitskin_sim.scene.touch_table import RECTANGLE, Array
+from eitskin_sim.arrays import Array, Index
+from eitskin_sim.scene.touch_table import RECTANGLE
 from eitskin_sim.shapes.parameters import LOG_CONTRAST, N_PARAMETERS
 from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.fit import Budget

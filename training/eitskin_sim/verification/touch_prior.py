@@ -22,7 +22,7 @@ import numpy.typing as npt
 from eitskin_proto.skin.parts import Range
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.arrays import Array
 from eitskin_sim.shapes.parameters import ANGLE, BORDER, HALF_LENGTH, HALF_WIDTH, LOG_CONTRAST, X, free, parameters_of
 from eitskin_sim.verification import constants as c
 

@@ -22,10 +22,10 @@ import numpy as np
 
 from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.fem.borders.enrichment import PRODUCTS
 from eitskin_sim.fem.mesh import MM, Metric
 from eitskin_sim.freeform.mesh import KEPT_NODES, MIDDLE_NODE, with_contacts
-from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import TouchedSheet
 from eitskin_sim.surface.smoothed import Scan
 from eitskin_sim.verification import constants as c

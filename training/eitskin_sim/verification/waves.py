@@ -10,8 +10,8 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.fem.mesh import Metric
-from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.verification import constants as c
 
 WAVES = (len(c.WAVE_SPREADS[0]), len(c.WAVE_SPREADS[1]))

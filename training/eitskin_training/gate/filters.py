@@ -17,7 +17,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
+
 Arrays = dict[str, npt.NDArray[np.generic]]
 
 FILTERS: Final = 128

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS
 from eitskin_proto.wire.scan_rows import drives_from_list, table_rows
+from eitskin_sim.arrays import Array
 from eitskin_training.gate.material import Material
 
 DRIVES: Final = 4
@@ -29,8 +30,6 @@ TOUCHES: Final = 100
 
 MIN_RATIO: Final = 0.05
 """V / V0 is not taken for less, as in the gate."""
-
-Array = npt.NDArray[np.float64]
 
 
 def information(covariance: Array, touches: Array, rows: npt.NDArray[np.intp]) -> float:

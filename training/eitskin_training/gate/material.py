@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.devices.draws import draw_drift
 from eitskin_sim.measurement.noise import NOISES, Kind, add_noise
 from eitskin_training.gate.untouched import Bends
@@ -33,8 +34,6 @@ SOLVED_BEND_SHARE: Final = 0.5
 """Share of bends that are solved ones, not mixtures."""
 
 SNR_DB: Final = 50.0
-
-Array = npt.NDArray[np.float64]
 
 
 def images_of(skin: Skin) -> npt.NDArray[np.intp]:

@@ -23,6 +23,7 @@ import numpy.typing as npt
 from eitskin_proto.sensor.row_gaussian import log_of_ratio
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.dataset.device_files import ATTEMPTS, true_bend, usable_reference
 from eitskin_sim.devices import expansion as expanded
 from eitskin_sim.devices.device import Device, ideal
@@ -30,8 +31,6 @@ from eitskin_sim.devices.draws import DrawnDevice, draw_device, draw_front_end, 
 from eitskin_sim.devices.expansion import Expansion, Fields, expansion, whole_differences
 from eitskin_sim.devices.readings import readings, sheet_differences
 from eitskin_sim.scene.parts import Bend, LaterChanges
-
-Array = npt.NDArray[np.float64]
 
 COARSE_MM: Final = 4.5
 """Element size of untouched sheets: 0.08 CPU-seconds a solve, 0.12 with its slopes; log(V / V0) to 2e-4."""

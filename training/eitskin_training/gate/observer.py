@@ -15,10 +15,10 @@ from statistics import NormalDist
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.fem.jacobian import flat_jacobian
 from eitskin_sim.scene.touch_table import TouchTable, gather
 from eitskin_training.gate.presses import DIAMETER_MM, STRENGTH_MM2, press
@@ -31,8 +31,6 @@ FRAMES_TO_FIND_A_PRESS: Final = 5
 
 PLACES: Final = (9, 6)
 """Along and across the sheet, at which presses are judged."""
-
-Array = npt.NDArray[np.float64]
 
 
 def press_signals(

@@ -12,12 +12,11 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_training.gate import filters
 from eitskin_training.gate.observer import without_common
 from eitskin_training.network.mirror import mirrors
-
-Array = npt.NDArray[np.float64]
 
 FALSE_ALARM_RATE: Final = 0.01
 """Of single untouched frames."""

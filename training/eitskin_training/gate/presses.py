@@ -7,9 +7,9 @@ measured ones have 99; the gate is asked for half of that.
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.freeform.touches import Ranges
 from eitskin_sim.scene.touch_table import DISC
 
@@ -23,8 +23,6 @@ BORDER_MM: Final = 4.0
 
 STRENGTHS_MM2: Final = (30.0, 150.0)
 """Of those that are learned from, log-uniform; the data set's own are stronger."""
-
-Array = npt.NDArray[np.float64]
 
 
 def press(x_mm: float, y_mm: float, diameter_mm: float, contrast: float, border_mm: float = BORDER_MM) -> Array:

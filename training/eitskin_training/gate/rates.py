@@ -9,10 +9,10 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.row_gaussian import log_of_ratio
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.measurement.noise import NOISES
 from eitskin_training.gate.material import drifted, images_of, noisy_change
 from eitskin_training.gate.observer import FRAMES_TO_FIND_A_PRESS, SNR_DB
@@ -31,7 +31,6 @@ DRIFT: Final = 0.01
 DEVICES: Final = 400
 """Presses on random devices."""
 
-Array = npt.NDArray[np.float64]
 Judge = Callable[[Array], Array]
 """(n, 104) dV -> (n,) logits."""
 

@@ -10,11 +10,11 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.arrays import Array
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.family import FLAT_SHARE, SCALED, bounds, draw, scaled
@@ -56,8 +56,6 @@ TOUCH_SEED: Final = 704
 
 CACHED_RESULTS: Final = 4
 """Results that are kept while the process runs, of each kind: of a few skins."""
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

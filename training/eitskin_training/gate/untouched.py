@@ -16,11 +16,11 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.row_gaussian import log_of_ratio
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.arrays import Array
 from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene import bend as surfaces
@@ -45,8 +45,6 @@ MOMENTS_PER_DEVICE: Final = 8
 
 CACHED_RESULTS: Final = 4
 """Results that are kept while the process runs, of each kind: of a few skins."""
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,10 +19,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from eitskin_sim.arrays import Index
 from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.mirror import Mirror
-
-Index = npt.NDArray[np.intp]
 
 
 def signs(count: int) -> npt.NDArray[np.int64]:

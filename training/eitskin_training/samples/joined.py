@@ -16,6 +16,7 @@ import numpy.typing as npt
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.cloud import network_input
 from eitskin_proto.skin.touch_kind import together
+from eitskin_sim.arrays import Index
 from eitskin_sim.dataset.prediction_cache import predicted_log_of
 from eitskin_sim.dataset.reader import load as load_set
 from eitskin_sim.scene.parts import Bend
@@ -57,8 +58,6 @@ def load(directory: str) -> TrainingData:
         bends=found.bends,
     )
 
-
-Index = npt.NDArray[np.intp]
 
 ROUNDING: Final = 1e-9
 """Part by which references of one sheet may differ: those of two machines, or of one and two threads, do by 1e-14."""

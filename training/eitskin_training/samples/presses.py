@@ -23,6 +23,7 @@ from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.toml import parse, to_toml
 from eitskin_proto.skin.touch_kind import TouchKind, knows, touch_kind_of
+from eitskin_sim.arrays import Array
 from eitskin_sim.calibration.recording import LaterReading, Recording
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
@@ -50,8 +51,6 @@ place."""
 MAX_DISTANCE_OF_SAME_PLACE: Final = 0.5
 MIN_DISTANCE_OF_OTHER_PLACE: Final = 3.0
 """Distances, in sizes of the stamp, below which places are the same and above which they differ."""
-
-Array = npt.NDArray[np.float64]
 
 
 def check(recording: Recording) -> None:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.fem.borders.cut_rule import MIN_ENERGY_SHARE
 from eitskin_sim.fem.borders.enrichment import (
     PRODUCTS,
@@ -30,8 +31,6 @@ from eitskin_sim.fem.borders.enrichment import (
     enriched,
     products,
 )
-from eitskin_sim.fem.mesh import Index
-from eitskin_sim.scene.touch_table import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,8 +28,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.fem.borders.cut_rule import MIN_ENERGY_SHARE, SHARE_TOLERANCE, UNIT_NODES, half_plane_share, union
 from eitskin_sim.fem.borders.graded_elements import grade
 from eitskin_sim.fem.forward import Factor, System
@@ -37,9 +37,6 @@ from eitskin_sim.fem.mesh import MERGE_MM, MM
 from eitskin_sim.fem.q2 import gradients
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Shape
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 CELLS: Final = 4
 """Cells a side in which a cut element is integrated, with 2 x 2 points each."""

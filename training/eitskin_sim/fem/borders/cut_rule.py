@@ -20,9 +20,8 @@ exchanging the rules would gain nothing.
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
 
 SHARE_TOLERANCE: Final = 1e-9
 """A share of an element below this is none, and one this near to 1 is all: a border on a line of the mesh."""

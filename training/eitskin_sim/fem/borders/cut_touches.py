@@ -11,16 +11,17 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.fem.borders.cut_blocks import Integrals, integrate
 from eitskin_sim.fem.borders.cut_rule import SHARE_TOLERANCE, UNIT_NODES, half_plane_share, union
 from eitskin_sim.fem.borders.enrichment import POINTS, UNIT_POINTS
 from eitskin_sim.fem.borders.graded_blocks import MIN_BORDER, GradedIntegrals, integrate_graded
-from eitskin_sim.fem.mesh import Index, TensorMesh
+from eitskin_sim.fem.mesh import TensorMesh
 from eitskin_sim.scene.gap import half_extents_mm
 from eitskin_sim.scene.parts import MIN_LOG_CONTRAST
 from eitskin_sim.scene.shapes import ellipse_distance, length_of
 from eitskin_sim.scene.soft_touch import MIN_BORDER_MM
-from eitskin_sim.scene.touch_table import DISC, ELLIPSE, Array, TouchTable, borders_mm
+from eitskin_sim.scene.touch_table import DISC, ELLIPSE, TouchTable, borders_mm
 
 UNIT: Final = np.concatenate([UNIT_POINTS, UNIT_NODES, [[0.5, 0.5]]])
 """(q + 10, 2) where distances are taken in a unit element: its points, its nodes and its middle."""

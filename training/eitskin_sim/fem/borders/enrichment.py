@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 
+from eitskin_sim.arrays import Array
 from eitskin_sim.fem.borders.cut_rule import UNIT_NODES
 from eitskin_sim.fem.q2 import gradients
-from eitskin_sim.scene.touch_table import Array
 
 POINTS: Final = 6
 """Points a side in a cut element, each with the cell around it."""

@@ -13,9 +13,8 @@ and w, psi become the sharp kink's as b goes to 0, from contrasts above 1 and be
 """
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from eitskin_sim.arrays import Array
 
 
 def plateau(distance: Array, border_mm: Array | float) -> Array:

@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.fem.borders.cut_rule import MIN_ENERGY_SHARE
 from eitskin_sim.fem.borders.enrichment import (
     POINTS,
@@ -24,8 +25,6 @@ from eitskin_sim.fem.borders.enrichment import (
     products,
 )
 from eitskin_sim.fem.borders.graded import kink, plateau
-from eitskin_sim.fem.mesh import Index
-from eitskin_sim.scene.touch_table import Array
 
 MIN_BORDER: Final = 1.0 / POINTS
 """The least border beside a graded one, in element sides."""

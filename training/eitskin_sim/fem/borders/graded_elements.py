@@ -7,16 +7,13 @@ there. Where several touches reach an element their contrasts multiply, as they 
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from eitskin_sim.arrays import Array, Index
 from eitskin_sim.fem.borders.graded import plateau
 from eitskin_sim.fem.forward import System
 from eitskin_sim.fem.mesh import MM
 from eitskin_sim.fem.q2 import gradients
 from eitskin_sim.scene.parts import Touch
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 
 
 def grade(
