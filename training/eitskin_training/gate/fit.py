@@ -31,9 +31,10 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.files.arrays import pack_arrays
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.scan_rows import drives_to_list, table_rows
+from eitskin_sim.arrays import Array
 from eitskin_training.gate import filters
 from eitskin_training.gate.idle import idle_choice
-from eitskin_training.gate.material import Array, Material
+from eitskin_training.gate.material import Material
 from eitskin_training.gate.observer import ideal_observer, without_common
 from eitskin_training.gate.rates import found_presses, measured, threshold_at, untouched_frames
 from eitskin_training.gate.untouched import Bends

@@ -35,6 +35,7 @@ from eitskin_sim.verification.shape_verdict import ShapeVerdict
 from eitskin_sim.verification.shape_verifier import BUDGET_S, ShapeVerifier
 from eitskin_sim.verification.snapped_units import UnitFrame, UnitVerdict, too_many, unit_shares, unverified
 from eitskin_sim.verification.touch_prior import touch_prior
+from eitskin_sim.verification.verdict import Verdict
 from eitskin_tools.evaluation.verified.share import network_share
 
 Array = npt.NDArray[np.float64]
@@ -110,7 +111,7 @@ class MapVerifier:
 class MapVerdict:
     """One map's verdict, and what it took."""
 
-    verdict: ShapeVerdict | UnitVerdict
+    verdict: Verdict[Any]
     extra_ms: float
     """Of the verdict."""
     cpu_ms: float
