@@ -28,7 +28,7 @@ def coarse(monkeypatch):
 
 @pytest.mark.slow
 def test_calibration_finds_the_gauge_factor_and_what_presses_are_like():
-    """Of presses that lower conductance: elements of 6 mm do not tell a raising one's contrast of 10 from its border."""
+    """Of presses that lower conductance: elements of 6 mm do not tell a raising contrast of 10 from a wide border."""
     device = draw_device(LAB, 0, 0)
     twin, said = calibrate(named("lab"), recorded(device, 0, SNR_DB, 2, 3, "lower"), SNR_DB)
     gauge = twin.layer.gauge_factor
