@@ -46,9 +46,8 @@ def test_a_recording_of_parts_of_maps_is_read_as_whole_maps_that_are_cut_to_them
     fields = found.fields()
     assert fields["equal"] + fields["unknown_why"].get("region", 0) == fields["published"] == 34
     assert fields["differing"] == {}
-    assert found.maps is not None
     published = dict(unpack_map(entry.data) for entry in script.recording.entries({MAP.topic}))
-    computed = {seq: values for seq, values in zip(found.maps.sequence, found.maps.maps, strict=True) if values.any()}
+    computed = {step.frame.seq: one.map for step, one in found.kept if one.map.any()}
     assert len(computed) == 20
     for seq, values in computed.items():
         np.testing.assert_allclose(values, published[seq], atol=1e-6)

@@ -32,7 +32,7 @@ def test_every_frame_of_the_wire_comes_back_as_it_came(file: Path, items: list[A
     steps = list(Script(file).steps())
     frames = of(items, WireFrame)
     assert [step.frame.body() for step in steps] == [frame.body() for frame in frames]
-    offset = Recording(file).wall_minus_host_ns
+    offset = int(Recording(file).head["wall_minus_host_ns"])
     assert [step.log_ns - offset for step in steps] == [frame.read_ns for frame in frames]
 
 

@@ -75,10 +75,8 @@ def test_another_bundle_is_compared_by_its_own_maps(short: Path) -> None:
     assert against["frames"] == script.frames == 45
     assert against["both_touched"] > 10
     assert against["cc_p5"] <= against["cc_median"] < 0.999, "nothing else was computed"
-    assert found.maps is not None
-    assert found.others is not None
-    assert [digest_of(values) for values in found.others.maps] == [step.note["digest"] for step in script.steps()]
-    assert len({values.tobytes() for values in found.maps.maps}) > 10
+    assert [digest_of(one.map) for _, one in found.others] == [step.note["digest"] for step in script.steps()]
+    assert len({one.map.tobytes() for _, one in found.kept}) > 10
 
 
 def test_another_bundle_asks_its_own_gate_and_not_the_recording(tmp_path: Path) -> None:
@@ -88,10 +86,8 @@ def test_another_bundle_asks_its_own_gate_and_not_the_recording(tmp_path: Path) 
     recorded(tmp_path / "a.mcap", quiet)
     script = Script(tmp_path / "a.mcap")
     found = reinfer(script, ran, comparison_solver(script, ran, default_path(), None), keep=1000)
-    assert found.maps is not None
-    assert found.others is not None
-    assert found.maps.touched == touched
-    assert found.others.touched == [False] * 45
+    assert [one.touched for _, one in found.kept] == touched
+    assert [one.touched for _, one in found.others] == [False] * 45
     assert found.fields()["against_recorded"]["touched_agreement"] == pytest.approx(1.0 - sum(touched) / 45)
     assert sum(touched) > 10
 

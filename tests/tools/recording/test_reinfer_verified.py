@@ -143,5 +143,4 @@ def test_the_real_verifier_explains_a_touch_of_a_real_sheet(tmp_path: Path, monk
     assert (fields["frames"], fields["flagged_share"], fields["not_verified"]) == (1, 0.0, {})
     assert fields["p_value_median"] > 1e-3
     assert fields["ms_median"] > 0
-    assert found.maps is not None
-    assert np.corrcoef(found.maps.maps[-1].ravel(), image.ravel())[0, 1] > 0.95
+    assert np.corrcoef(found.kept[-1][1].map.ravel(), image.ravel())[0, 1] > 0.95

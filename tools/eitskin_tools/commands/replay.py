@@ -65,8 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         log.warn(line)
     script = Script(arguments.file)
     say = log.warn if script.ending else log.say
-    frames = f"{script.frames} frames of {script.head_text('serial')}"
-    say(f"{script.path}: {frames} in {script.seconds:.1f} s{script.ending}")
+    say(f"{script.path}: {script.seconds:.1f} s of {script.head_text('serial')}{script.ending}")
     manner = ReplayOptions(
         not arguments.as_fast_as_possible, arguments.loop, arguments.from_s, arguments.to_s, arguments.speed
     )
@@ -90,6 +89,8 @@ def run(arguments: argparse.Namespace) -> int:
         with verifier.verifying(skin, publisher, arguments) as behind:
             serve(skin, publisher, behind=behind)
         found = {**skin.summary(), "sent": player.line.sent, "rounds": player.line.rounds}
+    if script.recording.damaged:
+        log.warn(f"{script.path}{script.ending}")
     if arguments.json:
         print(json.dumps(found))
     else:

@@ -177,18 +177,6 @@ class Recording:
                 "the release that made it"
             )
 
-    @property
-    def wall_minus_host_ns(self) -> int:
-        """What is taken from ``log_ns`` to come to the host's own clock.
-
-        Raises:
-            RecordingError: The head does not say.
-        """
-        try:
-            return int(self.head["wall_minus_host_ns"])
-        except (KeyError, ValueError):
-            raise RecordingError(f"{self.path} does not relate its clocks; record again") from None
-
     def entries(
         self, topics: Collection[str] | None = None, from_ns: int | None = None, to_ns: int | None = None
     ) -> Iterator[Entry]:

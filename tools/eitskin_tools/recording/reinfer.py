@@ -418,32 +418,8 @@ def comparison_solver(script: Script, recorded: Bundle, named: Path | None, solv
 Progress = Callable[[float, float], None]
 
 
-@dataclass(slots=True)
-class Maps:
-    """Maps that are kept, for a file or a picture."""
-
-    most: int
-    sequence: list[int] = field(default_factory=list)
-    touched: list[bool] = field(default_factory=list)
-    solver: list[str] = field(default_factory=list)
-    maps: list[npt.NDArray[np.float32]] = field(default_factory=list)
-    log_ns: list[int] = field(default_factory=list)
-    judged: list[FrameVerdict | None] = field(default_factory=list)
-
-    def add(self, step: Step, found: ComputedFrame) -> None:
-        """Keep a copy of a frame's map.
-
-        Raises:
-            RecordingError: There are more than fit into memory.
-        """
-        if len(self.maps) >= self.most:
-            raise RecordingError(f"more than {self.most} maps to keep: choose a part with --from and --to, or --every")
-        self.sequence.append(step.frame.seq or 0)
-        self.touched.append(found.touched)
-        self.solver.append(found.solver)
-        self.maps.append(found.map.copy())
-        self.log_ns.append(step.log_ns)
-        self.judged.append(found.judged)
+Kept = list[tuple[Step, ComputedFrame]]
+"""Frames whose maps are kept, for a file or a picture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -460,9 +436,9 @@ class Reinferred:
     """Against what was published; None with another bundle or solver."""
     agreement: Agreement | None
     """With what was running, of another bundle or solver."""
-    maps: Maps | None
-    others: Maps | None
-    """Of what was running, beside ``maps``."""
+    kept: Kept
+    others: Kept
+    """The same frames by what was running, beside another solver's."""
     verdicts: Verdicts | None = None
     """Of a solver that asks physics."""
 
@@ -517,7 +493,7 @@ def reinfer(
     rerun = Rerun(script, bundle)
     equality = Equality() if solver is None and rerun.as_recorded else None
     agreement = None if solver is None else Agreement(bundle.skin.grid.pixel_mm)
-    maps, others = (Maps(keep) if keep else None), (Maps(keep) if keep and solver is not None else None)
+    kept, others = Kept(), Kept()
     count = withheld = 0
     before: Step | None = None
     first_ns = last_ns = 0
@@ -538,14 +514,16 @@ def reinfer(
         if agreement is not None and found is not None and other is not None:
             agreement.add(found, other)
         shown = found if solver is None else other
-        if maps is not None and shown is not None and (count - 1) % every == 0:
-            maps.add(step, shown)
-            if others is not None and found is not None:
-                others.add(step, found)
+        if keep and shown is not None and (count - 1) % every == 0:
+            if len(kept) >= keep:
+                raise RecordingError(f"more than {keep} maps to keep: choose a part with --from and --to, or --every")
+            kept.append((step, shown))
+            if solver is not None and found is not None:
+                others.append((step, found))
     elapsed_s, cpu_s = time.perf_counter() - start_s, time.process_time() - start_cpu_s
     recorded_s, verdicts = (last_ns - first_ns) * 1e-9, getattr(solver, "verdicts", None)
     equality = equality if equality is not None and equality.published else None
-    return Reinferred(count, elapsed_s, cpu_s, recorded_s, withheld, equality, agreement, maps, others, verdicts)
+    return Reinferred(count, elapsed_s, cpu_s, recorded_s, withheld, equality, agreement, kept, others, verdicts)
 
 
 def _merged(before: Step | None, step: Step) -> Step:
@@ -570,19 +548,20 @@ def write(path: Path, found: Reinferred) -> None:
         RecordingError: No maps were kept.
         OSError: The file cannot be written.
     """
-    maps = _maps_of(found)
+    kept = _kept_of(found)
     arrays = {
-        "seq": np.array(maps.sequence, dtype=np.int64),
-        "touched": np.array(maps.touched, dtype=np.bool_),
-        "solver": np.array(maps.solver),
-        "wall_ns": np.array(maps.log_ns, dtype=np.int64),
-        "map": np.array(maps.maps, dtype=np.float32),
+        "seq": np.array([step.frame.seq or 0 for step, _ in kept], dtype=np.int64),
+        "touched": np.array([one.touched for _, one in kept], dtype=np.bool_),
+        "solver": np.array([one.solver for _, one in kept]),
+        "wall_ns": np.array([step.log_ns for step, _ in kept], dtype=np.int64),
+        "map": np.array([one.map for _, one in kept], dtype=np.float32),
     }
-    if found.others is not None:
-        arrays["recorded_map"] = np.array(found.others.maps, dtype=np.float32)
+    if found.others:
+        arrays["recorded_map"] = np.array([one.map for _, one in found.others], dtype=np.float32)
     if found.verdicts is not None:
-        arrays["p_value"] = np.array([np.nan if one is None else one.p_value for one in maps.judged])
-        arrays["flagged"] = np.array([one is not None and one.flagged for one in maps.judged], dtype=np.bool_)
+        verdicts = [one.judged for _, one in kept]
+        arrays["p_value"] = np.array([np.nan if one is None else one.p_value for one in verdicts])
+        arrays["flagged"] = np.array([one is not None and one.flagged for one in verdicts], dtype=np.bool_)
     with replacing(path) as stream:
         save_arrays(stream, arrays, compressed=True)
 
@@ -601,23 +580,24 @@ def draw(path: Path, found: Reinferred, most: int) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    maps = _maps_of(found)
-    touched = [index for index, values in enumerate(maps.maps) if values.any()]
+    kept = _kept_of(found)
+    touched = [index for index, (_, one) in enumerate(kept) if one.map.any()]
     if not touched:
         raise RecordingError("no frame in this part of the recording is touched: there is nothing to draw")
     parts = [part for part in np.array_split(touched, most) if len(part)]
-    chosen = [max(part, key=lambda index: float(maps.maps[index].sum())) for part in parts]
-    rows = [("maps", maps)] if found.others is None else [("recorded", found.others), ("computed now", maps)]
+    chosen = [max(part, key=lambda index: float(kept[index][1].map.sum())) for part in parts]
+    rows = [("recorded", found.others), ("computed now", kept)] if found.others else [("maps", kept)]
     figure = Figure(figsize=(2.4 * len(chosen), 2.0 * len(rows)), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(len(rows), len(chosen), squeeze=False)
-    for axes_of_row, (title, kept) in zip(grid, rows, strict=True):
+    for axes_of_row, (title, some) in zip(grid, rows, strict=True):
         for axes, index in zip(axes_of_row, chosen, strict=True):
-            draw_map(axes, kept.maps[index], f"{title}, frame {kept.sequence[index]}")
+            step, one = some[index]
+            draw_map(axes, one.map, f"{title}, frame {step.frame.seq}")
     save(figure, path, dpi=120)
 
 
-def _maps_of(found: Reinferred) -> Maps:
-    if found.maps is None or not found.maps.maps:
+def _kept_of(found: Reinferred) -> Kept:
+    if not found.kept:
         raise RecordingError("this part of the recording has no map")
-    return found.maps
+    return found.kept
