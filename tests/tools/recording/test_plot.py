@@ -1,20 +1,19 @@
 """A picture of a recording: it shows what was published, also of a recording that has no maps."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from eitskin import Frame, WireFrame
+from eitskin import Frame
 from eitskin.model.bundle import load_bundle
 from eitskin_tools import cli
 from eitskin_tools.recording.plot import MAPS, Course, course_of
 from eitskin_tools.recording.script import Script
 
-from .conftest import TINY, recorded
+from .conftest import TINY
 
 pytest.importorskip("matplotlib", reason="pictures need the extra 'plot'")
 
@@ -65,20 +64,6 @@ def test_the_strongest_map_of_each_quarter_is_drawn(file: Path, items: list[Any]
     strongest = {k: sums[quarters == k].max() for k in range(MAPS) if sums[quarters == k].any()}
     # A frame that was published with an earlier map may get its own where a part begins.
     assert {k: frame.map.sum() for k, frame in found.strongest.items()} == pytest.approx(strongest, rel=0.05)
-
-
-def test_a_recording_of_the_wire_alone_has_maps_and_says_that_drift_is_missing(
-    tmp_path: Path, items: list[Any]
-) -> None:
-    alone = [
-        replace(item, frame=None, solver="none", map_seq=None) if isinstance(item, WireFrame) else item
-        for item in items if not isinstance(item, Frame)
-    ]  # fmt: skip
-    recorded(tmp_path / "w.mcap", alone)
-    found = course(tmp_path / "w.mcap")
-    assert found.strongest
-    assert np.isnan(found.drifts_percent).all()
-    assert plot(tmp_path / "w.mcap", "--quiet") == 0
 
 
 def test_a_part_is_drawn_alone_and_one_behind_the_end_is_refused(file: Path, capsys: Capture) -> None:

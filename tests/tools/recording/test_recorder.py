@@ -120,15 +120,6 @@ def test_all_has_the_clock_of_the_frames_though_the_wall_clock_jumps_and_the_rec
     assert max(times) - min(times) < hour_ns // 60
 
 
-def test_the_state_is_json_and_the_reference_an_attachment(file: Path, items: list[Any]) -> None:
-    recording = Recording(file)
-    states = [unpack_json(entry.data) for entry in recording.entries({STATE.topic})]
-    assert states[0]["serial"] == "TEST-1"
-    assert states[0]["hello"]["rows"] == 104
-    (attached,) = recording.attached.values()
-    assert json.loads(attached)["format"] == "eitskin-reference"
-
-
 def test_the_map_as_foxglove_grid_is_the_map_to_a_1024th() -> None:
     values = np.random.default_rng(0).random((30, 45), dtype=np.float32)
     found = json.loads(pictures.grid(values, (10 / 3, 10 / 3), 1_700_000_000_000_000_005))
@@ -156,24 +147,6 @@ def test_the_surface_as_foxglove_points_is_the_cloud_in_metres_with_the_map() ->
     assert np.abs(points["touched"] - values.reshape(-1)).max() <= 0.5 / 1024
     assert found["point_stride"] % 3 == 0
     assert set(found) == set(json.loads(layout.SURFACE.schema)["properties"])
-
-
-KEYS = {
-    layout.GRID: {
-        "timestamp", "frame_id", "pose", "column_count", "cell_size", "row_stride", "cell_stride", "fields", "data",
-    },
-    layout.SURFACE: {"timestamp", "frame_id", "pose", "point_stride", "fields", "data"},
-}  # fmt: skip
-"""Of ``foxglove.Grid`` and ``foxglove.PointCloud``: https://docs.foxglove.dev/docs/visualization/message-schemas/grid
-and point-cloud."""
-
-
-@pytest.mark.parametrize("channel", KEYS, ids=lambda channel: channel.schema_name)
-def test_pictures_have_the_keys_of_foxgloves_own_schemas(file: Path, channel: Any) -> None:
-    assert set(json.loads(channel.schema)["properties"]) == KEYS[channel]
-    every = [json.loads(entry.data) for entry in Recording(file).entries({channel.topic})]
-    assert every
-    assert all(set(one) == KEYS[channel] for one in every)
 
 
 @pytest.mark.parametrize("bent", [False, True])

@@ -15,7 +15,7 @@ from eitskin_tools.evaluation.verified import recorded as module
 from eitskin_tools.evaluation.verified.recorded import VerifiedSolver
 from eitskin_tools.evaluation.verified.solver import MapVerdict
 from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES
-from eitskin_tools.recording.reinfer import ComputedFrame, Rerun, reinfer, write
+from eitskin_tools.recording.reinfer import Rerun, reinfer, write
 from eitskin_tools.recording.script import Script, Step
 
 from . import conftest
@@ -85,22 +85,6 @@ def test_touched_frames_are_given_with_the_cloud_and_the_reference_that_held(
         assert set(arrays) == {
             "seq", "touched", "solver", "wall_ns", "map", "recorded_map", "p_value", "flagged",
         }  # fmt: skip
-
-
-def test_one_frame_in_some_meets_a_cloud_that_was_given_between(file: Path) -> None:
-    class Looking:
-        def __init__(self) -> None:
-            self.clouds: list[int] = []
-
-        def compute(self, step: Step) -> ComputedFrame | None:
-            if step.cloud is not None:
-                self.clouds.append(step.cloud.revision)
-            return None
-
-    script, looking = Script(file), Looking()
-    reinfer(script, load_bundle(TINY), looking, every=7)
-    assert looking.clouds == [step.cloud.revision for step in script.steps() if step.cloud is not None]
-    assert len(looking.clouds) == 2
 
 
 def test_the_command_says_what_physics_says(

@@ -1,6 +1,5 @@
 """Every command that reads a recording, at every file that it cannot use: one line, status 1, nothing printed."""
 
-import os
 import signal
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -79,11 +78,8 @@ def cut_before_the_first_frame(path: Path, items: list[Any]) -> None:
 
 FILES: dict[str, tuple[Make, str]] = {
     "missing": (missing, "no file"),
-    "folder": (lambda path, _: path.mkdir(), "is a folder"),
-    "pipe": (lambda path, _: os.mkfifo(path), "is a FIFO"),
     "device": (lambda path, _: path.symlink_to("/dev/zero"), "is a device"),
     "empty": (holding(b""), "is empty"),
-    "text": (holding(b"no recording"), "is not an MCAP file"),
     "cut in the head": (holding(b"\x89MCAP0\r\n"), "ends within its header"),
     "cut before the first frame": (cut_before_the_first_frame, "holds no frame from the device; it was cut off"),
     "without a frame": (
