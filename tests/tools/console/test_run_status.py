@@ -51,7 +51,8 @@ def test_a_loss_a_withheld_frame_and_a_failed_electrode_are_said_at_once_with_th
     status.check()
     skin.pass_second(withheld_by_reason={"stale": 0, "corrupt": 2}, touched=7)
     status.check()
-    skin.pass_second(electrodes=["5:detached:imputed"])
+    drift = {"percent": 34.3, "sd_percent": 15.0, "uneven_percent": None, "followed": False}
+    skin.pass_second(electrodes=["5:detached:imputed"], drift=drift)
     status.check()
     skin.pass_second()
     status.check()
@@ -60,7 +61,7 @@ def test_a_loss_a_withheld_frame_and_a_failed_electrode_are_said_at_once_with_th
     assert "3 lost" in lines[0]
     assert "touched" in lines[1]
     assert "2 withheld (corrupt: 2)" in lines[1]
-    assert "electrode 5 detached (rows estimated)" in lines[2]
+    assert "electrode 5 detached (rows estimated), drift unknown while touched or bent" in lines[2]
 
 
 def test_json_is_one_object_a_line_with_rate_and_reasons():

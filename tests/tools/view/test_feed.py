@@ -99,8 +99,3 @@ def test_a_feed_ends_at_once_while_no_frame_arrives(endpoint, monkeypatch):
     begin_s = time.monotonic()
     feed.close()
     assert time.monotonic() - begin_s < 60.0
-
-
-def test_an_endpoint_that_is_none_is_refused_at_once():
-    with pytest.raises(eitskin.EndpointError):
-        Feed(Source(PAPER, "nonsense"), Board())

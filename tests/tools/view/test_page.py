@@ -79,6 +79,7 @@ def test_the_page_says_that_nobody_is_there_and_goes_on_when_somebody_comes_and_
         found.wait("document.getElementById('notice')?.hidden === false")
         assert "eitskin run" in found.evaluate("document.getElementById('notice').innerText")
         assert found.evaluate("document.getElementById('state').dataset.state") == "silent"
+        assert found.evaluate("document.getElementById('electrodes').innerText") == "Unknown."
         for run in ("one", "two"):
             with Runtime(endpoint, Scene(TOUCHED), run=run):
                 found.wait(f"eitskin.history.newest?.head.run === {run!r} && document.getElementById('notice').hidden")

@@ -103,6 +103,8 @@ def test_one_is_chosen_by_button_by_key_and_in_the_scene_for_all_that_is_beside_
 
 
 def test_a_skin_that_does_not_answer_is_shown_so_and_the_rest_goes_on(viewer, endpoints):
+    with browser(viewer.address) as found:
+        found.wait("document.getElementById('notice')?.innerText.startsWith('arm, hand: no frame from')")
     with Runtime(endpoints[0], ARM), browser(viewer.address) as found:
         found.wait("document.getElementById('state')?.dataset.state === 'part'")
         assert found.evaluate("document.getElementById('state-text').innerText") == "1 of 2 live"
