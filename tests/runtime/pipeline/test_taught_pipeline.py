@@ -37,8 +37,9 @@ def npz(arrays):
     return stream.getvalue()
 
 
-@pytest.fixture
-def taught(tmp_path, tiny, tiny_path):
+def taught_bundle(folder, tiny_path):
+    """Return a bundle that was taught on the sheet of another one."""
+    tiny = load_bundle(tiny_path)
     field = response(tiny.skin.grid.pixel_centres_mm().reshape(-1, 2))
     ones = {"amplitude_sd": 0.3, "freedom": 20.0, "threshold": 6.0, "spread": 1.0, "logarithm": 1.0}
     arrays = {"project": 1e3 * MIX, "field": field, "variance": 0.01 * np.ones_like(field)}
@@ -48,10 +49,15 @@ def taught(tmp_path, tiny, tiny_path):
         manifest = json.loads(archive.read("manifest.json"))
     del manifest["head"]
     manifest["files"] = {"taught.npz": {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}}
-    with zipfile.ZipFile(tmp_path / "taught.eitskin", "w") as archive:
+    with zipfile.ZipFile(folder / "taught.eitskin", "w") as archive:
         archive.writestr("manifest.json", json.dumps(manifest))
         archive.writestr("taught.npz", data)
-    return load_bundle(tmp_path / "taught.eitskin")
+    return load_bundle(folder / "taught.eitskin")
+
+
+@pytest.fixture
+def taught(tmp_path, tiny_path):
+    return taught_bundle(tmp_path, tiny_path)
 
 
 def test_a_touch_is_listed_with_its_errors_where_the_map_shows_it(taught, hello, counts):

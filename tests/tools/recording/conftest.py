@@ -14,7 +14,7 @@ from eitskin.messaging.streams import envelope
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
 from eitskin.messaging.streams.publisher import StreamPublisher
 from eitskin.messaging.streams.state import SkinState
-from eitskin.model.bundle import load_bundle
+from eitskin.model.bundle import Bundle
 from eitskin.reference.captured import Reference
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire.frames import Frame as WireScan
@@ -100,6 +100,7 @@ def measured(
     *,
     reference_at: int | None = None,
     touches: bool = False,
+    bundle: Bundle | Path = TINY,
     **options: Any,
 ) -> list[Any]:
     """Return what streams and frames say of a played skin that gets a cloud after a while, and maybe a reference."""
@@ -107,7 +108,7 @@ def measured(
     line = RecordedLine("test", hello(), lambda: iter(steps), paced=False)
     taker = Taker()
     taker.asked = Demand(touches=touches)
-    with eitskin.Skin(line, bundle=load_bundle(TINY), reference=reference(), **options) as skin:
+    with eitskin.Skin(line, bundle=bundle, reference=reference(), **options) as skin:
         line.ended = skin.stop
         volts = counts() * VOLTS
 

@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.runtime.pipeline.test_taught_pipeline import MIX, response, taught_bundle
 
 from eitskin import Frame
 from eitskin.messaging.streams.measured import WireFrame
 from eitskin.messaging.streams.state import SkinState
 from eitskin.model.bundle import load_bundle
 from eitskin.reference.captured import stored
+from eitskin_proto.wire.frames import Frame as WireScan
 from eitskin_tools import cli
 from eitskin_tools.recording.convert import Table, table_of, write_npz, write_parquet
 from eitskin_tools.recording.frames import RecordedFrames
@@ -24,7 +26,7 @@ from eitskin_tools.recording.layout import MAP, STATE
 from eitskin_tools.recording.recorder import RecorderOptions
 from eitskin_tools.recording.script import Script, Step
 
-from .conftest import CLOUD, PERIOD_NS, TINY, VOLTS, measured, recorded, reference, scans
+from .conftest import CLOUD, PERIOD_NS, TINY, VOLTS, counts, measured, recorded, reference, scans
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +112,23 @@ def test_evaluate_measured_reads_npz_and_recordings_alike(with_maps: Path, tmp_p
     assert one.clouds_mm.tobytes() == other.clouds_mm.tobytes()
     assert one.cloud_index.tolist() == other.cloud_index.tolist()
     assert set(other.kinds) == {"touched", "untouched"}
+
+
+def test_touches_of_a_taught_bundle_are_those_that_were_published(tmp_path: Path) -> None:
+    bundle, steps, rng = taught_bundle(tmp_path, TINY), [], np.random.default_rng(1)
+    for index in range(60):
+        push = response([(61.0, 40.0)])[0] * (30 <= index < 50)
+        row = np.rint(counts() * np.exp(1e-3 * MIX @ (push + rng.normal(size=len(push))))).astype(np.int32)
+        payload = WireScan(100 + index, 1000 + 5000 * index, row).pack()
+        steps.append(Step(WireFrame(payload, 100 + index, index * PERIOD_NS), 10**9 + index * PERIOD_NS))
+    items = measured(steps=steps, touches=True, bundle=bundle)
+    recorded(tmp_path / "a.mcap", items)
+    script = Script(tmp_path / "a.mcap")
+    found = table_of(script, None, None, RecordedFrames(script, bundle)).touches
+    assert found is not None
+    assert len(found) == 20
+    for name in ("centre_mm", "error_mm", "amplitude", "log_likelihood_ratio"):
+        np.testing.assert_allclose(found[name], published(items, name), rtol=1e-5)
 
 
 @pytest.mark.slow  # its package comes with the slow tests

@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     found: dict[str, Any] = {"file": str(script.path), "out": str(arguments.out), "format": kind}
     span = arguments.from_s, arguments.to_s
     if kind == "rosbag2":
-        version = arguments.rosbag_version or 9
+        version: Any = arguments.rosbag_version or 9
         found["messages"] = convert.write_rosbag(arguments.out, script, *span, frames=frames, version=version)
         said = f"{found['messages']} messages"
     else:

@@ -28,7 +28,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -368,7 +368,7 @@ def write_rosbag(
     to_s: float | None = None,
     *,
     frames: RecordedFrames | None = None,
-    version: int = 9,
+    version: Literal[8, 9] = 9,
 ) -> int:
     """Write a recording as a folder of rosbag2, and return how many messages it has.
 

@@ -40,8 +40,8 @@ damaged."""
 NEIGHBOURS: Final = (0, 1, -1, 2, -2)
 """Chunks, counted from a frame's, that its note may be in: half a second to either side."""
 
-MOST_FRAMES_S: Final = 5000
-"""Frames in a second of a recording; the fastest devices measure a few hundred."""
+MOST_FRAMES_S: Final = 10_000
+"""Frames in a second of a recording; devices measure hundreds, a replay without pauses some thousands."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,7 +245,8 @@ class Script:
         if (found := cache.get(revision)) is not None:
             return found
         if (place := cache.places.get(revision)) is not None:
-            return cache.add(self._read(place[0]).entries[place[1]].data, place)
+            for entry in self._read(place[0]).entries[place[1] : place[1] + 1]:  # none if the file has changed
+                return cache.add(entry.data, place)
         having = cache.chunks = cache.chunks or self.recording.having(cache.topic)
         at = bisect_right(having, number)
         for one in (*having[max(at - MAX_DISTANCE, 0) : at][::-1], *having[at : at + MAX_DISTANCE]):

@@ -29,6 +29,9 @@ from eitskin_tools.view.server import PageServer
 PART_S: Final = 1.0
 """Of a recording in one answer."""
 
+MAX_FRAMES: Final = 3000
+"""In one part: they take a page some seconds to get."""
+
 MAX_CACHED_BYTES: Final = 32 << 20
 """Cache of parts, for other pages and for going back."""
 
@@ -85,7 +88,10 @@ class Film:
     def _make(self, number: int) -> bytes:
         watch = self._watches.pop(number - 1, None) or self._frames.watch()
         messages: list[bytes] = []
-        for step, frame in self._frames.part(number * PART_S, (number + 1) * PART_S - 1e-9, watch):
+        part = self._frames.part(number * PART_S, (number + 1) * PART_S - 1e-9, watch)
+        for before, (step, frame) in enumerate(part):
+            if before >= MAX_FRAMES:
+                raise RecordingError(f"{self.path}: found over {MAX_FRAMES} frames in a second; replay it instead")
             if (cloud := step.cloud) is not None:
                 messages.append(surface_message(cloud.revision, cloud.cloud, self._run, 0, Pose()))
             if frame is not None:

@@ -19,10 +19,10 @@ from eitskin_tools.recording.reader import MOST_RECORDS, Recording
 from eitskin_tools.recording.reinfer import reinfer
 from eitskin_tools.recording.replay import Player, ReplayOptions
 from eitskin_tools.recording.script import MOST_FRAMES_S, Script
-from eitskin_tools.view.film import Film
+from eitskin_tools.view.film import MAX_FRAMES, Film
 
 from ..conftest import TINY, Taker, rewritten
-from .files import KINDS, LARGEST, Honest, chunk, message, record
+from .files import KINDS, LARGEST, Honest, chunk, chunks, message, record
 from .files import WIRE as WIRE_NUMBER
 
 HUGE = 10**400
@@ -63,8 +63,10 @@ def test_a_chunk_that_no_recorder_writes_is_left_out(file, inner):
 def test_frames_faster_than_those_of_any_device_are_refused(file):
     honest, rng = Honest(file), random.Random(0)
     frames = honest.frames(MOST_FRAMES_S + 1, 1, read_ns=lambda _: rng.getrandbits(60))
-    file.write_bytes(honest.file(chunk(b"".join(frames))))
+    file.write_bytes(honest.file(honest.body, *chunks(frames)))
     with pytest.raises(RecordingError, match=f"over {MOST_FRAMES_S} frames in a second"):
+        table_of(Script(file))
+    with pytest.raises(RecordingError, match=f"over {MAX_FRAMES} frames in a second"):
         Film(file, TINY).part(0)
 
 
