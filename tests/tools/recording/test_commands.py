@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +13,6 @@ import pytest
 
 from eitskin.messaging.curve_keys import make_keys
 from eitskin_tools import cli
-from eitskin_tools.recording.reader import Recording
 from eitskin_tools.recording.script import Script
 
 from .conftest import TINY
@@ -115,29 +113,6 @@ def test_a_stream_is_recorded_until_told_to_stop(file: Path, tmp_path: Path) -> 
     assert not script.recording.cut
     numbers = [step.frame.n for step in script.steps()]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-
-
-@pytest.mark.process
-@pytest.mark.slow
-def test_killed_at_any_moment_it_leaves_a_file_that_lacks_no_frame_but_the_last_ones(
-    file: Path, tmp_path: Path
-) -> None:
-    scripts = []
-    with played(file, tmp_path) as endpoint:
-        for number in range(3):
-            path = tmp_path / f"k{number}.mcap"
-            command = [sys.executable, "-m", "eitskin_tools.cli", "record", endpoint, "--out", str(path), "--quiet"]
-            with subprocess.Popen(command, stderr=subprocess.PIPE) as recorder:
-                while recorder.poll() is None and not (path.exists() and path.stat().st_size):
-                    time.sleep(0.001)
-                time.sleep(0.7 * number)
-                recorder.kill()
-            assert Recording(path).head
-            scripts += [Script(path)] if number else []  # the first may have no frame yet
-    for script in scripts:
-        numbers = [step.frame.n for step in script.steps()]
-        assert script.recording.cut
-        assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
 @pytest.mark.process

@@ -4,13 +4,7 @@ from pathlib import Path
 
 from eitskin_tools.recording.layout import MAP, WIRE
 from eitskin_tools.recording.reader import Recording
-from eitskin_tools.recording.writer import Series, later_files, path_of
-
-
-def test_names_of_a_series_are_told_from_others(tmp_path: Path) -> None:
-    for name in ("a.mcap", "a.0002.mcap", "a.12345.mcap", "a.02.mcap", "ab.0002.mcap", "a.0002.mcap.gz", "b.0003.mcap"):
-        (tmp_path / name).touch()
-    assert later_files(tmp_path / "a.mcap") == [tmp_path / "a.0002.mcap", tmp_path / "a.12345.mcap"]
+from eitskin_tools.recording.writer import Series, path_of
 
 
 def test_what_is_there_is_passed_over_and_stays(tmp_path: Path) -> None:

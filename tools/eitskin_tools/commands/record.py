@@ -65,12 +65,9 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin.messaging.streams.subscription import subscribe_streams
     from eitskin.messaging.subscription import subscribe
     from eitskin_tools.recording.recorder import Recorder, RecorderOptions, SubscriptionQueue
-    from eitskin_tools.recording.writer import Series, later_files
+    from eitskin_tools.recording.writer import Series
 
     keys = client_keys(arguments)
-    if (there := later_files(arguments.out)) and not arguments.quiet:
-        some = there[0] if len(there) == 1 else f"{there[0]} and {len(there) - 1} more files"
-        print(f"eitskin record: keeping {some} from before; new files get the next free numbers", file=sys.stderr)
     stopped = _Stop()
     for number in endings():
         signal.signal(number, stopped)

@@ -13,7 +13,6 @@ reserve is closed, and its space takes the last chunk and the summary.
 
 import errno
 import os
-import re
 import tempfile
 import time
 from collections.abc import Callable, Mapping
@@ -291,14 +290,6 @@ class RecordingWriter:
 def path_of(first: Path, number: int) -> Path:
     """Return the path of a file of a series: FILE.mcap, FILE.0002.mcap, FILE.0003.mcap, ..."""
     return first if number == 1 else first.with_name(f"{first.stem}.{number:04d}{first.suffix}")
-
-
-def later_files(first: Path) -> list[Path]:
-    """Return the files that are there already and are called like the second or a later one of a series."""
-    name = re.compile(rf"{re.escape(first.stem)}\.[0-9]{{4,}}{re.escape(first.suffix)}")
-    with suppress(OSError):  # a folder that may be written to and not read
-        return sorted(path for path in first.parent.iterdir() if name.fullmatch(path.name))
-    return []
 
 
 class Series:

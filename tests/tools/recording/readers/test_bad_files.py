@@ -12,9 +12,8 @@ from mcap.writer import Writer
 from eitskin import SkinState, WireFrame
 from eitskin_tools import cli
 from eitskin_tools.processes.signals import endings
-from eitskin_tools.recording import recorder, writer
 
-from ..conftest import TINY, recorded
+from ..conftest import TINY, recorded, rewritten
 
 OTHER_ID = "0123456789abcdef"
 SECOND = TINY.with_name("second.eitskin")
@@ -58,17 +57,12 @@ def of_another_program(path: Path, items: list[Any]) -> None:
         made.finish()
 
 
-def newer(path: Path, items: list[Any]) -> None:
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(writer, "VERSION", writer.VERSION + 1)
+def with_head(**head: str) -> Make:
+    def make(path: Path, items: list[Any]) -> None:
         recorded(path, items)
+        rewritten(path, lambda _, data, ns: (data, ns), head=head).rename(path)
 
-
-def another_devices(path: Path, items: list[Any]) -> None:
-    head_of = recorder.head_of
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(recorder, "head_of", lambda found: {**head_of(found), "hello": "80ff"})
-        recorded(path, items)
+    return make
 
 
 def cut_before_the_first_frame(path: Path, items: list[Any]) -> None:
@@ -87,12 +81,9 @@ FILES: dict[str, tuple[Make, str]] = {
         "holds no frame from the device",
     ),
     "another program's": (of_another_program, "this is another program's MCAP file"),
-    "newer": (newer, "version 2, this release reads up to 1"),
-    "another protocol": (
-        lambda path, items: void(recorded(path, changed(items, protocol_id=OTHER_ID))),
-        f"protocol_id: found {OTHER_ID}",
-    ),
-    "HELLO": (another_devices, "the device's HELLO cannot be read"),
+    "newer": (with_head(version="2"), "version 2, this release reads up to 1"),
+    "another protocol": (with_head(protocol_id=OTHER_ID), f"protocol_id: found {OTHER_ID}"),
+    "HELLO": (with_head(hello="80ff"), "the device's HELLO cannot be read"),
     "without a reference": (
         lambda path, items: void(recorded(path, changed(items, reference=None))), "has no reference"
     ),
