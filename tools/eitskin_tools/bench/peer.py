@@ -64,11 +64,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
     if arguments.frames < 100 or arguments.flipped < 1 or not arguments.rate > 0:
         raise UsageError("--frames must be at least 100, --flipped at least 1 and --rate above 0")
-    python = peer_python()
+    theirs = str(peer_python()), str(Path(__file__).with_name("peer_flexitac.py"))
     readers = {
-        "flexitac read()": theirs(python, "read"),
-        "flexitac read_latest()": theirs(python, "read_latest"),
-        "eitskin": ours(),
+        "flexitac read()": Reader("flexitac", theirs, ("read",)),
+        "flexitac read_latest()": Reader("flexitac", theirs, ("read_latest",)),
+        "eitskin": OURS,
     }
     rows: list[Row] = []
     for name, reader in readers.items():
@@ -99,15 +99,8 @@ class Reader:
     options: Sequence[str] = ()
 
 
-def ours() -> Reader:
-    """Return eitskin's transport and framing."""
-    return Reader("eitskin", (sys.executable, "-m", __name__))
-
-
-def theirs(python: Path, method: str) -> Reader:
-    """Return flexitac's ``read`` or ``read_latest``."""
-    script = Path(__file__).with_name("peer_flexitac.py")
-    return Reader("flexitac", (str(python), str(script)), (method,))
+OURS: Final = Reader("eitskin", (sys.executable, "-m", "eitskin_tools.bench.peer"))
+"""Eitskin's transport and framing."""
 
 
 def ages(reader: Reader, frames: int, rate_hz: float) -> Row:
@@ -179,22 +172,14 @@ def _send(port: PtyPort, packets: Sequence[bytes], rate_hz: float) -> list[int |
     return sent_ns
 
 
-def cache_folder() -> Path:
-    """Return where the environment is kept."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "eitskin" / f"peer-{PACKAGE.replace('==', '-')}"
-
-
-def peer_python(folder: Path | None = None) -> Path:
-    """Return the interpreter of an environment that has the package, made if it is not there.
-
-    Args:
-        folder: Of the environment; None takes :func:`cache_folder`.
+def peer_python() -> Path:
+    """Return the interpreter of an environment that has the package, made in the user's cache if it is not there.
 
     Raises:
         SkinError: It cannot be made or the package cannot be installed.
     """
-    where = folder or cache_folder()
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    where = Path(base) / "eitskin" / f"peer-{PACKAGE.replace('==', '-')}"
     python, done = where / "bin" / "python", where / "installed"
     if done.exists() and python.exists():
         return python

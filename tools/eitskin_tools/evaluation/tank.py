@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.sensor.wiring import read_wiring
 from eitskin_proto.skin.skin import Skin
@@ -12,7 +11,7 @@ from eitskin_sim.tank.common import MIN_COMMON_FACTOR, SIGNIFICANT_SD, common_fa
 from eitskin_sim.tank.front_end import levels_of
 from eitskin_sim.tank.images import IMAGES
 from eitskin_sim.tank.model import TankModel, front_end_of, tank_model, widths_deg
-from eitskin_sim.tank.objects import SECTOR_DEG, ImageObject, find_objects, ghosts, judge
+from eitskin_sim.tank.objects import find_objects, ghosts, judge
 from eitskin_sim.tank.recording import SIGNED_MATERIALS, TankFrame, load_tank
 from eitskin_tools.evaluation.solvers import Progress
 
@@ -52,7 +51,6 @@ def evaluate_tank(
         "electrode_width_deg": model.disc.electrode_width_deg,
         "objects": len(every),
         "right": len(errors),
-        "right_with_common": sum(row["common"]["right_with_it"] for row in rows),
         "not_judged": sum(len(row["not_judged"]) for row in rows),
         "ghosts": sum(row["ghosts"] or 0 for row in rows),
         "angle_error_deg": {"median": float(np.median(errors)), "worst": max(errors)} if errors else None,
@@ -64,8 +62,8 @@ def _row(model: TankModel, frame: TankFrame, solver: str) -> dict[str, Any]:
     front_end = front_end_of(model, frame)
     change = front_end.change(frame.water_V, frame.objects_V)
     common = common_factor(model.relative, change, front_end.noise)
-    with_it = _found(model, solver, change)
-    found = _found(model, solver, common.without(change)) if common.taken_out else with_it
+    image = IMAGES[solver](model, common.without(change) if common.taken_out else change)
+    found = find_objects(model, image)
     judged = judge(frame.objects, found)
     return {
         "name": frame.name,
@@ -78,8 +76,6 @@ def _row(model: TankModel, frame: TankFrame, solver: str) -> dict[str, Any]:
             "sd_percent": 100.0 * common.sd if np.isfinite(common.sd) else None,
             "told": common.is_significant,
             "taken_out": common.taken_out,
-            "changed": len(_sectors(found) ^ _sectors(with_it)),
-            "right_with_it": sum(one.right for one in judge(frame.objects, with_it)),
         },
         "objects": [
             {
@@ -100,15 +96,6 @@ def _row(model: TankModel, frame: TankFrame, solver: str) -> dict[str, Any]:
     }
 
 
-def _found(model: TankModel, solver: str, change: npt.NDArray[np.float64]) -> list[ImageObject]:
-    return find_objects(model, IMAGES[solver](model, change))
-
-
-def _sectors(found: list[ImageObject]) -> set[tuple[int, str]]:
-    """Where objects were found, and of which sign."""
-    return {(round(one.angle_deg / SECTOR_DEG) % round(360.0 / SECTOR_DEG), one.material) for one in found}
-
-
 def table(found: dict[str, Any]) -> str:
     """Return what was found as people read it."""
     lines = [f"wiring: {found['wiring']}", *(line for row in found["frames"] for line in _lines(row))]
@@ -120,22 +107,11 @@ def table(found: dict[str, Any]) -> str:
         )
         if angles:
             lines.append(f"angles off by {angles['median']:.1f} degrees median, {angles['worst']:.1f} at most")
-        lines.append(_what_common_changed(found))
     if found["not_judged"]:
         lines.append(
             f"{found['not_judged']} not judged: of no material whose sign is known ({' or '.join(SIGNED_MATERIALS)})"
         )
     return "\n".join(lines)
-
-
-def _what_common_changed(found: dict[str, Any]) -> str:
-    out = sum(row["common"]["taken_out"] for row in found["frames"])
-    if not out:
-        return f"a common factor was removed from none of {len(found['frames'])} frames"
-    return (
-        f"a common factor was removed from {out} of {len(found['frames'])} frames; left in, "
-        f"{found['right_with_common']} of {found['objects']} are right"
-    )
 
 
 def _lines(row: dict[str, Any]) -> list[str]:
@@ -167,8 +143,7 @@ def _common(common: dict[str, Any]) -> str:
         return "all rows: their common change cannot be told from objects, so it stays"
     alike = f"all rows {common['percent']:+.1f} % +- {common['sd_percent']:.1f} %"
     if common["taken_out"]:
-        changed = "the same objects found" if not common["changed"] else f"{common['changed']} found or lost by it"
-        return f"{alike}: taken out, {changed}"
+        return f"{alike}: taken out"
     if abs(common["percent"]) < 100.0 * MIN_COMMON_FACTOR:
         return f"{alike}: left in, below {100.0 * MIN_COMMON_FACTOR:g} %"
     if not common["told"]:
