@@ -2,12 +2,11 @@
 
 Virtual skins, ``eitskin run --config`` with 1, 2, 4, ... of them, and one subscriber that takes every frame of all by
 ``subscribe_all``. Untouched frames are judged by the gate; touched ones are all computed (``every_map``), the most that
-a skin can cost. Per count the two follow each other, and again in each round, so that a busy machine is busy for both.
+a skin can cost. Per count the two follow each other, so that a busy machine is busy for both.
 
 CPU time is read from /proc, each process by itself. The virtual skins need cores too, about as much as the runtimes,
 which a robot's own electronics do not take: frames that are lost here would be lost later there. What other programs
-took meanwhile is said in each row; where that is much, frames are lost by them, and not by the number of skins: then
-nothing is concluded on how many skins the machine carries.
+took meanwhile is said in each row; where that is much, frames are lost by them, and not by the number of skins.
 """
 
 import argparse
@@ -19,7 +18,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-from eitskin_tools.bench.harness import busy_s, cpu_s, program, row_text
+from eitskin_tools.bench.harness import busy_s, cpu_s, program, report
 from eitskin_tools.errors import UsageError
 
 SCENES: Final[dict[str, dict[str, Any]]] = {
@@ -39,15 +38,10 @@ WARM_S: Final = 1.0
 """Of the stream before anything is counted."""
 
 
-MAX_SHARE_OF_OTHERS: Final = 0.25
-"""Of all cores: where other programs take more, losses say nothing on the number of skins."""
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--counts", default="1,2,4", metavar="N,N", help="how many skins (default 1,2,4)")
     parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="of each stream (default 10)")
-    parser.add_argument("--rounds", type=int, default=1, metavar="N", help="how often all is repeated (default 1)")
     parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second of each (default 200)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -57,31 +51,19 @@ def run(arguments: argparse.Namespace) -> int:
     parts = arguments.counts.split(",")
     if not all(part.isdecimal() and 1 <= int(part) <= 32 for part in parts):
         raise UsageError(f"--counts is {arguments.counts!r}, expected numbers from 1 to 32 such as 1,2,4")
-    if not 1 <= arguments.seconds < 1e5 or not 1 <= arguments.rate <= 1000 or arguments.rounds < 1:
-        raise UsageError("--seconds must be at least 1, --rate 1 to 1000 and --rounds at least 1")
-    rows = measure([int(part) for part in parts], arguments.seconds, arguments.rate, arguments.rounds)
-    cores = len(os.sched_getaffinity(0))
-    found: dict[str, Any] = {"rows": rows, "summary": summary(rows, cores), "cores": cores}
-    if arguments.json:
-        print(json.dumps(found))
-        return 0
-    for row in rows:
-        print(row_text(row))
-    not_concluded = found["summary"].pop("not_concluded")
-    print("  ".join(f"{name} {value}" for name, value in found["summary"].items() if value is not None))
-    if not_concluded:
-        print(not_concluded)
-    return 0
+    if not 1 <= arguments.seconds < 1e5 or not 1 <= arguments.rate <= 1000:
+        raise UsageError("--seconds must be at least 1 and --rate 1 to 1000")
+    rows = measure([int(part) for part in parts], arguments.seconds, arguments.rate)
+    return report(arguments, rows, summary(rows), cores=len(os.sched_getaffinity(0)))
 
 
-def measure(counts: list[int], seconds: float, rate_hz: float, rounds: int) -> list[dict[str, Any]]:
-    """Return a row for each round, count and scene.
+def measure(counts: list[int], seconds: float, rate_hz: float) -> list[dict[str, Any]]:
+    """Return a row for each count and scene.
 
     Args:
         counts: How many skins.
         seconds: Of each stream.
         rate_hz: Frames a second of each skin.
-        rounds: How often all is repeated.
     """
     from eitskin_tools.processes.children import process_group
 
@@ -91,12 +73,10 @@ def measure(counts: list[int], seconds: float, rate_hz: float, rounds: int) -> l
         ports = {kind: _virtual(kind, max(counts), rate_hz, folder, children) for kind in SCENES}
         words = ["reference", f"--port={ports['untouched'][0][0]}", f"--out={folder}/flat.json"]
         _finished(words, folder)
-        for number in range(rounds):
-            for count in counts:
-                for kind in SCENES:
-                    print(f"skins: round {number + 1}, {count} {kind}", file=sys.stderr)
-                    row = _one(kind, ports[kind][:count], seconds, folder, children)
-                    rows.append({"round": number + 1, **row})
+        for count in counts:
+            for kind in SCENES:
+                print(f"skins: {count} {kind}", file=sys.stderr)
+                rows.append(_one(kind, ports[kind][:count], seconds, folder, children))
     return rows
 
 
@@ -176,32 +156,18 @@ def _take(frames: Any, seconds: float) -> dict[str, Any]:
     return last
 
 
-def summary(rows: list[dict[str, Any]], cores: int) -> dict[str, Any]:
-    """Return medians over all rows, touched against untouched, and the most skins of which no frame was ever lost.
-
-    Args:
-        rows: As :func:`measure` returns them.
-        cores: Of this machine; where other programs took much of them, the most skins are None, and
-            ``not_concluded`` says so.
-    """
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return medians over all rows, touched against untouched, and the most skins of which no frame was ever lost."""
     import numpy as np
 
     found: dict[str, Any] = {}
-    others, most = max(row["others_core_percent"] for row in rows), round(100 * MAX_SHARE_OF_OTHERS * cores)
-    busy = others > most
-    found["not_concluded"] = (
-        f"how many skins {cores} cores carry is not concluded: other programs took up to {others} % of a core, "
-        f"expected at most {most} %; run it while little else runs"
-        if busy
-        else ""
-    )
     for kind in SCENES:
         own = [row for row in rows if row["what"] == kind]
         found[f"{kind}_cpu_us_a_frame"] = int(np.median([row["cpu_us_a_frame"] for row in own]))
         lossy = {row["skins"] for row in own if row["lost"] + row["withheld"] + row["not_taken"]}
         clean = [row["skins"] for row in own if row["skins"] not in lossy]
         below = [count for count in clean if all(count < other for other in lossy)]
-        found[f"{kind}_most_without_loss"] = None if busy else max(below, default=0)
+        found[f"{kind}_most_without_loss"] = max(below, default=0)
     found["touched_to_untouched"] = round(
         found["touched_cpu_us_a_frame"] / max(found["untouched_cpu_us_a_frame"], 1), 2
     )

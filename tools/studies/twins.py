@@ -31,7 +31,7 @@ from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.parts import Scene, Touch
 from eitskin_sim.scene.shapes import Disc
-from eitskin_tools.bench.harness import program
+from eitskin_tools.bench.harness import program, report
 from eitskin_tools.errors import UsageError
 
 Array = npt.NDArray[np.float64]
@@ -77,12 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.samples < 500:
         raise UsageError(f"--samples is {arguments.samples}, expected at least 500")
     rows = [row for number in range(arguments.devices) for row in _device(number, arguments)]
-    if arguments.json:
-        print(json.dumps({"rows": rows}))
-        return 0
-    for row in rows:
-        print("  ".join(f"{name} {value}" for name, value in row.items()))
-    return 0
+    return report(arguments, rows, {})
 
 
 def _device(number: int, arguments: argparse.Namespace) -> list[dict[str, Any]]:

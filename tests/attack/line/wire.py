@@ -8,21 +8,19 @@ import math
 import random
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
-from eitskin.acquisition.device import Device
 from eitskin.errors import PortLost, SkinError
 from eitskin.messaging.frame import Frame as Published
 from eitskin.skin import Skin
 
 from ..outcome import Effort, Outcome
 from ..stream import TINY
-from .damage import WAYS, Reader, foreign, packet, payload_of
+from .damage import WAYS, Reader, foreign, packet
 from .line import FLAT, HELLO, PATTERNS, Line
 
 REFERENCE: Final = 20
@@ -158,40 +156,6 @@ def foreign_packets(effort: Effort) -> Outcome:
     return outcome
 
 
-def numbers(effort: Effort) -> Outcome:
-    """Send sequence numbers and clocks that repeat, jump, go back, stand or wrap."""
-    outcome = Outcome("device.numbers")
-    for part in range(effort.count(1, 20)):
-        for name in ("twice", "ahead", "back", "clock", "wrap"):
-            line = Line(lambda *_: b"")
-            if name == "wrap":
-                line.sequence, line.clock_us = 2**32 - 3 * PATTERNS, 2**32 - 3_000_000
-            seed = f"{effort.seed}/{part}/{name}"
-            seen = stream(_counting(name, random.Random(seed)), 200, line)
-            _note(outcome, f"seed {seed}", seen, exact=name != "back")
-            if name in ("wrap", "twice"):
-                steps = {(b.sequence - a.sequence, b.device_us - a.device_us) for a, b in pairwise(seen.published)}
-                outcome.note(steps == {(1, 10_000)}, f"seed {seed}: steps {sorted(steps)[:3]}")
-    return outcome
-
-
-def _counting(name: str, draw: random.Random) -> Send:
-    def send(line: Line, payload: bytes) -> bytes:
-        if name == "twice":
-            return packet(payload) * draw.choice((1, 2, 3, 11))
-        if draw.random() < 0.1:
-            match name:
-                case "ahead":  # never to where the same pattern has just been
-                    line.sequence += draw.choice((1, 2, 64, 65_600, 2**31 - 1024))
-                case "back":
-                    line.sequence = draw.choice((line.sequence - draw.choice((1, 3, 20)), 0, 2**31)) % 2**32
-                case "clock":
-                    line.clock_us = draw.choice((0, line.clock_us - 10_000, draw.getrandbits(32)))
-        return packet(payload)
-
-    return send
-
-
 HEADS: Final = ((1, 2), (1, 64), (1, 240), (16, 1), (16, 15), (18, 7), (2, 3), (4, 9))
 """Bytes of a frame's head, and what they become: flags, drives, frames dropped, sample width, generation."""
 
@@ -233,29 +197,3 @@ def _absurd(name: str, draw: random.Random) -> Send:
         return packet(line.payload(counts=np.array(counts).astype(np.int32)))
 
     return send
-
-
-def answers(effort: Effort) -> Outcome:
-    """Send answers twice, behind others with wrong tags, or behind foreign packets: the greeting finds its own."""
-    outcome = Outcome("device.answers")
-    draw = random.Random(effort.seed)
-    frame = Line(lambda *_: b"").payload()
-
-    def garble(data: bytes) -> bytes:
-        payload = payload_of(data)
-        other = packet(payload[:1] + bytes((payload[1] ^ 0x55,)) + payload[2:])
-        stray = foreign(draw, payload, frame)
-        before = b"" if stray[0] == payload[0] else packet(stray)
-        return draw.choice((other + data, data + data, other + data + other, before + data, data[:9] + b"\0" + data))
-
-    for number in range(effort.count(100, 5000)):
-        line = Line(lambda *_: b"", garble=garble)
-        try:
-            device = Device(line)
-            device.start()
-            held = device.hello == replace(HELLO, tag=device.hello.tag)
-        except SkinError as error:
-            outcome.note(False, f"greeting {number}, seed {effort.seed}: {error}")
-        else:
-            outcome.note(held, f"greeting {number}, seed {effort.seed}: {device.hello}")
-    return outcome

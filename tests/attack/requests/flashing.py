@@ -1,18 +1,13 @@
 """A device that lies against ``eitskin flash``: every exchange ends, in one line, and believes nothing it can check."""
 
-import io
 import random
 import time
 from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from typing import Final
-from unittest.mock import patch
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.wire import config_toml
-from eitskin_tools import cli
-from eitskin_tools.commands import flash
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
 
@@ -66,20 +61,6 @@ def ended_well(action: str, lies: list[str], seed: int, share: float) -> str:
     return ""
 
 
-def said_by_the_command(lies: list[str], seed: int) -> str:
-    """Return what did not hold of ``eitskin flash show`` as a user sees it."""
-    device, out, err = HostileDevice(lies, seed), io.StringIO(), io.StringIO()
-    with patch.object(flash, "open_line", lambda port, baud: device), redirect_stdout(out), redirect_stderr(err):
-        try:
-            status = cli.main(["flash", "show", "--port", "hostile"])
-        except EndlessError as error:
-            return f"goes on without end: {error}"
-    lines = err.getvalue().splitlines()
-    if status == 1 and (out.getvalue() or len(lines) != 1 or not _one_line(lines[0])):
-        return f"status 1 with {lines}"
-    return "" if status in (0, 1) else f"status {status}"
-
-
 def flashing(effort: Effort) -> Outcome:
     """Try every lie on every action, then mixtures of lies and honest answers."""
     outcome = Outcome("firmware.flashing")
@@ -94,6 +75,4 @@ def flashing(effort: Effort) -> Outcome:
         share = rng.choice((0.05, 0.1, 0.3))
         found = ended_well(action, list(LIES), seed, share)
         outcome.note(found == "", f"{action}, any lie, share {share}, seed {seed}: {found}")
-    for lie in ("less data", "another size", "an unknown code", "escape codes in texts"):
-        outcome.note((found := said_by_the_command([lie], effort.seed)) == "", f"the command, {lie!r}: {found}")
     return outcome

@@ -1,4 +1,4 @@
-"""Attacks at the border: clients that unsubscribe, hold connections, crawl, die or use up files cost no frame."""
+"""Attacks at the border: clients that hold connections, crawl, die or use up files cost no frame."""
 
 import random
 import socket
@@ -24,20 +24,6 @@ OPENINGS = (b"", GREETING[:10], GREETING, GREETING + ready("SUB"), GREETING + re
 
 HELD = 300
 """Connections that are held at a time: more than are served."""
-
-
-def unsubscriptions(effort: Effort) -> Outcome:
-    """Take back what others subscribed to, and what nobody did, before and after subscribing to it oneself."""
-    outcome = Outcome("subscribers.unsubscriptions")
-    rng = random.Random(effort.seed)
-    with defended(outcome, f"seed {effort.seed}") as stream:
-        for _ in range(effort.count(10, 400)):
-            with closing(Peer(stream.frames)) as peer:
-                peer.unsubscribe(*rng.sample(TOPICS, 4))
-                peer.subscribe(*rng.sample(TOPICS, 2))
-                peer.unsubscribe(*rng.sample(TOPICS, 4))
-        _wait_for_frames(stream, effort.count(100, 1000))
-    return outcome
 
 
 def held(effort: Effort) -> Outcome:

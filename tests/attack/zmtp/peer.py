@@ -103,10 +103,6 @@ class Peer:
         """Subscribe as ZMTP 3.0 does, by messages."""
         self.stream.sendall(b"".join(packed(b"\x01" + topic) for topic in topics))
 
-    def unsubscribe(self, *topics: bytes) -> None:
-        """Unsubscribe, whether subscribed or not."""
-        self.stream.sendall(b"".join(packed(b"\x00" + topic) for topic in topics))
-
     def close(self) -> None:
         """Leave."""
         self.stream.close()
