@@ -198,7 +198,7 @@ class Guide:
 
     def __init__(self, frames: Iterator[Array], talk: Dialogue) -> None:
         self._frames, self._talk = frames, talk
-        self._watch = FrameWindow()
+        self._watch, self._size = FrameWindow(), 0.0
 
     def go_through(self, steps: Sequence[Callable[[], str | None]]) -> None:
         """Take one step after another; each returns a word that was typed, or None once it is done.
@@ -231,6 +231,20 @@ class Guide:
             if len(frames) == count and self._watch.steady and holds():
                 return np.array(frames), None
             self._talk.show("it moved; hold it still")
+
+    def _take_press(self, asked: str, which: str, count: int, keep: Callable[[Array], None]) -> str | None:
+        """Ask for a press, give its mean to ``keep``, and wait until it is let go; return a word that was typed."""
+        watch = self._watch
+        self._talk.say(asked)
+        frames, word = self._steady_frames(count, lambda: watch.away > watch.floor)
+        if word:
+            return word
+        self._size = watch.away
+        keep(frames.mean(axis=0))
+        self._talk.say(f"{which}: felt, {self._size:.2%}. Let go")
+        return self._wait_until(
+            lambda: watch.full and watch.away <= max(watch.floor, MAX_RESIDUAL * self._size), new=True
+        )
 
     def _wait_until(
         self, reached: Callable[[], bool], typed: list[str] | None = None, *, new: bool = False
@@ -358,18 +372,9 @@ class CalibrationGuide(Guide):
         word = self._wait_until(lambda: self._watch.steady and self._watch.away <= self._watch.floor)
         if word:
             return word
-        self._talk.say(f"press the {self._plan.stamp} at ({x:g}, {y:g}) mm, and hold it")
-        frames, word = self._steady_frames(self._plan.frames, lambda: self._watch.away > self._watch.floor)
-        if word:
-            return word
-        size = self._watch.away
-        self._talk.say(f"press {number + 1}: changed by {size:.1%}. Let go")
-        word = self._wait_until(
-            lambda: self._watch.full and self._watch.away <= max(self._watch.floor, MAX_RESIDUAL * size), new=True
-        )
-        if word is None:
-            self._found.presses[number] = frames.mean(axis=0)
-        return word
+        asked = f"press the {self._plan.stamp} at ({x:g}, {y:g}) mm, and hold it"
+        keep = self._found.presses.__setitem__
+        return self._take_press(asked, f"press {number + 1}", self._plan.frames, lambda mean_V: keep(number, mean_V))
 
     def _arrays(self) -> dict[str, Any]:
         found, plan = self._found, self._plan

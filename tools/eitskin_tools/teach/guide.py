@@ -12,7 +12,7 @@ import numpy as np
 
 from eitskin_proto.files.arrays import save_arrays
 from eitskin_proto.files.writing import replacing
-from eitskin_tools.guided import ANSWERS, MAX_RESIDUAL, Array, Dialogue, FrameWindow, Guide, GuideError, step_noise
+from eitskin_tools.guided import ANSWERS, Array, Dialogue, FrameWindow, Guide, GuideError, step_noise
 from eitskin_tools.teach.places import Place
 from eitskin_tools.teach.presses import load_presses
 
@@ -107,7 +107,7 @@ class PressGuide(Guide):
     ) -> None:
         super().__init__(frames, talk)
         self._recorder, self._shown, self._count = recorder, shown, count
-        self._watch, self._weakest = FrameWindow(MIN_PRESS), np.inf
+        self._watch = FrameWindow(MIN_PRESS)
 
     def run(self) -> None:
         """Go through all places that are left.
@@ -121,12 +121,12 @@ class PressGuide(Guide):
         self._shown(None)
 
     def feels_another(self) -> bool:
-        """Return whether one more press comes before the frames end, half as strong as the weakest or more."""
+        """Return whether one more press comes before the frames end, half as strong as the last or more."""
         watch = self._watch
         try:
             frames = self._steady_frames(self._count, lambda: True)[0]
             watch.set_reference(frames.mean(axis=0), step_noise(frames))
-            self._steady_frames(self._count, lambda: watch.away > max(watch.floor, 0.5 * self._weakest))
+            self._steady_frames(self._count, lambda: watch.away > max(watch.floor, 0.5 * self._size))
         except GuideError:
             return False
         return True
@@ -142,15 +142,11 @@ class PressGuide(Guide):
             return word
         untouched = frames.mean(axis=0)
         watch.set_reference(untouched, step_noise(frames))
-        self._talk.say(f"{which}: press {place} and hold")
-        frames, word = self._steady_frames(self._count, lambda: watch.away > watch.floor)
-        if word:
-            return word
-        size = watch.away
-        self._weakest = min(self._weakest, size)
-        self._recorder.add(place, untouched, frames.mean(axis=0))
-        self._talk.say(f"{which}: felt, {size:.2%}. Let go")
-        return self._wait_until(lambda: watch.full and watch.away <= max(watch.floor, MAX_RESIDUAL * size), new=True)
+
+        def keep(pressed: Array) -> None:
+            self._recorder.add(place, untouched, pressed)
+
+        return self._take_press(f"{which}: press {place} and hold", which, self._count, keep)
 
 
 class Silent:

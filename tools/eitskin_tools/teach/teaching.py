@@ -186,9 +186,9 @@ def teach_shapes(
             found[name] = teach(one, skin, false_alarms, tell)
         except PressesError as error:
             raise PressesError(f"{name}: {error}") from error
-    levels = level_arrays(list(shapes.values()), [one.arrays for one in found.values()])
-    for one, arrays in zip(found.values(), levels, strict=True):
-        one.arrays.update(arrays)
+    levels = level_arrays(list(shapes.values()), [taught.arrays for taught in found.values()])
+    for taught, arrays in zip(found.values(), levels, strict=True):
+        taught.arrays.update(arrays)
     return found
 
 
