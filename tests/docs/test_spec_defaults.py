@@ -14,7 +14,7 @@ from eitskin.health import drift, electrodes
 from eitskin.messaging import control, control_commands, curve_keys, endpoints, frame, publish, regions
 from eitskin.messaging.control_commands import REFERENCE_FRAMES
 from eitskin.messaging.streams import envelope, state, verified
-from eitskin.pipeline import intake, stillness
+from eitskin.pipeline import stillness
 from eitskin.reference import captured, normaliser
 from eitskin.touches import moments, pieces, touch, tracking
 from eitskin_proto.sensor.table import N_ROWS
@@ -80,7 +80,7 @@ FRAMES = [
     f"all do at least every {stillness.REFRESH_FRAMES} frames",
     f"has a dV that is not finite or beyond {normaliser.LARGEST_CHANGE:.0e}".replace("+0", ""),
     "has no row that reaches a thousandth of its reference",
-    f"has the samples of one of the {intake.REPEAT_FRAMES} frames before",
+    f"they have moved for {electrodes.HEALTHY} frames and are used again",
     f"they have moved unevenly: by more than {100 * drift.MIN_UNEVEN:g} % rms",
 ]
 

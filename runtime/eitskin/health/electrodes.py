@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from eitskin.health.evidence import JUMPING, N_VOTES, PAIR_WRONG, SHORTED_RATIO, WHOLE, Evidence, Votes, Weigher
 from eitskin.health.explanation import Explanation, Finding
-from eitskin.health.imputation import UNPREDICTED, Array, Consistency, Imputation
+from eitskin.health.imputation import UNPREDICTED, Array, Consistency, Imputation, Rows
 from eitskin.health.swapped_wires import Rewiring, rewiring
 from eitskin.reference.row_noise import lost_rows, relative_spread, weighed_rows
 from eitskin_proto.sensor.row_gaussian import rows_of
@@ -61,7 +61,7 @@ class ElectrodeWatch:
         extra = np.maximum(self.sigma**2 - USUAL_NOISE**2, 0.0)
         self.precision = consistency.precision(extra)
         """(104, 104) P with this device's noise."""
-        self._lost = lost_rows(reference_V, spread_V)
+        self._weak = self._lost = lost_rows(reference_V, spread_V)
         self._noise = np.where(weighed_rows(reference_V, spread_V), extra, 0.0)
         self._noisy = self._noise > 0.0
         self.threshold, self.threshold_total = (float(value) for value in consistency.thresholds)
@@ -131,6 +131,24 @@ class ElectrodeWatch:
         """
         if len(set(electrodes)) > MAX_OUT or any(not 0 <= electrode < N_ELECTRODES for electrode in electrodes):
             raise ValueError(f"electrodes {electrodes} to exclude; expected at most {MAX_OUT}, from 0 to 15")
+
+    def leave_out(self, rows: Rows, findings: tuple[Finding, ...] | None = None) -> None:
+        """Fill in some rows, beside those of electrodes and those that are lost in noise.
+
+        Args:
+            rows: (104,)
+            findings: The failures to go on with; None for the present ones.
+        """
+        self._lost = self._weak | rows
+        self.set_findings(self.findings if findings is None else findings)
+
+    def is_unlike(self, change: npt.NDArray[np.float32]) -> bool:
+        """Return whether the rows of some two pairs fit the others less than any touch or deformation lets them.
+
+        Args:
+            change: (104,) dV, missing rows filled in.
+        """
+        return self._weigher.is_unlike(change)
 
     def give_up(self, electrode: int) -> bool:
         """Leave an electrode out because it is not reciprocal, and return whether it is, now, for that reason.

@@ -5,6 +5,10 @@ mean. So a heavy touch, which moves all rows, surprises at no particular electro
 
     D_e = y_e^T P_ee^-1 y_e          surprise_e = (D_e / 26) / ((2 + D - D_e) / (2 + 78))      D = (l - mean)^T y
 
+Rows of two pairs (e, e + 1) that have nothing to do with each other surprise the same way, by which columns are found
+that were exchanged, or one drive that is not the one that it should be: of all touches and bends only one in ten
+thousand surprises by ``LEAST_UNLIKE``, or by the bundle's own threshold if that is more.
+
 Three kinds of failure do something that no touch does: a shorted pair of neighbours reads zero, exchanged neighbours
 read the reverse, a loose contact jumps from frame to frame in all its rows and in no others. Several frames are
 examined together because most of the cost is overhead: four cost little more than one.
@@ -12,6 +16,7 @@ examined together because most of the cost is overhead: four cost little more th
 
 from dataclasses import dataclass
 from functools import cache
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -44,6 +49,9 @@ MAX_OTHER_SHARE: Final = 0.2
 
 OWN_ROWS: Final = 26
 """Rows of the table that drive or measure at one electrode."""
+
+LEAST_UNLIKE: Final = 150.0
+"""Surprise of two pairs: contrasts of 0.2 to 4, of a kind that the bundle does not know either, reach 110."""
 
 _SCALE: Final = DEGREES_OF_FREEDOM + N_ROWS - OWN_ROWS
 
@@ -100,8 +108,8 @@ class Weigher:
     """
 
     __slots__ = (
-        "_before", "_harmless", "_hum", "_inner", "_jump", "_last", "_low_high", "_mean", "_members", "_pair_weight",
-        "_pairs", "_precision", "_seen", "_thresholds", "of",
+        "_before", "_harmless", "_hum", "_inner", "_inner_of_two", "_jump", "_last", "_low_high", "_mean", "_members",
+        "_one", "_pair_weight", "_pairs", "_precision", "_seen", "_thresholds", "of",
     )  # fmt: skip
 
     def __init__(
@@ -114,7 +122,9 @@ class Weigher:
         self._harmless = 0.99 * self._thresholds[0] * OWN_ROWS * DEGREES_OF_FREEDOM / _SCALE
         self.of = _rows_of_each()
         """(16, 26) rows of each electrode."""
-        self._inner = np.linalg.inv(precision[self.of[:, :, None], self.of[:, None, :]])
+        self._inner = _inner(precision, self.of)
+        self._inner_of_two: Array | None = None
+        """Made when it is first asked for; it takes 20 ms."""
         pairs = np.array([np.equal(TABLE, pair).any(axis=1) for pair in range(N_ELECTRODES)], dtype=np.float64)
         weight = pairs * np.abs(reference_V)
         self._pair_weight = np.ascontiguousarray((weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-30)).T)
@@ -125,7 +135,7 @@ class Weigher:
         self._pairs = pairs.sum(axis=1)  # (16,) rows of each pair
         self._members = np.concatenate([pairs.T, members, np.ones((N_ROWS, 1))], axis=1)  # (104, 33)
         self._jump = JUMP_SIGMAS * np.sqrt(6.0) * sigma  # a second difference has six times the variance
-        self._before = np.zeros((2, N_ROWS))
+        self._before, self._one = np.zeros((2, 2, N_ROWS))
         self._seen = 0
         nothing = np.zeros((1, N_ELECTRODES))
         rows = np.zeros((1, N_ROWS))
@@ -189,9 +199,29 @@ class Weigher:
         total = np.einsum("nr,nr->n", logs, scores)
         return self._surprise(scores, total), np.asarray(total / N_ROWS)
 
-    def _surprise(self, scores: Array, total: Array) -> Array:
-        part = np.take(scores.T, self.of, axis=0)  # (16, 26, n)
-        own = np.einsum("ern,ern->ne", np.matmul(self._inner, part), part)
+    def is_unlike(self, change: npt.NDArray[np.floating]) -> bool:
+        """Return whether the rows of some two pairs fit the others in (104,) dV less than on any sheet."""
+        limit = max(LEAST_UNLIKE, self._thresholds[0])
+        scores, logs = self._one  # as of :meth:`scores`, which makes arrays
+        np.maximum(change, self._low_high[0], out=logs)
+        np.minimum(logs, self._low_high[1], out=logs)
+        np.log1p(logs, out=logs)
+        np.subtract(logs, self._mean, out=logs)
+        np.matmul(logs, self._precision, out=scores)
+        total = float(logs.dot(scores))
+        if not total * _SCALE > limit * OWN_ROWS * DEGREES_OF_FREEDOM:
+            return False
+        if self._inner_of_two is None:
+            self._inner_of_two = _inner(self._precision, _OF_TWO)
+        return bool(self._surprise(scores[None], np.array([total]), _OF_TWO, self._inner_of_two).max() > limit)
+
+    def _surprise(
+        self, scores: Array, total: Array, of: npt.NDArray[np.intp] | None = None, inner: Array | None = None
+    ) -> Array:
+        """Return the (n, k) surprises of k groups of rows; of electrodes where no other are given."""
+        of, inner = (self.of, self._inner) if of is None or inner is None else (of, inner)
+        part = np.take(scores.T, of, axis=0)  # (k, 26, n)
+        own = np.einsum("ern,ern->ne", np.matmul(inner, part), part)
         rest = np.maximum(total[:, None] - own, 0.0)
         return np.asarray(own * (_SCALE / OWN_ROWS) / (rest + DEGREES_OF_FREEDOM))
 
@@ -208,6 +238,19 @@ class Weigher:
 def _rows_of_each() -> npt.NDArray[np.intp]:
     return np.array([np.flatnonzero(rows_of((electrode,))) for electrode in range(N_ELECTRODES)])
 
+
+def _inner(precision: Array, of: npt.NDArray[np.intp]) -> Array:
+    """Return (k, 26, 26) P_gg^-1 of k groups of rows."""
+    return np.linalg.inv(precision[of[:, :, None], of[:, None, :]])
+
+
+def _rows_of_two() -> npt.NDArray[np.intp]:
+    """Return (120, 26) the rows of every two pairs, and any other row where these share one."""
+    both = [np.equal(TABLE[:, :, None], two).any(axis=(1, 2)) for two in combinations(range(N_ELECTRODES), 2)]
+    return np.argsort(~np.array(both), axis=1, kind="stable")[:, :OWN_ROWS]
+
+
+_OF_TWO: Final = _rows_of_two()
 
 _BEFORE: Final = np.roll(np.arange(N_ELECTRODES), 1)
 _AFTER: Final = np.roll(np.arange(N_ELECTRODES), -1)

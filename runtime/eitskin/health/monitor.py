@@ -21,6 +21,7 @@ from eitskin.health.imputation import MISSING, UNPREDICTED, Consistency, without
 from eitskin.health.reciprocity import LARGEST_GAP, Reciprocity
 from eitskin.model.bundle import Bundle
 from eitskin.model.gate import Gate
+from eitskin.reference.repeats import ranges
 from eitskin_proto.sensor.normalise import inverse_reference
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
 
@@ -32,6 +33,9 @@ MAX_BATCH: Final = BATCH_FRAMES + 1
 
 DRIFT_TOGETHER: Final = 24
 """The same for drift, which moves in minutes; a multiple of ``MAX_BATCH``."""
+
+MOST_HANGING: Final = N_ROWS // 2
+"""Rows that hang and are filled in from the others; with more, frames are withheld."""
 
 
 class Health:
@@ -67,6 +71,11 @@ class Health:
         self._rows_before = self.electrodes.missing
         self.gate_without_rows: GateWithoutRows | None = None
         """Cares for a gate on frames that lack rows; None without one."""
+        self.hanging = np.zeros(N_ROWS, dtype=np.bool_)
+        """(104,) rows that are filled in because they hang."""
+        self.hanging_count = 0
+        """How many."""
+        self._moving = np.zeros(N_ROWS, dtype=np.intp)
 
     def use_reference(
         self,
@@ -111,6 +120,26 @@ class Health:
         self.reciprocity.restart()
         self._reciprocal_again = {}
         self._waiting = self._following = self._touched = 0
+        self.hanging[:] = self.hanging_count = 0
+
+    def hang(self, rows: npt.NDArray[np.bool_]) -> bool:
+        """Fill in rows that hang until they have moved for ``HEALTHY`` frames; return whether others are missing now.
+
+        Args:
+            rows: (104,) those that hang in the present frame.
+        """
+        self._moving += 1
+        self._moving[rows] = 0
+        new, back = rows & ~self.hanging, self.hanging & (self._moving >= HEALTHY)
+        hanging = (self.hanging | new) & ~back
+        if not (new.any() or back.any()) or np.count_nonzero(hanging) > MOST_HANGING:
+            return False
+        self.hanging, self.hanging_count = hanging, int(np.count_nonzero(hanging))
+        for changed, what in ((new, "frozen"), (back, "back")):
+            if changed.any():
+                self._add_events((f"rows:{ranges(np.flatnonzero(changed))}:{what}",))
+        self.electrodes.leave_out(hanging)
+        return self._follow_missing()
 
     @property
     def lacks_rows(self) -> bool:
@@ -191,14 +220,19 @@ class Health:
         if electrodes.unclear and not self._unclear:
             self._add_events(("electrodes:unclear",))
         self._unclear = electrodes.unclear
-        if electrodes.missing is self._rows_before:
-            if self.gate_without_rows is not None:
-                self.gate_without_rows.step()
+        if electrodes.missing is self._rows_before and self.gate_without_rows is not None:
+            self.gate_without_rows.step()
+        return self._follow_missing()
+
+    def _follow_missing(self) -> bool:
+        """Let drift and gate do without the rows that are missing now, and return whether these are others."""
+        missing = self.electrodes.missing
+        if missing is self._rows_before:
             return False
-        self._rows_before = electrodes.missing
-        self.drift.leave_out(electrodes.missing)
+        self._rows_before = missing
+        self.drift.leave_out(missing)
         if self.gate_without_rows is not None:
-            self.gate_without_rows.leave_out(electrodes.missing)
+            self.gate_without_rows.leave_out(missing)
         return True
 
     def _weigh(self, raw: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32]) -> None:

@@ -35,11 +35,13 @@ from eitskin.pipeline.idle import IdleGate
 from eitskin.pipeline.intake import Intake
 from eitskin.pipeline.map_source import MapSource
 from eitskin.pipeline.recorded import FrameDecisions
+from eitskin.pipeline.touch_doubts import TouchDoubts
 from eitskin.reference.captured import Reference
-from eitskin.reference.front_end import patience, stuck
+from eitskin.reference.front_end import stuck
 from eitskin.reference.normaliser import Normaliser, normaliser_of
 from eitskin.reference.predicted import log_ratio
-from eitskin.reference.row_noise import with_rounding
+from eitskin.reference.repeats import Repeats, own_counts
+from eitskin.reference.row_noise import relative_spread, with_rounding
 from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable
 from eitskin_proto.skin.skin import Skin as SkinDescription
 from eitskin_proto.wire.frames import full_scale
@@ -51,6 +53,13 @@ AUDIT_FRAMES: Final = 50
 
 WITHOUT_ROWS: Final = 4
 """The same while rows are missing: then the gates of random devices miss more of the light touches, beside the gap."""
+
+REVERSED_SIGMAS: Final = 6.0
+REVERSED_SHARE: Final = 0.05
+"""A row is reversed that reads below 0 by as many of its standard deviations, and by this share of its reference."""
+
+LOOK_FRAMES: Final = 48
+"""One of this many frames is held against what rows of a sheet have in common, and each in which a touch begins."""
 
 STRONG_VALUE: Final = 0.5
 """A pixel above it is touched."""
@@ -136,11 +145,14 @@ class FrontEndWatch:
     Args:
         hello: Of the device.
         table: Rows in use.
-        intake: Has the frame's counts, and gets the number of repetitions that chance allows.
+        intake: Has the frame's counts.
         idle_gate: Has the rows of a scan of a few drives.
     """
 
-    __slots__ = ("_idle_gate", "_intake", "_limit", "_own_rows", "_reference", "_step")
+    __slots__ = (
+        "_below", "_idle_gate", "_intake", "_limit", "_lowest", "_own_rows", "_reference", "_step", "idle_repeats",
+        "repeats",
+    )  # fmt: skip
 
     def __init__(self, hello: Hello, table: RowTable, intake: Intake, idle_gate: IdleGate | None) -> None:
         self._step: float | None = None
@@ -152,6 +164,11 @@ class FrontEndWatch:
         self._own_rows = table.id == ADJACENT_104.id
         self._intake, self._idle_gate = intake, idle_gate
         self._reference: npt.NDArray[np.float64] | None = None
+        self.repeats = Repeats(table.rows)
+        """Of whole frames."""
+        self.idle_repeats = Repeats(0 if idle_gate is None else len(idle_gate.rows))
+        self._lowest = np.full(table.rows, -np.inf, dtype=np.float32)
+        self._below = np.zeros(table.rows, dtype=np.bool_)
 
     def use_reference(self, reference: Reference, step_V: float) -> None:
         """Judge by another reference from the next frame on.
@@ -162,9 +179,27 @@ class FrontEndWatch:
         """
         self._reference = reference.voltages_V / step_V
         self._reference[reference.weak] = 0.0
-        spread = reference.spread_V / step_V
-        idle = None if self._idle_gate is None else patience(spread[self._idle_gate.rows])
-        self._intake.most_repeats = (patience(spread), idle)
+        size, spread = reference.voltages_V / step_V, reference.spread_V / step_V
+        own = own_counts(reference.spread_V, reference.shared_V, step_V)
+        self.repeats.use_reference(size, spread, own, self._limit)
+        if self._idle_gate is not None:
+            rows = self._idle_gate.rows
+            self.idle_repeats.use_reference(size[rows], spread[rows], own[rows], self._limit)
+        sigma = relative_spread(reference.voltages_V, reference.spread_V)
+        self._lowest[:] = -1.0 - np.maximum(REVERSED_SIGMAS * sigma, REVERSED_SHARE)
+
+    def reversed(self, change: npt.NDArray[np.float32], missing: npt.NDArray[np.bool_] | None) -> bool:
+        """Return whether rows of dV have the other sign than their reference, which no current through a sheet does.
+
+        Args:
+            change: (rows,) dV.
+            missing: (rows,) rows that are filled in whatever they read; None for none.
+        """
+        np.less(change, self._lowest, out=self._below)
+        if missing is not None:
+            np.greater(self._below, missing, out=self._below)
+        # Electrodes along a border order the rows' signs; of rows of an unknown protocol most must have turned
+        return np.count_nonzero(self._below) > (0 if self._own_rows else len(change) // 2)
 
     def check(self, normaliser: Normaliser) -> str:
         """Return the fault in the rows of a whole frame that no sheet can have, or "".
@@ -327,9 +362,12 @@ class Pipeline:
             field=self.field,
         )
         self.budget = self.maps.budget
+        self.doubts = TouchDoubts(bundle, self.maps, self.buffers, self.record)
         self.bundle = bundle
         self._is_wire = not isinstance(hello, DriverHello)
         self._next_geometry: Geometry | None = None
+        self._was_touched = self._unlike = False
+        self._since_look = 0
 
     @property
     def engines(self) -> list[Engine]:
@@ -408,10 +446,25 @@ class Pipeline:
             self.maps.drop_map()
         if record.idle and self.idle_gate is not None:
             self.idle_gate.load(intake.counts)
+            counts, repeats = intake.counts, self.front_end.idle_repeats
         else:
             self.normaliser.load(intake.counts)
+            counts, repeats = self.normaliser.counts, self.front_end.repeats
+        suspicious, filled = repeats.add(counts), self.health is not None and self.health.hanging_count
+        if (suspicious or intake.repeated or filled) and self._hangs(counts, repeats):
+            return intake.give_up("frozen")
         record.stamps[DECODE] = time.perf_counter_ns()
         return True
+
+    def _hangs(self, counts: npt.NDArray[np.number], repeats: Repeats) -> bool:
+        """Return whether the frame is old, or rows of it hang that are too many to fill in."""
+        health, again = None if self.record.idle else self.health, self.intake.repeated
+        repeats.judge(counts)
+        if health is not None and health.hang(repeats.hanging):
+            self.maps.change_projection(health.projection)
+        fit = np.zeros_like(repeats.hanging) if health is None else health.electrodes.missing
+        hanging = bool((repeats.hanging & ~fit).any())
+        return hanging or repeats.is_old(~fit) or repeats.come_again(again, self.intake.remembered)
 
     def load_recorded(self, payload: bytes, sequence: int) -> bool:
         """Take a frame that was accepted when it was measured, and return whether it is a whole scan.
@@ -445,12 +498,14 @@ class Pipeline:
             return self.intake.give_up("no_signal" if self.normaliser.silent else "implausible")
         if self.normaliser.far and self.front_end.check(self.normaliser):
             return self.intake.give_up("stuck")
-        health = self.health
+        health, decided, gate = self.health, self.decisions, self.gate
         if health is not None:
             health.prepare(self._change)
             record.events += health.take_events()
+        judged = decided.touched is None
+        if judged and self.normaliser.far and self.front_end.reversed(self._change, self._missing):
+            return self._give_up_fault("reversed")
         stamps[NORMALISE] = time.perf_counter_ns()
-        decided, gate = self.decisions, self.gate
         record.touched = True  # without a gate every frame is computed
         if gate is not None:
             record.touched, record.gate_logit = gate.touched(), gate.logit
@@ -461,6 +516,8 @@ class Pipeline:
             record.touched = decided.touched
         if health is not None:
             health.complete(self._change, self.buffers.log_predicted[0])
+            if judged and self._is_unlike(health):
+                return self._give_up_fault("unlike")
         stamps[GATE] = time.perf_counter_ns()
         if not record.touched and wanted and self._infers_untouched() and self._infer_untouched():
             record.touched = True
@@ -477,6 +534,30 @@ class Pipeline:
         self._describe()
         stamps[INFER] = time.perf_counter_ns()
         return True
+
+    @property
+    def _missing(self) -> npt.NDArray[np.bool_] | None:
+        """Return (104,) the rows that are filled in; None if nothing fills rows in."""
+        return None if self.health is None else self.health.electrodes.missing
+
+    def _is_unlike(self, health: Health) -> bool:
+        """Return whether the frame was held against what rows of a sheet have in common, and failed."""
+        touched, self._since_look = self.record.touched, self._since_look + 1
+        if self._unlike or (touched and not self._was_touched) or self._since_look >= LOOK_FRAMES:
+            self._since_look, self._unlike = 0, health.electrodes.is_unlike(self._change)
+        self._was_touched = touched and not self._unlike
+        return self._unlike
+
+    def _give_up_fault(self, reason: str) -> bool:
+        """Withhold the frame in hand, and let health look for the electrode that explains it."""
+        if self.health is not None and self.health.put_aside(self._own_counts, touched=True):
+            self.check_health()
+        return self.intake.give_up(reason)
+
+    @property
+    def _own_counts(self) -> npt.NDArray[np.int32] | None:
+        """Return the counts of the wire; None of a driver."""
+        return self.intake.counts if self._is_wire else None
 
     def _compute_idle(self) -> bool:
         """Judge a frame of a few drives; there is no map in it."""
@@ -501,6 +582,7 @@ class Pipeline:
         self.intake.name_events()
         record.weak_rows = self.normaliser.weak_count
         if health is not None:
+            record.weak_rows += health.hanging_count
             record.drift, record.electrodes = health.drift.distance, health.electrodes.texts
 
     def _use_new_geometry(self) -> bool:
@@ -533,11 +615,12 @@ class Pipeline:
         return False
 
     def keep_for_health(self) -> None:
-        """Keep the data of the frame just published, for judging electrodes and drift."""
+        """Keep the data of the frame just published, for judging electrodes and drift, and look at its touches."""
         health, record = self.health, self.record
-        counts = self.intake.counts if self._is_wire else None
-        if health is not None and not record.idle and health.put_aside(counts, touched=record.touched):
+        if health is not None and not record.idle and health.put_aside(self._own_counts, touched=record.touched):
             self.check_health()
+        if self.doubts.due and self.decisions.touched is None and (event := self.doubts.look()):
+            self.intake.add_event(event)
 
     def check_health(self) -> None:
         """Examine electrodes and drift in the last few frames; changes act on the next one."""

@@ -10,7 +10,9 @@ A frame that is not fit to publish is withheld, with a reason and a count:
 ``implausible``       dV is not finite or beyond 1e6, or the map is not finite
 ``no_signal``         no row reaches a thousandth of its reference: no current flows
 ``stuck``             rows are alike as no sheet's are (:mod:`eitskin.reference.front_end`)
-``frozen``            the samples of a frame before, bit by bit, though the reference's frames had noise
+``frozen``            readings of a frame before, in more rows than chance allows (:mod:`eitskin.reference.repeats`)
+``reversed``          rows have the other sign than their reference, as no sheet's have
+``unlike``            rows fit neither each other nor any touch (:mod:`eitskin.health.evidence`)
 ``stale``             over budget, and a newer frame was waiting
 ====================  ===============================================================
 
@@ -20,6 +22,7 @@ The next frame that is published says so in its events: ``withheld:implausible``
 from collections import deque
 from typing import Any, Final
 
+import numpy as np
 import numpy.typing as npt
 
 from eitskin.acquisition.device import DeviceClock
@@ -33,17 +36,14 @@ from eitskin_proto.wire.scan_rows import ALL_DRIVES
 from eitskin_proto.wire.volts import DriverHello, samples_at, view_of
 
 REASONS: Final = ("malformed", "duplicate", "configuration", "partial", "implausible", "no_signal", "stuck",
-                  "frozen", "stale")  # fmt: skip
+                  "frozen", "reversed", "unlike", "stale")  # fmt: skip
 """Why frames are withheld."""
 
 WITHHELD: Final = {reason: f"withheld:{reason}" for reason in REASONS}
 """The event of the next published frame."""
 
-REPEAT_FRAMES: Final = 8
-"""Frames that a frame may repeat: a front end that hangs may have several buffers."""
-
-_FIRST_BYTES: Final = 12
-"""Of the samples, which are compared first: those of the strongest rows."""
+REMEMBERED: Final = (64, 2000)
+"""Least and most of the last frames that a frame is compared with; those of a second between."""
 
 _FULL: Final = int(FrameFlag.FULL)
 
@@ -60,12 +60,10 @@ class Intake:
     __slots__ = (
         "_full",
         "_idle_drives",
-        "_payloads",
-        "_recent",
+        "_known",
+        "_order",
         "_record",
-        "_repeated",
         "_samples",
-        "_samples_end",
         "_since",
         "_view",
         "_width",
@@ -75,7 +73,8 @@ class Intake:
         "generation_differs",
         "heard_ns",
         "last_reason",
-        "most_repeats",
+        "remembered",
+        "repeated",
         "withheld",
         "withheld_total",
     )  # fmt: skip
@@ -85,14 +84,15 @@ class Intake:
         self._idle_drives = idle_drives
         self._view = view_of(hello)
         self._samples = samples_at(hello)
-        self._samples_end = self._samples + _FIRST_BYTES
         self.counter = StreamCounter()
         self.clock = DeviceClock()
-        self._recent: deque[bytes] = deque(maxlen=REPEAT_FRAMES)
-        self._payloads: deque[bytes] = deque(maxlen=REPEAT_FRAMES)
-        self._repeated = 0
-        self.most_repeats: tuple[int | None, int | None] = (None, None)
-        """Repetitions in a row that are still chance, of whole scans and of idle ones; None where nothing can tell."""
+        self.remembered = int(np.clip(hello.rate_mHz // 1000, *REMEMBERED))
+        """Different frames that a frame is compared with."""
+        self._order: deque[int] = deque()
+        self._known: set[int] = set()
+        self.repeated = 0
+        """Frames in a row, up to the one accepted last, all samples of which are those of an earlier one."""
+        self.forget()
         self.heard_ns = 0
         """When the last frame of this device's configuration was read, fit or not."""
         self.last_reason = ""
@@ -150,16 +150,14 @@ class Intake:
         if idle and view.drives != self._idle_drives:
             return self.withhold("partial")
         self.heard_ns = read_ns
-        first = payload[self._samples : self._samples_end]
-        if first in self._recent and self._repeats(payload):
-            self._repeated += 1
-            most = self.most_repeats[idle]
-            if most is not None and self._repeated >= most and view.counts.any():  # zeros are no signal
-                return self.withhold("frozen")
+        samples = hash(payload[self._samples :])
+        if samples in self._known:
+            self.repeated += 1
         else:
-            self._repeated = 0
-            self._recent.append(first)
-            self._payloads.append(payload)
+            self.repeated = 0
+            self._known.discard(self._order.popleft())
+            self._known.add(samples)
+            self._order.append(samples)
         if idle != record.idle:
             record.idle = idle
             self.add_event("idle" if idle else "awake")
@@ -168,6 +166,11 @@ class Intake:
         record.scanned_ns = self.clock.scanned_ns(step.device_us, read_ns)
         record.stamps[READ] = read_ns
         return True
+
+    def forget(self) -> None:
+        """Compare the next frames with none before them: they are read anew, as from a recording that begins again."""
+        self._order = deque(range(1 << 62, (1 << 62) + self.remembered))  # no hashes, but as large: memory stays
+        self._known = set(self._order)
 
     def load(self, payload: bytes) -> bool:
         """Decode a frame without judging or counting it, and return whether all drives were scanned.
@@ -182,16 +185,12 @@ class Intake:
         """Count the current frame, and add its events, a reset or lost frames, to the next published one."""
         step = self.counter.step(self._view.sequence, self._view.device_us)
         if step.reset:
+            self.forget()
             self.clock.restart()
             self.add_event("device_reset")
         elif step.lost:
             self.add_event("lost")
         return step
-
-    def _repeats(self, payload: bytes) -> bool:
-        """Return whether all samples of a frame are those of one that is remembered."""
-        at = self._samples
-        return any(payload[at:] == before[at:] for before in self._payloads)
 
     def discard(self, payload: bytes) -> None:
         """Take note of a frame that is left out because a newer one waits; it is not counted as lost."""

@@ -16,6 +16,8 @@ import numpy.typing as npt
 from eitskin.health.explanation import Finding
 from eitskin.health.imputation import Consistency
 from eitskin.health.monitor import Health
+from eitskin_proto.sensor.row_gaussian import rows_of
+from eitskin_proto.sensor.table import N_ROWS
 
 Distance = tuple[float, float, float]
 """Of a reference in percent: alike in all rows, its standard deviation, uneven; not a number while unknown."""
@@ -79,23 +81,30 @@ class RecordedHealth(Health):
         return changed
 
     def use_recorded(
-        self, drift: npt.NDArray[np.float32] | None, electrodes: Iterable[tuple[int, str, int | None]]
+        self,
+        drift: npt.NDArray[np.float32] | None,
+        electrodes: Iterable[tuple[int, str, int | None]],
+        missing_rows: Iterable[int] = (),
     ) -> bool:
         """Use recorded conditions from the next frame on, and return whether other rows are missing.
 
         Args:
             drift: (104,) factors on 1 + dV; None for none.
             electrodes: Number, state and partner of each that has failed or is excluded.
+            missing_rows: Numbers of the rows that were filled in.
         """
         self.drift.set_factors(drift)
         findings = tuple(Finding(*finding) for finding in electrodes)
+        frozen = np.isin(np.arange(N_ROWS), list(missing_rows))
+        frozen &= ~rows_of(tuple(one.electrode for one in findings if one.remedy == "imputed"))
         if (by_hand := self.by_hand) is not None:
             recorded = (one for one in findings if one.state != "excluded" and one.electrode not in by_hand)
             both = (*recorded, *(Finding(electrode, "excluded") for electrode in by_hand))
             findings = tuple(sorted(both, key=lambda one: one.electrode))
-        if findings == self.electrodes.findings:
+        if findings == self.electrodes.findings and np.array_equal(frozen, self.hanging):
             return False
-        self.electrodes.set_findings(findings)
+        self.hanging = frozen
+        self.electrodes.leave_out(frozen, findings)
         self._rows_before = self.electrodes.missing
         if self.gate_without_rows is not None:
             self.gate_without_rows.leave_out(self.electrodes.missing)

@@ -9,9 +9,10 @@ import numpy.typing as npt
 
 from eitskin.errors import BadReference
 from eitskin.reference.captured import SMALLEST_V, Reference
-from eitskin.reference.front_end import RepeatedFrames
+from eitskin.reference.front_end import SYMMETRIC, Sameness, stuck
 from eitskin.reference.judged import ReferenceChecks, accept, judge
 from eitskin.reference.movement import Movement
+from eitskin.reference.repeats import own_counts, tells
 from eitskin.reference.scanned import ReferenceScan
 from eitskin_proto.sensor.noise_law import shared_noise
 from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable
@@ -52,7 +53,7 @@ class ReferenceBuilder:
         self._outer, self._products = np.zeros((2, table.rows, table.rows))
         self._unfit = 0
         self._movement = Movement(frames, table.rows)
-        self._sameness = RepeatedFrames()
+        self._sameness = Sameness(table.rows)
 
     def add(self, voltages: npt.NDArray[np.float64]) -> bool:
         """Take one frame and return whether there are enough.
@@ -124,9 +125,17 @@ class ReferenceBuilder:
         )
         against = checks or ReferenceChecks()
         looked_at = found.voltages_V if against.missing is None else np.where(against.missing, 0.0, found.voltages_V)
+        step_V = step_of(hello)
+        # With noise of many counts not even rows that are the same by symmetry have the same mean
+        symmetric = 1 if tells(own_counts(found.spread_V, found.shared_V, step_V)) else SYMMETRIC
         own_rows = self._table.id == ADJACENT_104.id
-        same = self._sameness.refusals(found.voltages_V, found.spread_V, step_of(hello), own_rows=own_rows)
-        judgement = judge(found, self._movement.relative(looked_at), against, same)
+        if wrong := stuck(found.voltages_V / step_V, symmetric=symmetric, own_rows=own_rows):
+            raise BadReference(
+                f"the reference does not come from a sheet: {wrong}; the front end's converter or multiplexer is "
+                "stuck: power the device off and on, check its supply and its wires"
+            )
+        faults = self._sameness.faults(found.voltages_V, found.spread_V, step_V, found.shared_V)
+        judgement = judge(found, self._movement.relative(looked_at), against, faults)
         accept(judgement, force=force)
         return replace(found, judgement=judgement)
 

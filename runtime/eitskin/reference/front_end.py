@@ -1,4 +1,4 @@
-"""Detects a stuck or hung front end: rows that are too much alike, and frames that repeat.
+"""Detects a stuck front end: rows that are too much alike, and a capture whose rows or frames repeat.
 
 On no sheet do many rows read the same count: rows span a factor of hundreds, and each has its own noise. Of n rows
 spread with at most ``MAX_DENSITY`` to a factor of e, the chance that m rows read the same x counts, at some x of this
@@ -11,10 +11,7 @@ Rows that read alike in the reference are one row here, since a symmetric sheet 
 all are those of an electrode that is off, and rows that the device marks as cut off are counted by themselves. Wires
 that are stuck before the converter have noise: there the rows of all drives, or of all measurements, are nearly alike.
 
-A frame whose rows have noise does not repeat bit by bit either: a row of spread s counts repeats in one of 2 sqrt(pi) s
-scans. The spread of the reference's frames then gives the number of repetitions that chance allows. It is divided by
-``MAX_CONTRAST`` for a touch that lowers every voltage by this factor. With noise under one count a hung front end
-cannot be distinguished from a sheet at rest.
+Readings that repeat from frame to frame are those of a front end that hangs (:mod:`eitskin.reference.repeats`).
 """
 
 import math
@@ -24,7 +21,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.errors import BadReference
+from eitskin.reference.repeats import SURPRISE, evidence, own_counts, ranges, tells
 from eitskin_proto.sensor.table import N_ROWS, TABLE
 
 Array = npt.NDArray[np.float64]
@@ -34,9 +31,6 @@ MAX_DENSITY: Final = 50.0
 
 MIN_LOG_CHANCE: Final = -20.0
 """ln of 2e-9, of rows that are denser than on any sheet: they are not, so that it never came in 110,000 frames."""
-
-MIN_SURPRISE: Final = 28.0
-"""-ln of a millionth of a millionth: what a repetition must be by chance."""
 
 DISTINCT_RATIO: Final = 1.1
 """Factor between two rows of a reference that may not read the same."""
@@ -56,12 +50,6 @@ noise where all drives are one."""
 
 MIN_BESIDE_RATIO: Final = 3.0
 """Of what a row beside its drive reads more than one across: below it, all of them are looked at."""
-
-MAX_CONTRAST: Final = 50.0
-"""A touch of this contrast on the whole sheet leaves every row a fiftieth, and of its noise as much."""
-
-QUIET_REPEATS: Final = 400
-"""Repetitions in a row where noise is a few counts: no touch of the heaviest kind is held still for so long."""
 
 
 def _row(drive: int, measure: int) -> int:
@@ -161,74 +149,61 @@ def _different(rows: npt.NDArray[np.intp], reference: npt.NDArray[np.number] | N
     return different
 
 
-def patience(spread_counts: Array) -> int | None:
-    """Return how many repetitions of a frame in a row are no chance any more; None where noise is too small to tell.
+class Sameness:
+    """Counts frames of a capture that repeat another and rows that repeat the frame before; allocates little.
 
     Args:
-        spread_counts: (n,) standard deviation of each row's single frames, in counts.
+        rows: Of a frame.
     """
-    evidence = _evidence(spread_counts / MAX_CONTRAST)
-    if evidence >= 0.5:
-        return math.ceil(MIN_SURPRISE / evidence)
-    return QUIET_REPEATS if _evidence(spread_counts) >= MIN_SURPRISE else None
 
+    __slots__ = ("_before", "_hashes", "_repeats", "_same", "_squares", "taken")
 
-def _evidence(spread_counts: Array) -> float:
-    """Return -ln of the chance that a frame repeats."""
-    return float(np.log(np.maximum(2.0 * math.sqrt(math.pi) * spread_counts, 1.0)).sum())
-
-
-class RepeatedFrames:
-    """Counts frames of a capture that repeat another, and holds its rows against each other; allocates little."""
-
-    __slots__ = ("_hashes", "repeats", "taken", "unlike")
-
-    def __init__(self) -> None:
-        self.taken = self.repeats = 0
+    def __init__(self, rows: int) -> None:
+        self.taken = self._repeats = 0
         self._hashes: set[int] = set()
-        self.unlike = 0
-        """Different frames."""
+        self._before = np.zeros(rows)
+        self._same, self._squares = np.zeros((2, rows))
 
     def add(self, voltages: Array) -> None:
         """Take one frame, (rows,) V."""
         self.taken += 1
+        if self.taken > 1:
+            self._same += voltages == self._before
+            self._squares += (voltages - self._before) ** 2
+        self._before[:] = voltages
         seen = hash(voltages.tobytes())
-        if seen in self._hashes:
-            self.repeats += 1
-        else:
-            self._hashes.add(seen)
-            self.unlike += 1
+        self._repeats += seen in self._hashes
+        self._hashes.add(seen)
 
-    def refusals(self, mean_V: Array, spread_V: Array, step_V: float, *, own_rows: bool = True) -> tuple[str, ...]:
-        """Return why a capture is not from a working front end.
+    def faults(self, mean_V: Array, spread_V: Array, step_V: float, shared_V: Array | None = None) -> tuple[str, ...]:
+        """Return what of them no living front end reads.
 
         Args:
             mean_V: (rows,) V.
             spread_V: (rows,) V, standard deviation of single frames.
             step_V: Of one count.
-            own_rows: As of :func:`stuck`.
-
-        Raises:
-            BadReference: Its rows are alike as no sheet's are.
+            shared_V: (rows, k) V, the part of it that rows share; None for none.
         """
-        allowed = patience(spread_V / step_V)
-        # With noise of many counts not even rows that are the same by symmetry have the same mean
-        if found := stuck(mean_V / step_V, symmetric=1 if allowed == 1 else SYMMETRIC, own_rows=own_rows):
-            raise BadReference(
-                f"the reference does not come from a sheet: {found}; the front end's converter or multiplexer is "
-                "stuck: power the device off and on, check its supply and its wires"
-            )
-        if self.unlike == 1:
+        if len(self._hashes) == 1:
             return (
-                f"all {self.taken} frames of the reference are the same bit by bit: the front end hangs, or it has no "
-                "noise at all, as only a simulation can",
+                f"all {self.taken} frames are the same bit by bit: the front end hangs, or it has no noise at all, as "
+                "only a simulation can",
             )
-        if self.repeats and allowed == 1:
+        if self._repeats and tells(own_counts(spread_V, shared_V, step_V)):
             return (
-                f"{self.repeats} of {self.taken} frames of the reference repeat another bit by bit, which noise does "
-                "not do: the front end hangs now and then",
+                f"{self._repeats} of {self.taken} frames repeat another bit by bit, which noise does not do: the "
+                "front end hangs now and then",
             )
-        return ()
+        # Noise from one frame to the next. A row that hangs has none: what the others have counts, in V or as a share
+        size, there = np.abs(mean_V), mean_V != 0.0
+        noise_V = np.sqrt(self._squares / (2.0 * (self.taken - 1)))
+        usual_V = np.minimum(np.median(noise_V[there] / size[there]) * size, np.median(noise_V[there]))
+        chance = np.exp(-evidence(np.maximum(noise_V, usual_V) / step_V)) * (self.taken - 1)
+        surprise = self._same * np.log(np.maximum(self._same / chance, 1.0)) - self._same + chance
+        hanging = np.flatnonzero((surprise >= SURPRISE) & (self._same > chance) & there)
+        if not hanging.size:
+            return ()
+        return (f"rows {ranges(hanging)} repeat their reading, which noise does not do: the front end hangs",)
 
 
 def front_end_faults(voltages: Array, step_V: float | None = None) -> tuple[str, ...]:
@@ -239,13 +214,11 @@ def front_end_faults(voltages: Array, step_V: float | None = None) -> tuple[str,
         step_V: Of one count; None takes a 24-bit converter's that the recording fills to a half.
     """
     step_V = step_V or max(float(np.abs(voltages).max()), 1e-30) / (1 << 22)
-    total, faults = len(voltages), []
-    different = len({frame.tobytes() for frame in voltages})
-    if different == 1:
-        faults.append(f"all {total} frames are the same bit by bit: it hangs, or it is a simulation without any noise")
-    elif different < total and patience(voltages.std(axis=0) / step_V) == 1:
-        faults.append(f"{total - different} of {total} frames repeat another bit by bit: it hangs now and then")
+    sameness = Sameness(voltages.shape[1])
+    for frame in voltages:
+        sameness.add(frame)
+    faults = list(sameness.faults(voltages.mean(axis=0), voltages.std(axis=0), step_V))
     found = [text for frame in np.rint(voltages / step_V) if (text := stuck(frame))]
     if found:
-        faults.append(f"in {len(found)} of {total} frames its converter or multiplexer is stuck: {found[-1]}")
+        faults.append(f"in {len(found)} of {len(voltages)} frames its converter or multiplexer is stuck: {found[-1]}")
     return tuple(faults)

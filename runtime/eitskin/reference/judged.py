@@ -18,6 +18,9 @@ family A, and two of three with a touch, are more than 20 % off; a touch alone o
 reference of a sheet that is bent a little, or touched and held still, is not caught. Against an earlier reference of
 the same device all of 320 touched captures were, and none of 1040 honest captures was refused, with noise of 50 dB of
 all three kinds. A bend that stretches nothing changes no voltage: it is as good as a flat sheet.
+
+Along a border the potential falls from where the current enters to where it leaves, whatever the sheet conducts. So all
+104 rows have the same sign. A reference is refused in which a row above ``SIGN_SHARE`` of the largest has the other.
 """
 
 from dataclasses import dataclass
@@ -50,6 +53,9 @@ NOTED_SPREAD: Final = 0.02
 MODEL_DIFFERENCE: Final = (0.13, 0.20)
 OLDER_DIFFERENCE: Final = (0.03, 0.10)
 """Remarked above the first, refused above the second."""
+
+SIGN_SHARE: Final = 0.01
+"""Share of the largest voltage below which an offset of the converter may turn a row's sign."""
 
 NOTHING_ALIKE: Final = 10.0
 """Difference of sheets that have no two rows with a voltage in common."""
@@ -120,6 +126,14 @@ def judge(found: Reference, movement: float, checks: ReferenceChecks, refused: t
         refusals.append(
             f"the voltages moved by {movement:.1%} while the reference was captured, expected at most "
             f"{LARGEST_MOVEMENT:.1%}"
+        )
+    large = usable & (np.abs(found.voltages_V) > SIGN_SHARE * np.abs(found.voltages_V).max())
+    below = int(np.count_nonzero(found.voltages_V[large] < 0.0))
+    turned = min(below, int(np.count_nonzero(large)) - below)
+    if turned and found.table.id == ADJACENT_104.id:
+        refusals.append(
+            f"{turned} rows of the reference have the other sign than the rest, expected one sign in all: wires are "
+            "exchanged, or the front end turns some measurements"
         )
     noise = sigma**2 / found.frames
     model, older = None, None

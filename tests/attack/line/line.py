@@ -23,9 +23,9 @@ HELLO = Hello(
     configuration_name="attack", rate_mHz=100_000, rows=104, sample_bytes=4, volts_per_count=1e-9,
 )  # fmt: skip
 
-FLAT = np.where(np.arange(104) % 3, -1.0, 1.0) * np.geomspace(4e6, 1e4, 104)
+FLAT = np.geomspace(4e6, 1e4, 104)
 
-PATTERNS = 64
+PATTERNS = 2048
 """Different scans, over and over: what a frame holds follows from its sequence number."""
 
 _NOISE = 1e-3 * np.random.default_rng(5).standard_normal((PATTERNS, 104))

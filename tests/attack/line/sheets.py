@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.health.monitor import health_of
 from eitskin.model.bundle import load_bundle
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
@@ -15,8 +16,6 @@ from eitskin.reference.normaliser import Normaliser
 from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.wire.frames import Frame, full_scale, quantise
 from eitskin_proto.wire.messages import Hello
-
-from ..stream import TINY
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int32]
@@ -47,6 +46,7 @@ class Sheet:
         gone: Electrodes whose rows read next to nothing.
         silent: Whether those rows read exactly nothing.
         overdrive: Factor by which the gain is too high.
+        drifts: Whether all rows drift by some percent, and unevenly by less.
     """
 
     seed: int
@@ -56,12 +56,14 @@ class Sheet:
     gone: tuple[int, ...] = ()
     silent: bool = False
     overdrive: float = 1.0
+    drifts: bool = False
     volts_per_count: float = field(init=False)
 
     def __post_init__(self) -> None:
         from eitskin_tools.virtual_skin.process import Noise
 
         self._script, self._solved = _script()
+        self._samples = 0
         self.rng = np.random.default_rng(self.seed)
         self.volts_per_count = CONVERTER_V / GAINS[self.sample_bytes] / full_scale(self.sample_bytes) / self.overdrive
         flat = self._script.voltages_at(0.0, self._solved)
@@ -82,7 +84,9 @@ class Sheet:
 
     def sample(self, time_s: float) -> tuple[Counts, int]:
         """Return (104,) counts at a time of the script, 0 being flat and untouched, and which rows are cut off."""
-        volts = self._noise.on(self._script.voltages_at(time_s, self._solved))
+        self._samples += self.drifts
+        drift = 0.03 * np.sin(self._samples / 3000.0) + 0.005 * np.sin(self._samples / 5000.0 + np.arange(104))
+        volts = self._noise.on(self._script.voltages_at(time_s, self._solved) * (1.0 + drift * self.drifts))
         if self.gone:
             rows = rows_of(self.gone)
             volts[rows] = 0.0 if self.silent else 2.0 * self.volts_per_count * self.rng.standard_normal(int(rows.sum()))
@@ -95,9 +99,11 @@ class Judge:
     def __init__(self, sheet: Sheet, frames: int = 100) -> None:
         simulated = sheet.kind == "none"  # without noise, which a reference shows only by --force
         hello = sheet.hello("HONEST-1")
-        bundle = load_bundle(TINY)
+        bundle = load_bundle()
         self.sheet = sheet
-        self.pipeline = Pipeline(bundle, hello)
+        self.pipeline = Pipeline(bundle, hello, health=health_of(bundle))
+        self.named: set[str] = set()
+        """Rows that were said to hang."""
         self.pipeline.start_with(GeometryGraph(bundle).geometry(None, None, 0))
         builder, normaliser = ReferenceBuilder(frames), Normaliser(sheet.volts_per_count)
         taken = False
@@ -108,6 +114,11 @@ class Judge:
         self.pipeline.use_reference(builder.finish(hello, force=simulated))
         self.sequence = 0
 
+    @property
+    def fills(self) -> bool:
+        """Whether rows that were named are filled in."""
+        return self.pipeline.health is not None and self.pipeline.health.lacks_rows
+
     def passes(self, counts: Counts, saturation: int = 0) -> bool:
         """Return whether a frame of these counts would be published."""
         self.sequence += 1
@@ -115,6 +126,11 @@ class Judge:
             sequence=self.sequence, device_us=self.sequence * PERIOD_NS // 1000 % (1 << 32), counts=counts,
             sample_bytes=self.sheet.sample_bytes, saturation=saturation,
         ).pack()  # fmt: skip
-        done = self.pipeline.accept(packed, self.sequence * PERIOD_NS) and self.pipeline.compute(False)
-        self.pipeline.keep_for_health()
+        pipeline = self.pipeline
+        done = pipeline.accept(packed, self.sequence * PERIOD_NS) and pipeline.compute(False)
+        if done:
+            pipeline.keep_for_health()
+            self.named.update(event for event in pipeline.record.events if event.startswith("rows:"))
+        if pipeline.has_leisure_work:
+            pipeline.check_health()
         return done

@@ -5,6 +5,7 @@ import pytest
 from ..short import short_form
 from . import wire
 from .damage import packet
+from .line import FLAT
 
 pytestmark = pytest.mark.heavy
 
@@ -12,8 +13,8 @@ outcome, test_it_is_withstood = short_form("line")
 
 
 def test_a_changed_scan_and_a_missing_one_would_be_seen():
-    turned = wire.stream(wire._absurd("turned", None), 20)
-    assert turned.wrong(exact=True, content=True)
+    doubled = wire.stream(lambda line, _: packet(line.payload(counts=line.rng.normal(2 * FLAT, 9).astype("i4"))), 20)
+    assert doubled.wrong(exact=True, content=True)
     seen = wire.stream(lambda _, payload: packet(payload), 20)
     assert not seen.wrong(exact=True, content=True)
     del seen.published[30]

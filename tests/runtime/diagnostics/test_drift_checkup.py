@@ -10,7 +10,7 @@ from eitskin.errors import BadReference
 from eitskin.reference.captured import Reference, save
 
 ROWS = np.arange(104)
-FLAT = np.where(ROWS % 3, -1.0, 1.0) * 1e-3 * 40.0 ** (-ROWS / 103.0)
+FLAT = 1e-3 * 40.0 ** (-ROWS / 103.0)
 NOISE = 0.003
 
 

@@ -39,7 +39,7 @@ def test_frames_that_are_not_fit_are_withheld_each_with_its_reason(pipeline, cou
     assert not go(pipeline, payload(counts, 5))
     assert pipeline.intake.withheld == {
         "malformed": 2, "duplicate": 1, "configuration": 1, "partial": 1, "implausible": 1, "no_signal": 0,
-        "stuck": 0, "frozen": 0, "stale": 0,
+        "stuck": 0, "frozen": 0, "reversed": 0, "unlike": 0, "stale": 0,
     }  # fmt: skip
     assert pipeline.intake.generation_differs
 

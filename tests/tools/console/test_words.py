@@ -29,6 +29,7 @@ def test_each_event_and_all_saved_computation_of_the_specification_have_words():
 
 def test_codes_with_values_have_words_and_an_unknown_code_is_readable():
     assert event_words("withheld:stale") == "frame withheld: too late, a newer one came"
+    assert event_words("rows:0-12, 40:frozen") == "rows 0-12, 40 frozen (estimated)"
     assert event_words("drift:+34%") == "drift of +34 %, or a long touch"
     assert event_words("electrode:7:swapped with 8:rearranged") == "electrode 7 swapped with 8 (rows reordered)"
     assert event_words("electrode:7:back") == "electrode 7 works again"

@@ -9,7 +9,7 @@ from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_tools.guided import CalibrationGuide, GuideError, Plan
 
 ROWS = np.arange(104)
-FLAT = np.where(ROWS % 3, -1.0, 1.0) * 1e-3 * 40.0 ** (-ROWS / 103.0)
+FLAT = 1e-3 * 40.0 ** (-ROWS / 103.0)
 BENT = FLAT * (1.0 + 0.2 * np.cos(ROWS))
 NOISE = 0.003
 

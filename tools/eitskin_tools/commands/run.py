@@ -159,7 +159,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
         for number in endings():
             signal.signal(number, lambda *_: skin.stop())
-        report(skin, log)
+        report(skin, log, _said_by(arguments))
         log.say(open_files)
         if arguments.sched_fifo is not None:
             log.say(realtime.schedule_fifo(arguments.sched_fifo))
@@ -174,6 +174,15 @@ def run(arguments: argparse.Namespace) -> int:
         else:
             log.say(closing(skin.summary()))
     return 0
+
+
+def _said_by(arguments: argparse.Namespace) -> str:
+    """Return what says which touches are expected."""
+    if arguments.touches is not None:
+        return "--touches"
+    if arguments.bundle is not None:
+        return "--bundle"
+    return "the shipped bundle" if arguments.skin is None else f"skin {arguments.skin.name}"
 
 
 def _serve(

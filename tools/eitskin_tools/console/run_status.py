@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from eitskin_tools.console.run_log import RunLog
-from eitskin_tools.console.words import WITHHELD, electrode_words
+from eitskin_tools.console.words import WITHHELD, electrode_words, event_words
 from eitskin_tools.processes.periodic_thread import PeriodicThread
 
 if TYPE_CHECKING:
@@ -26,8 +26,8 @@ SILENT_S: Final = 60.0
 END_S: Final = 0.2
 """How long the last line may take at the end: its reader may have stopped."""
 
-REPORTED_COUNTERS: Final = ("lost", "corrupt", "withheld_by_reason", "electrodes", "recoveries", "trouble", "resets",
-                            "overruns", "level")  # fmt: skip
+REPORTED_COUNTERS: Final = ("lost", "corrupt", "withheld_by_reason", "electrodes", "frozen_rows", "touch_doubt",
+                            "recoveries", "trouble", "resets", "overruns", "level")  # fmt: skip
 """Fields of ``Skin.status()`` of which any change is worth a line."""
 
 
@@ -63,6 +63,8 @@ class Status:
         parts = [f"{self.rate_hz:.1f} frames/s"]
         if self.touched is not None:
             parts.append("touched" if self.touched else "untouched")
+        if doubt := counters.get("touch_doubt"):
+            parts.append(event_words(f"touches:{doubt}"))
         parts += [f"{counters.get('lost', 0)} lost", f"{counters.get('corrupt', 0)} corrupt"]
         reasons = {name: count for name, count in dict(counters.get("withheld_by_reason", {})).items() if count}
         if reasons:
@@ -81,6 +83,8 @@ class Status:
             parts.append("all electrodes work" if watched else "electrodes are not checked")
         if shape := counters.get("shape"):
             parts.append(f"shape {shape}")
+        if rows := counters.get("frozen_rows"):
+            parts.append(f"{len(rows)} rows frozen (estimated)")
         if drift := drift_text(counters.get("drift")):
             parts.append(drift)
         if verifier := verifier_text(counters.get("verifier")):
@@ -174,8 +178,14 @@ class RunStatus(PeriodicThread):
         self._log.end()
 
 
-def report(skin: Any, log: RunLog) -> None:
-    """Log the device, the bundle, the skin and the gate, a line each."""
+def report(skin: Any, log: RunLog, said_by: str) -> None:
+    """Log the device, the bundle, the expected touches, the skin and the gate, a line each.
+
+    Args:
+        skin: An open one.
+        log: Where lines go.
+        said_by: What says which touches are expected.
+    """
     from eitskin_proto.skin.skin import PAPER
     from eitskin_proto.wire.volts import DriverHello
 
@@ -192,7 +202,9 @@ def report(skin: Any, log: RunLog) -> None:
         )
     solvers = ", ".join(f"{name} {span / 1000:.0f} us" for name, span in skin.pipeline.maps.engine_ns.items())
     bundle = skin.bundle
-    log.say(f"bundle: {bundle.path.name} {bundle.id}, labels {bundle.labels}, touches {bundle.touch_kind}; {solvers}")
+    log.say(f"bundle: {bundle.path.name} {bundle.id}, labels {bundle.labels}; {solvers}")
+    kind = {"lower": "that lower", "raise": "that raise", "both": "that raise or lower"}[bundle.touch_kind]
+    log.say(f"touches: expected are those {kind} conductance, by {said_by}; if yours differ, choose with --touches")
     rows, columns = skin.description.grid.shape
     log.say(f"skin: {skin.description.name} {skin.description.digest}, map of {rows} x {columns} pixels")
     for line in bundle_doubts(bundle, skin.description):

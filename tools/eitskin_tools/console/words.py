@@ -10,7 +10,9 @@ WITHHELD: Final = {
     "implausible": "values out of range",
     "no_signal": "almost no voltage",
     "stuck": "identical rows, front end stuck",
-    "frozen": "repeats an earlier frame, front end hangs",
+    "frozen": "repeats earlier readings, front end hangs",
+    "reversed": "rows changed their sign",
+    "unlike": "rows do not fit each other, wires exchanged?",
     "stale": "too late, a newer one came",
 }
 """Why a frame is withheld."""
@@ -25,6 +27,9 @@ EVENTS: Final = {
     "idle": "idle, scans a few drives",
     "awake": "scans all drives again",
     "gate_overruled": "the map shows a touch that the gate missed",
+    "touches:lower": "touches seem to lower conductance: start with --touches lower",
+    "touches:raise": "touches seem to raise conductance: start with --touches raise",
+    "touches:unlisted": "touched for 3 s, nothing on the map: send a cloud, renew the reference, try other --touches",
     "overrun": "over the latency budget",
     "electrodes:unclear": "rows fit no sheet and no single electrode failure",
     "drift:uneven": "uneven drift",
@@ -69,6 +74,9 @@ def event_words(code: str) -> str:
         return f"frame withheld: {WITHHELD.get(rest, rest)}"
     if kind == "electrode":
         return electrode_words(rest)
+    if kind == "rows":
+        rows, _, what = rest.partition(":")
+        return f"rows {rows} frozen (estimated)" if what == "frozen" else f"rows {rows} work again"
     if kind == "drift":
         return f"drift of {rest.replace('%', ' %')}, or a long touch"
     return readable(code)

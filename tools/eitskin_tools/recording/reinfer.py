@@ -217,7 +217,9 @@ class Rerun:
         if (conditions := step.conditions) is not None:
             pipeline.normaliser.use_scale(conditions.volts_per_count)
             self._regions = conditions.regions
-            if self._health is not None and self._health.use_recorded(conditions.drift, conditions.electrodes):
+            if self._health is not None and self._health.use_recorded(
+                conditions.drift, conditions.electrodes, conditions.missing_rows
+            ):
                 pipeline.maps.change_projection(self._health.projection)
             if self.as_recorded and pipeline.gate is not None and conditions.gate_threshold is not None:
                 pipeline.gate.threshold = conditions.gate_threshold

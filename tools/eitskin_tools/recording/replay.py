@@ -302,7 +302,7 @@ class Player:
             exclude=exclude,
             idle_after_s=NEVER_S if _has_idle_gate(loaded, script.hello) else None,
         )
-        self._reference = began.reference
+        self._reference, self._rounds = began.reference, 0
         if self._health is not None:
             self.skin.pipeline.health = self._health
         self._use_reference(reference)
@@ -311,6 +311,9 @@ class Player:
 
     def _before(self, step: Step) -> None:
         """Let hold what holds from a frame on."""
+        if self.line.rounds != self._rounds:
+            self._rounds = self.line.rounds
+            self.skin.pipeline.intake.forget()
         self._decide(step)
         if step.conditions is None:
             return
@@ -363,7 +366,7 @@ class Player:
             pipeline.normaliser.use_scale(conditions.volts_per_count)
         if self._health is None:
             return
-        if self._health.use_recorded(conditions.drift, conditions.electrodes):
+        if self._health.use_recorded(conditions.drift, conditions.electrodes, conditions.missing_rows):
             pipeline.maps.change_projection(self._health.projection)
         threshold = conditions.gate_threshold
         if pipeline.gate is not None and threshold is not None and self._health.by_hand is None:
