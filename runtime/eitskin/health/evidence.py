@@ -241,7 +241,7 @@ def _rows_of_each() -> npt.NDArray[np.intp]:
 
 def _inner(precision: Array, of: npt.NDArray[np.intp]) -> Array:
     """Return (k, 26, 26) P_gg^-1 of k groups of rows."""
-    return np.linalg.inv(precision[of[:, :, None], of[:, None, :]])
+    return np.asarray(np.linalg.inv(precision[of[:, :, None], of[:, None, :]]))
 
 
 def _rows_of_two() -> npt.NDArray[np.intp]:

@@ -199,7 +199,7 @@ class FrontEndWatch:
         if missing is not None:
             np.greater(self._below, missing, out=self._below)
         # Electrodes along a border order the rows' signs; of rows of an unknown protocol most must have turned
-        return np.count_nonzero(self._below) > (0 if self._own_rows else len(change) // 2)
+        return int(np.count_nonzero(self._below)) > (0 if self._own_rows else len(change) // 2)
 
     def check(self, normaliser: Normaliser) -> str:
         """Return the fault in the rows of a whole frame that no sheet can have, or "".

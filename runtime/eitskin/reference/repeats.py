@@ -155,7 +155,7 @@ class Repeats:
         np.multiply(self._runs, self._same, out=self._runs)
         np.add(self._count, self._same, out=self._count)
         np.greater_equal(self._runs, self._patience, out=self._over)
-        return many >= self._few or np.count_nonzero(self._over) > 0
+        return bool(many >= self._few or np.count_nonzero(self._over) > 0)
 
     def judge(self, counts: npt.NDArray[np.number]) -> None:
         """Find the rows that hang in the frame added last, and the evidence for the other judgements.
@@ -192,4 +192,4 @@ class Repeats:
         chance, runs = np.exp(-evidence(spread)), np.minimum(self._runs, self._count)
         before = np.maximum(self._frames - runs, 0.0)
         repeated = (self._count - runs + BELIEVED_FRAMES * chance) / (before + BELIEVED_FRAMES)
-        return -np.log(np.maximum(chance, np.minimum(repeated, 1.0)))
+        return np.asarray(-np.log(np.maximum(chance, np.minimum(repeated, 1.0))))
