@@ -1,14 +1,8 @@
 """Data sets: the same bits from any worker, resumable, and refused when they are not what they say."""
 
 import json
-import os
 import shutil
-import signal
-import threading
-import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -178,41 +172,3 @@ def test_a_free_shard_holds_area_labels_of_its_own_touches(tmp_path: Path) -> No
     assert 0.0 < labels.mean() < 0.3
     table = data.label_table_u8()[data.touch_set].reshape(-1, 30, 45)
     assert np.abs(table / 255.0 - labels).max() <= 0.5 / 255 + 1e-6
-
-
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Any]:
-    distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-    from dask import config
-
-    with (
-        config.set(temporary_directory=str(tmp_path / "scratch")),  # of the scheduler, which has no option for it
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, protocol="tcp://", dashboard_address=None,
-            local_directory=tmp_path / "scratch",
-        ) as running,
-    ):  # fmt: skip
-        yield running
-
-
-def _wait_until_replaced(cluster: Any, victim: int) -> None:
-    """Wait until a killed worker is known to be gone; a busy machine takes its time."""
-    end = time.monotonic() + 60.0
-    while victim in [nanny.pid for nanny in cluster.workers.values()]:
-        assert time.monotonic() < end, "the killed worker is still there"
-        time.sleep(0.05)
-
-
-@pytest.mark.slow
-@pytest.mark.process
-@pytest.mark.filterwarnings("ignore")  # Dask tells of the worker that this test kills
-def test_a_cluster_that_loses_a_worker_half_way_makes_the_same_files(
-    cluster: Any, folder: Path, tmp_path: Path
-) -> None:
-    victim = next(iter(cluster.workers.values())).pid
-    timer = threading.Timer(0.7, os.kill, (victim, signal.SIGKILL))
-    timer.start()
-    generate(PLAN, tmp_path / "cluster", scheduler=cluster.scheduler_address)
-    timer.join()
-    _wait_until_replaced(cluster, victim)
-    assert files(tmp_path / "cluster") == files(folder)

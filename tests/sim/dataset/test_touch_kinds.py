@@ -61,7 +61,7 @@ def test_a_free_set_of_both_ways_keeps_contrast_border_and_shape_and_labels_outl
     contrast = data.free.pieces[:, 6]
     assert 0.2 < np.mean(contrast < 1.0) < 0.8
     assert data.free.pieces[:, 7].max() > 4.0
-    single = next(n for n in range(60) if len(data.free.of(n)) == 1 and data.contrasts(n)[0] < 1.0)
+    single = next(n for n in range(60) if len(data.free.of(n)) == 1 and data.free.of(n)[0, 6] < 1.0)
     touches = data.free.touches(single)
     assert data.labels(np.array([single]))[0].sum() * (10 / 3) ** 2 == pytest.approx(
         sum(shape.area_mm2 for touch in touches for shape in touch.shapes), rel=2e-3
@@ -82,7 +82,7 @@ def test_a_unit_set_keeps_the_contrast_of_every_touched_unit(tmp_path: Path) -> 
     assert data.unit_contrasts is not None
     assert np.array_equal(data.unit_contrasts.number, own.number)
     for number in range(40):
-        contrast = data.contrasts(number)
+        contrast = data.unit_contrasts.of(np.array([number]))[0]
         assert np.array_equal(contrast != 1.0, data.units[number])
         assert np.all((contrast[data.units[number]] >= 0.2) & (contrast[data.units[number]] <= 0.85))
     change = np.abs(data.voltages_V / data.untouched_V[data.deformation] - 1.0).max(axis=1)

@@ -16,12 +16,12 @@ from eitskin_sim.devices.readings import corrected, drive_differences, readings,
 from eitskin_sim.fem.forward import Factor
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet, sheet_blocks
-from eitskin_sim.freeform.voltages import set_responses, set_voltages
+from eitskin_sim.freeform.voltages import set_responses
 from eitskin_sim.scene.parts import Bend, Electrodes, LaterChanges, Scene, SmoothField, Touch
 from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.scene.touch_table import DISC, ELLIPSE, RECTANGLE, gather
 from eitskin_sim.unit_grid.skeleton import unit_system
-from eitskin_sim.unit_grid.units import UnitGenerator
+from eitskin_sim.unit_grid.units import UnitGenerator, to_voltages
 
 BEND = Bend(angle_deg=70.0, axis_deg=-30.0, twist_deg=10.0, stretch_along=1.08, stretch_across=0.97, nonuniformity=0.05)
 SETS = {
@@ -72,7 +72,7 @@ def of_scene(device: Device, touches: tuple[Touch, ...]) -> np.ndarray:
 
 def test_voltages_are_those_of_one_factorisation_a_sample(skin: Skin, device: Device, sheet: InvertedSheet) -> None:
     assert sheet.untouched_V == pytest.approx(sheet.system.factorise().voltages(), rel=1e-9)
-    fast = set_voltages([sheet], TOUCHES, electrodes=device.electrodes, skin=skin)[0]
+    fast = to_voltages(set_responses([sheet], TOUCHES, electrodes=device.electrodes, skin=skin)[0])
     for name, number, row in zip(SETS, range(len(SETS)), fast, strict=True):
         naive = Factor(sheet.system, *sheet_blocks(sheet, TOUCHES, number)).voltages()
         assert row == pytest.approx(naive, rel=1e-9), name

@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.table import FULL_TABLE
 from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.mesh import TensorMesh, graded_lines
 from eitskin_sim.fem.meshing import electrode_lines, scene_mesh
@@ -123,23 +122,6 @@ def test_an_uneven_layer_is_what_its_elements_conductivities_say(contact: str) -
     even = assemble(mesh, Sheet(), scene.electrodes, metric).factorise().voltages()
     assert np.abs(exact / blocky - 1.0).max() < 5e-3
     assert np.abs(exact / even - 1.0).max() > 0.1
-
-
-@pytest.mark.parametrize("contact", ["patch", "edge"])
-def test_a_mirrored_device_reads_mirrored_rows(contact: str) -> None:
-    # Where x is mirrored electrode k goes to 4 - k, and drive and measure k to 3 - k.
-    electrodes = replace(SCATTERED, contact=contact)
-    back = (4 - np.arange(16)) % 16
-    swapped = Electrodes(
-        electrodes.contact,
-        tuple(electrodes.sizes_mm()[back].tolist()),
-        tuple(electrodes.impedances_ohm_m2()[back].tolist()),
-        tuple(((150.0 - np.array(electrodes.arc_length_mm)[back]) % 500.0).tolist()),
-    )
-    full = factorise_scene(Scene(electrodes=electrodes, element_size_mm=COARSE)).differences()
-    mirrored = factorise_scene(Scene(electrodes=swapped, element_size_mm=COARSE)).differences()
-    k, m = ((3 - FULL_TABLE.astype(int)) % 16).T
-    np.testing.assert_allclose(mirrored[k, m], full[FULL_TABLE[:, 0], FULL_TABLE[:, 1]], rtol=1e-8)
 
 
 def test_contacts_have_the_areas_and_impedances_of_their_electrodes() -> None:

@@ -14,13 +14,6 @@ TOUCHES = (Touch((Rect(20.0, 30.0, 33.0, 41.0),)), Touch((Disc(100.0, 60.0, 7.0)
 
 
 @pytest.mark.parametrize("contact", ["patch", "edge"])
-@pytest.mark.parametrize("bend", [Bend(), Bend(angle_deg=90, axis_deg=20, twist_deg=30, stretch_along=1.1)])
-def test_drive_and_measure_can_be_swapped(contact: str, bend: Bend) -> None:
-    scene = Scene(electrodes=Electrodes(contact), bend=bend, touches=TOUCHES, element_size_mm=COARSE)
-    assert reciprocity_error(factorise_scene(scene)) < 1e-12
-
-
-@pytest.mark.parametrize("contact", ["patch", "edge"])
 def test_every_drive_puts_one_ampere_in_one_electrode_and_out_of_the_next(contact: str) -> None:
     scene = Scene(electrodes=Electrodes(contact), touches=TOUCHES, element_size_mm=COARSE)
     factor = factorise_scene(scene)
@@ -67,10 +60,8 @@ def test_electrode_may_go_round_a_corner_when_it_lies_on_the_border() -> None:
     assert reciprocity_error(factor) < 1e-12
 
 
-def test_mesh_that_misses_an_electrode_or_the_sheet_is_refused() -> None:
+def test_mesh_that_misses_the_sheet_is_refused() -> None:
     sheet, electrodes = Sheet(), Electrodes()
-    with pytest.raises(ValueError, match="add a line there"):
-        assemble(TensorMesh(np.linspace(0, 150, 40), np.linspace(0, 100, 30)), sheet, electrodes)
     with pytest.raises(ValueError, match="must go from 0 to 150"):
         assemble(TensorMesh(np.linspace(0, 149, 40), np.linspace(0, 100, 30)), sheet, electrodes)
     with pytest.raises(ValueError, match="ascending"):

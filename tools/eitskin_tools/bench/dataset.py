@@ -20,11 +20,11 @@ from eitskin_sim.freeform.draws import set_pool
 from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.parts import geometry
 from eitskin_sim.freeform.sheet import inverted_sheet, sheet_blocks
-from eitskin_sim.freeform.voltages import pool_voltages
+from eitskin_sim.freeform.voltages import pool_responses
 from eitskin_sim.scene.family import draw, paper_bends
 from eitskin_sim.unit_grid.patterns import paper_touch_sets
 from eitskin_sim.unit_grid.skeleton import unit_system
-from eitskin_sim.unit_grid.units import UnitGenerator
+from eitskin_sim.unit_grid.units import UnitGenerator, to_voltages
 from eitskin_tools.bench.harness import Row, report, say
 from eitskin_tools.errors import UsageError
 
@@ -149,7 +149,7 @@ def _free(arguments: argparse.Namespace, kind: Any = "hard") -> list[Row]:
         made, used = [], None
         for number, bend in enumerate(bends):
             sheet = inverted_sheet(bend, into=used)
-            made.append(pool_voltages(sheet, grid, pool, batches, number))
+            made.append(to_voltages(pool_responses(sheet, grid, pool, batches, number)))
             used = sheet.inverse
         return pool.touches(pool.sets[DEFORMATIONS_PER_POOL - 1]), made
 

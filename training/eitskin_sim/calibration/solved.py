@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 
 from eitskin_sim.arrays import Array
-from eitskin_sim.devices.loose_contacts import loose_contacts
 from eitskin_sim.fem.borders.cut_elements import touch
+from eitskin_sim.fem.contacts import contacts_of
 from eitskin_sim.fem.forward import Factor, System, assemble
 from eitskin_sim.fem.mesh import TensorMesh
 from eitskin_sim.fem.meshing import scene_mesh
@@ -153,7 +153,7 @@ class Solved:
         sheet, metric = self.shape.sheet(self.size_mm), self.shape.metric(self.scanned, self.size_mm[0])
         energies = []
         for h in (-STEP_MM, STEP_MM):
-            contacts = loose_contacts(self.mesh, sheet, moved(h), metric)
+            contacts = contacts_of(self.mesh, sheet, moved(h), metric)
             contacts = replace(contacts, fringe_m=contacts.fringe_m / self.factor_of_layer[contacts.element])
             system = replace(self.factor.system, contacts=contacts)
             energies.append(self.factor.contact_powers(contacts, _touched(system, self.touches)[1]))

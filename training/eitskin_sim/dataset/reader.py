@@ -37,7 +37,6 @@ from eitskin_sim.dataset.plan import SET_NAMES, SetName
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import TouchTable
 from eitskin_sim.unit_grid.patterns import UnitContrasts, unpack
-from eitskin_sim.unit_grid.units import TOUCHED_S_PER_M
 
 PIECE_COLUMNS: Final = {False: 7, True: 8}
 """Of a table of touches that are hard ones alone, or may be soft: these have a border."""
@@ -111,14 +110,6 @@ class DataSet:
         unique, back = np.unique(sets, return_inverse=True)
         maps = np.minimum(self.free.chosen(unique).area_table(self.skin.grid).toarray(), 1.0).astype(np.float32)
         return np.asarray(maps[back].reshape(-1, *self.skin.grid.shape))
-
-    def contrasts(self, number: int) -> npt.NDArray[np.float64]:
-        """Return the contrasts of one touch set: (units,) of its units, 1 untouched, or (p,) of its pieces."""
-        if self.labels_kind == "area":
-            return np.asarray(self.free.of(number)[:, 6], dtype=np.float64)
-        if self.unit_contrasts is None:
-            return np.asarray(np.where(self.units[number], TOUCHED_S_PER_M, 1.0), dtype=np.float64)
-        return np.asarray(self.unit_contrasts.of(np.array([number]))[0], dtype=np.float64)
 
     def label_table_u8(self) -> npt.NDArray[np.uint8]:
         """Return (T, pixels) labels of every touch set, 255 where a pixel is touched all over."""

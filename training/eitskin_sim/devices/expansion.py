@@ -23,7 +23,7 @@ import numpy as np
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.arrays import Array
 from eitskin_sim.devices.device import Device
-from eitskin_sim.devices.loose_contacts import loose_contacts
+from eitskin_sim.fem.contacts import contacts_of
 from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.bend import bend_metric
@@ -89,7 +89,7 @@ def expansion(device: Device, bend: Bend, element_size_mm: float) -> Expansion:
     area = 0.5 * np.log(middle[:, 0] * middle[:, 2] - middle[:, 1] ** 2)
 
     def through(changed: Electrodes) -> Array:
-        contacts = loose_contacts(mesh, sheet, changed, metric)
+        contacts = contacts_of(mesh, sheet, changed, metric)
         return factor.contact_powers(contacts, contacts.density(sigma[contacts.element]))[:, FIRST, SECOND]
 
     def slope(change: Callable[[float], Electrodes], step: float) -> Array:

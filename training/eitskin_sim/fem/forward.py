@@ -13,7 +13,7 @@ for any conductivity. Where the layer is uneven, or conducts otherwise where it 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -182,7 +182,7 @@ def flat_metric(xy_mm: Array) -> Array:
 
 
 def assemble(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metric: Metric = flat_metric) -> System:
-    """Return the system of a mesh whose lines hold every electrode's edges.
+    """Return the system of a mesh; it is most accurate where lines hold the electrodes' edges.
 
     Args:
         mesh: Covers the sheet.
@@ -191,7 +191,7 @@ def assemble(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metric: Met
         metric: The bent surface's first fundamental form.
 
     Raises:
-        ValueError: The mesh does not cover the sheet, or an electrode's edge is no line of it.
+        ValueError: The mesh does not cover the sheet.
     """
     for lines, extent, name in ((mesh.x_lines_mm, sheet.size_mm[0], "x"), (mesh.y_lines_mm, sheet.size_mm[1], "y")):
         if abs(lines[0]) > 1e-9 or abs(lines[-1] - extent) > 1e-9:
@@ -206,13 +206,11 @@ def assemble_pieces(
 ) -> System:
     """Return the system of a mesh of any part of the sheet and of the contacts that lie on it; see :func:`assemble`."""
     first, middle = metric_at_points(mesh, metric), metric(mesh.centres_mm)
-    area = np.sqrt(first[..., 0] * first[..., 2] - first[..., 1] ** 2)
-    contacts = contacts_of(mesh, sheet, electrodes, metric, area, pieces)
+    contacts = contacts_of(mesh, sheet, electrodes, metric, pieces)
     relative, at_middles = np.ones(first.shape[:2]), np.ones(mesh.n_elements)
     if is_uneven(sheet):
         relative = relative_conductivity(sheet, points_mm(mesh), first)
         at_middles = relative_conductivity(sheet, mesh.centres_mm, middle)
-        contacts = replace(contacts, fringe_m=contacts.fringe_m / (relative @ WEIGHTS)[contacts.element])
     return System(
         mesh=mesh,
         contacts=contacts,

@@ -114,15 +114,7 @@ class PartialInverse:
 
     def solve(self, right: Array) -> Array:
         """Return the (n, k) potentials under currents (n, k) A."""
-        first, minus, found = self._first, self._minus, np.array(right, dtype=np.float64)
-        here = [slice(one, other) for one, other in itertools.pairwise(first)]
-        for i, following in enumerate(here[1:]):
-            found[following] += minus[i].T @ found[here[i]]
-        for i in reversed(range(len(here))):
-            found[here[i]] = self._diagonal[i] @ found[here[i]]
-            if i < len(minus):
-                found[here[i]] += minus[i] @ found[here[i + 1]]
-        return found
+        return _solved(self._first, self._diagonal, self._minus, right)
 
     def among(self, dofs: Index) -> Array:
         """Return the (m, m) inverse between some unknowns, which are in ascending order."""
@@ -216,25 +208,19 @@ def solve_lines(lines: Lines, blocks: Array, ground: tuple[int, float], right: A
     Raises:
         ValueError: The stiffness is not positive definite.
     """
-    own, after = _assembled(lines, blocks, ground)
-    first, found = lines.first, np.array(right, dtype=np.float64)
-    roots: list[Array] = []
-    passed: list[Array] = []
-    for i in range(len(own)):
-        if i:
-            own[i] = own[i] - after[i - 1].T @ passed[-1]
-            found[first[i] : first[i + 1]] -= passed[-1].T @ found[first[i - 1] : first[i]]
-        root, failed = lapack.dpotrf(own[i], lower=1, clean=0)
-        if failed:
-            raise ValueError("the sheet's stiffness is not positive definite; expected a connected sheet")
-        roots.append(root)
-        if i < len(after):
-            passed.append(lapack.dpotrs(root, after[i], lower=1)[0])
-    for i in reversed(range(len(own))):
-        here = slice(first[i], first[i + 1])
-        found[here] = lapack.dpotrs(roots[i], found[here], lower=1)[0]
-        if i < len(after):
-            found[here] -= passed[i] @ found[first[i + 1] : first[i + 2]]
+    return _solved(lines.first, *_eliminated(*_assembled(lines, blocks, ground)), right)
+
+
+def _solved(first: Index, diagonal: list[Array], minus: list[Array], right: Array) -> Array:
+    """Return the (n, k) potentials under currents (n, k), by the D_i^-1 and the -U_i."""
+    found = np.array(right, dtype=np.float64)
+    here = [slice(one, other) for one, other in itertools.pairwise(first)]
+    for i, following in enumerate(here[1:]):
+        found[following] += minus[i].T @ found[here[i]]
+    for i in reversed(range(len(here))):
+        found[here[i]] = diagonal[i] @ found[here[i]]
+        if i < len(minus):
+            found[here[i]] += minus[i] @ found[here[i + 1]]
     return found
 
 

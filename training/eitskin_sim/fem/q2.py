@@ -54,11 +54,3 @@ def interpolation(at_mm: Array, lines_mm: Array) -> Array:
     found = np.zeros((len(at_mm), 2 * count + 1))
     np.put_along_axis(found, 2 * element[:, None] + np.arange(3), _line_values(share), axis=1)
     return found
-
-
-def edge_integrals(side: int) -> tuple[Array, Array, Array]:
-    """Return points (3, 2), weights (3,) and shape functions (3, 9) on a side: 0 bottom, 1 right, 2 top, 3 left."""
-    fixed = np.full(3, 0.0 if side in (0, 3) else 1.0)
-    pair = (LINE_POINTS, fixed) if side in (0, 2) else (fixed, LINE_POINTS)
-    points = np.stack(pair, axis=-1)
-    return points, LINE_WEIGHTS, values(points)

@@ -1,6 +1,6 @@
 """One fixed mesh for touches anywhere on any device, its elements' middles eliminated.
 
-Neither touches nor electrodes off their nominal places (:mod:`eitskin_sim.devices.loose_contacts`) move the mesh;
+Neither touches nor electrodes off their nominal places (:mod:`eitskin_sim.fem.contacts`) move the mesh;
 elements that touches' borders cut get blocks of their own (:mod:`eitskin_sim.fem.borders.cut_touches`). So the sheet is
 assembled and inverted once a deformation, and all touch sets share that. ::
 
@@ -22,8 +22,7 @@ from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.arrays import Array, Index
 from eitskin_sim.devices.device import ideal
-from eitskin_sim.devices.loose_contacts import check_apart, system_on
-from eitskin_sim.fem.contacts import Contacts
+from eitskin_sim.fem.contacts import Contacts, check_apart, contacts_of
 from eitskin_sim.fem.forward import flat_metric
 from eitskin_sim.fem.inverse import Lines, make_lines
 from eitskin_sim.fem.mesh import TensorMesh
@@ -85,7 +84,7 @@ def shared_mesh(size_mm: float = ELEMENT_MM, electrodes: Electrodes | None = Non
         even_lines(sheet.size_mm[0], [*(at for at, _ in x), *between[0]], size_mm),
         even_lines(sheet.size_mm[1], [*(at for at, _ in y), *between[1]], size_mm),
     )
-    contacts = check_apart(system_on(mesh, sheet, electrodes or nominal, flat_metric, nominal).contacts)
+    contacts = check_apart(contacts_of(mesh, sheet, electrodes or nominal, flat_metric))
     outer = np.setdiff1d(np.arange(mesh.n_nodes), mesh.element_nodes[:, MIDDLE_NODE])
     column = outer % (2 * mesh.shape[1] + 1)
     low, high = _spans(contacts, mesh.shape[1])

@@ -8,11 +8,11 @@ from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.arrays import Array
 from eitskin_sim.devices.device import IDEAL, Device, ideal
-from eitskin_sim.devices.loose_contacts import system_on
 from eitskin_sim.fem.borders.cut_blocks import cut_blocks
 from eitskin_sim.fem.borders.cut_touches import Cuts, find_cuts
 from eitskin_sim.fem.borders.graded_blocks import graded_blocks
-from eitskin_sim.fem.forward import System
+from eitskin_sim.fem.contacts import check_apart
+from eitskin_sim.fem.forward import System, assemble
 from eitskin_sim.fem.inverse import dense_inverse
 from eitskin_sim.fem.mesh import MM, Metric
 from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh, with_contacts, without_middle
@@ -104,7 +104,8 @@ def assembled_metric(
     if gauge:
         true = replace(true, sheet=replace(true.sheet, gauge_factor=true.sheet.gauge_factor + gauge))
     grid = shared_mesh(size_mm, true.electrodes, skin)
-    system = system_on(grid.mesh, true.sheet, true.electrodes, first_form, ideal(skin).electrodes)
+    system = assemble(grid.mesh, true.sheet, true.electrodes, first_form)
+    check_apart(system.contacts)
     elements = np.arange(grid.mesh.n_elements)
     density = system.contacts.density(np.full(len(system.contacts.element), system.background))
     before = without_middle(with_contacts(system.background * system.stiffness, elements, density, system.contacts))

@@ -38,11 +38,10 @@ def set_voltages(
     sheets: Sequence[InvertedSheet],
     touches: TouchTable,
     size_mm: float = ELEMENT_MM,
-    electrodes: Electrodes | None = None,
     skin: Skin = PAPER,
 ) -> Array:
     """Return (D, s, 104) V under 1 A of touch sets at several deformations; see :func:`set_responses`."""
-    return np.array([to_voltages(response) for response in set_responses(sheets, touches, size_mm, electrodes, skin)])
+    return np.array([to_voltages(response) for response in set_responses(sheets, touches, size_mm, skin=skin)])
 
 
 def set_responses(
@@ -67,13 +66,6 @@ def set_responses(
     groups, sets = merged(alone, batches, PartSets(np.arange(len(alone)), touches.first), grid)
     batches += joined_geometry(alone, groups, grid)
     return np.array([put_together(sheet, condense(sheet, batches), sets) for sheet in sheets])
-
-
-def pool_voltages(
-    sheet: InvertedSheet, grid: SharedMesh, pool: SetPool, batches: Sequence[PartGeometry], deformation: int
-) -> Array:
-    """Return (s, 104) V under 1 A of the sets that a pool has for a deformation; see :func:`pool_responses`."""
-    return to_voltages(pool_responses(sheet, grid, pool, batches, deformation))
 
 
 def pool_responses(

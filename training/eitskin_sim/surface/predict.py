@@ -51,12 +51,6 @@ SKINS_KEPT: Final = 4
 _DEGREE: Final = 3
 
 
-def model(skin: Skin = PAPER) -> str:
-    """Return an id of everything in this module, apart from the forward model, on which a stored prediction depends."""
-    along_x, along_y = _counts(skin.grid)
-    return f"spline {along_x}x{along_y}, elements {COARSE_MM:g} and {FINE_MM:g} mm"
-
-
 @dataclass(frozen=True, slots=True)
 class FittedSurface:
     """A spline through a cloud, in the flat sheet's coordinates."""
@@ -148,7 +142,7 @@ def flat_voltages(skin: Skin = PAPER) -> Array:
 def predicted_log(clouds_mm: Iterable[npt.ArrayLike], skin: Skin = PAPER) -> npt.NDArray[np.float32]:
     """Return the (D, 104) log |V_pred| / |V_flat| of D sheets: the head's second input.
 
-    About 40 ms a sheet on one core. :func:`eitskin_sim.dataset.prediction_cache.predicted_log_of` keeps a data set's.
+    About 40 ms a sheet on one core.
 
     Args:
         clouds_mm: D clouds (3, rows, columns) mm, in any pose.

@@ -16,7 +16,6 @@ from eitskin_sim.arrays import Array
 from eitskin_sim.fem.contacts import contacts_of
 from eitskin_sim.fem.forward import System, assemble, flat_metric
 from eitskin_sim.fem.mesh import Metric, TensorMesh
-from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.parts import Electrodes, Sheet
 from eitskin_sim.tank.disc_map import DiscMap
 
@@ -74,14 +73,12 @@ def assemble_disc(mesh: TensorMesh, disc: Disc, metric: Metric = flat_metric) ->
         metric: The first fundamental form of the bent disc at points (n, 2) mm from its middle.
 
     Raises:
-        ValueError: The mesh does not cover the square, or a contact's end is no line of it.
+        ValueError: The mesh does not cover the square.
     """
     sheet, electrodes = disc.sheet, disc.electrodes
     turned = _turned(disc.map, metric)
     inner = assemble(mesh, sheet, electrodes, turned)
-    ones = np.ones((mesh.n_elements, 9))
-    contacts = contacts_of(mesh, sheet, electrodes, _rim_metric(disc.map, turned), ones, place(sheet, electrodes))
-    return replace(inner, contacts=contacts)
+    return replace(inner, contacts=contacts_of(mesh, sheet, electrodes, _rim_metric(disc.map, turned)))
 
 
 def turned_form(first: Array, angle: Array | float) -> Array:

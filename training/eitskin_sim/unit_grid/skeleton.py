@@ -29,9 +29,8 @@ from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.arrays import Array, Index
 from eitskin_sim.devices.device import Device, ideal
-from eitskin_sim.devices.loose_contacts import system_on
-from eitskin_sim.fem.contacts import Contacts
-from eitskin_sim.fem.forward import System
+from eitskin_sim.fem.contacts import Contacts, check_apart
+from eitskin_sim.fem.forward import System, assemble
 from eitskin_sim.fem.mesh import TensorMesh
 from eitskin_sim.fem.meshing import electrode_lines, lines_between
 from eitskin_sim.scene.bend import metric
@@ -231,8 +230,10 @@ def _nominal_mesh(skin: Skin) -> UnitMesh:
 
 def unit_system(bend: Bend, device: Device | None = None, skin: Skin = PAPER) -> tuple[UnitMesh, System]:
     """Return a skin's mesh, whatever the device, and a device's system at one bend; None is what the skin states."""
-    parts, true, nominal = _nominal_mesh(skin), device or ideal(skin), ideal(skin).electrodes
-    return parts, system_on(parts.mesh, true.sheet, true.electrodes, lambda xy: metric(bend, true.sheet, xy), nominal)
+    parts, true = _nominal_mesh(skin), device or ideal(skin)
+    system = assemble(parts.mesh, true.sheet, true.electrodes, lambda xy: metric(bend, true.sheet, xy))
+    check_apart(system.contacts)
+    return parts, system
 
 
 def condense_units(parts: UnitMesh, system: System, conductivities: Sequence[float]) -> list[Condensed]:

@@ -17,9 +17,9 @@ from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.cloud import network_input
 from eitskin_proto.skin.touch_kind import together
 from eitskin_sim.arrays import Index
-from eitskin_sim.dataset.prediction_cache import predicted_log_of
 from eitskin_sim.dataset.reader import load as load_set
 from eitskin_sim.scene.parts import Bend
+from eitskin_sim.surface.predict import predicted_log
 from eitskin_training.samples import presses
 from eitskin_training.samples.batches import TrainingData
 
@@ -44,7 +44,7 @@ def load(directory: str) -> TrainingData:
         reference=found.reference_V,
         untouched=found.untouched_V,
         clouds=np.stack([network_input(cloud, found.skin.grid) for cloud in found.clouds]),
-        log_predicted=predicted_log_of(directory, found),
+        log_predicted=predicted_log(found.clouds, found.skin),
         labels_kind=found.labels_kind,
         labels=labels,
         train=found.rows(deformations="train", touches="train").astype(np.intp),

@@ -131,7 +131,6 @@ class VerifiedNetwork:
         labels: Of the network's maps: "units" or "area".
         touches: Which way touches change conductance.
         skin: Whose models.
-        budget_s: What a frame may take.
         at_rest: Untouched frames of a shape that physics sees before its first touch.
     """
 
@@ -142,11 +141,10 @@ class VerifiedNetwork:
         labels: str,
         touches: TouchKind,
         skin: Skin,
-        budget_s: float = BUDGET_S,
         at_rest: int = 0,
     ) -> None:
         self._network, self._noise, self._labels, self._touches, self._skin = network, noise, labels, touches, skin
-        self._budget_s, self._at_rest = budget_s, at_rest
+        self._at_rest = at_rest
         self.checked: list[MapVerdict] = []
         """Verdicts in the order of the cases."""
         self._shape: tuple[bytes, MapVerifier] | None = None
@@ -175,7 +173,7 @@ class VerifiedNetwork:
             return image
         made_s, start = verifier.shapes.deformation.spent_cpu_s, time.process_time()
         rows = case.flat_reference != 0.0
-        verdict = verifier.verify(case.voltages, image, self._budget_s, rows)
+        verdict = verifier.verify(case.voltages, image, BUDGET_S, rows)
         made_s = verifier.shapes.deformation.spent_cpu_s - made_s
         cpu_s = time.process_time() - start - made_s
         self.checked.append(MapVerdict(verdict, 1e3 * verdict.seconds, 1e3 * cpu_s, 1e3 * (setup_s + made_s)))

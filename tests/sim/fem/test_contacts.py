@@ -13,8 +13,8 @@ from eitskin_proto.skin.toml import named
 from eitskin_sim.dataset.plan import make_plan
 from eitskin_sim.dataset.shards import make_shard, shard_job
 from eitskin_sim.devices.device import IDEAL, ideal
-from eitskin_sim.devices.loose_contacts import loose_contacts
 from eitskin_sim.devices.readings import readings, sheet_differences
+from eitskin_sim.fem.contacts import check_apart, contacts_of
 from eitskin_sim.fem.forward import flat_metric
 from eitskin_sim.fem.mesh import TensorMesh
 from eitskin_sim.freeform.mesh import shared_mesh
@@ -29,7 +29,7 @@ LOOSE = Electrodes(size_mm=SIZES, contact_impedance_ohm_m2=tuple(np.geomspace(1e
 
 
 def test_a_contact_covers_its_square_wherever_it_lies() -> None:
-    found = loose_contacts(shared_mesh().mesh, Sheet(), LOOSE, flat_metric)
+    found = contacts_of(shared_mesh().mesh, Sheet(), LOOSE, flat_metric)
     area = np.bincount(found.electrode, found.area_m2)
     assert area == pytest.approx(1e-6 * np.array(SIZES) ** 2, rel=1e-12)
     assert found.mass_m2.sum(axis=(1, 2)) == pytest.approx(found.area_m2, rel=1e-12)
@@ -48,7 +48,7 @@ def test_untouched_voltages_are_near_those_of_a_mesh_that_follows_the_contacts()
 def test_two_electrodes_in_one_element_are_refused() -> None:
     coarse = TensorMesh(np.array([0.0, 75.0, 150.0]), np.array([0.0, 50.0, 100.0]))
     with pytest.raises(ValueError, match="two electrodes meet one element"):
-        loose_contacts(coarse, Sheet(), LOOSE, flat_metric)
+        check_apart(contacts_of(coarse, Sheet(), LOOSE, flat_metric))
 
 
 # 16 electrodes of 3 mm round 50 x 50 mm leave 1.75 mm about each corner, less than an element.
@@ -68,7 +68,7 @@ def test_electrodes_of_a_small_sheet_may_be_a_little_larger_than_stated() -> Non
 def test_a_contact_covers_its_length_wherever_it_lies_and_a_corner_is_one_piece() -> None:
     moved = (np.array(NOMINAL.arc_length_mm) - 12.0 + np.linspace(-1.7, 1.7, 16)[np.arange(16) * 7 % 16]) % 500.0
     loose = Electrodes("edge", size_mm=tuple(np.linspace(3.1, 5.7, 16).tolist()), arc_length_mm=tuple(moved.tolist()))
-    found = loose_contacts(shared_mesh().mesh, Sheet(), loose, flat_metric)
+    found = contacts_of(shared_mesh().mesh, Sheet(), loose, flat_metric)
     area = np.bincount(found.electrode, found.area_m2)
     assert area == pytest.approx(1e-6 * loose.sizes_mm() * Sheet().thickness_mm, rel=1e-12)
     assert found.mass_m2.sum(axis=(1, 2)) == pytest.approx(found.area_m2, rel=1e-12)
