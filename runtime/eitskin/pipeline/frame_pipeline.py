@@ -40,7 +40,7 @@ from eitskin.reference.captured import Reference
 from eitskin.reference.front_end import stuck
 from eitskin.reference.normaliser import Normaliser, normaliser_of
 from eitskin.reference.predicted import log_ratio
-from eitskin.reference.repeats import Repeats, own_counts
+from eitskin.reference.repeats import Repeats
 from eitskin.reference.row_noise import relative_spread, with_rounding
 from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable
 from eitskin_proto.skin.skin import Skin as SkinDescription
@@ -180,11 +180,10 @@ class FrontEndWatch:
         self._reference = reference.voltages_V / step_V
         self._reference[reference.weak] = 0.0
         size, spread = reference.voltages_V / step_V, reference.spread_V / step_V
-        own = own_counts(reference.spread_V, reference.shared_V, step_V)
-        self.repeats.use_reference(size, spread, own, self._limit)
+        self.repeats.use_reference(size, spread, self._limit)
         if self._idle_gate is not None:
             rows = self._idle_gate.rows
-            self.idle_repeats.use_reference(size[rows], spread[rows], own[rows], self._limit)
+            self.idle_repeats.use_reference(size[rows], spread[rows], self._limit)
         sigma = relative_spread(reference.voltages_V, reference.spread_V)
         self._lowest[:] = -1.0 - np.maximum(REVERSED_SIGMAS * sigma, REVERSED_SHARE)
 
@@ -458,13 +457,13 @@ class Pipeline:
 
     def _hangs(self, counts: npt.NDArray[np.number], repeats: Repeats) -> bool:
         """Return whether the frame is old, or rows of it hang that are too many to fill in."""
-        health, again = None if self.record.idle else self.health, self.intake.repeated
-        repeats.judge(counts)
-        if health is not None and health.hang(repeats.hanging):
+        health, intake = None if self.record.idle else self.health, self.intake
+        old = repeats.is_old(counts, intake.repeated, intake.remembered)
+        if health is None:
+            return old or bool(repeats.hanging.any())
+        if health.hang(repeats.hanging):
             self.maps.change_projection(health.projection)
-        fit = np.zeros_like(repeats.hanging) if health is None else health.electrodes.missing
-        hanging = bool((repeats.hanging & ~fit).any())
-        return hanging or repeats.is_old(~fit) or repeats.come_again(again, self.intake.remembered)
+        return old or bool((repeats.hanging & ~health.electrodes.missing).any())
 
     def load_recorded(self, payload: bytes, sequence: int) -> bool:
         """Take a frame that was accepted when it was measured, and return whether it is a whole scan.

@@ -9,10 +9,9 @@ import numpy.typing as npt
 
 from eitskin.errors import BadReference
 from eitskin.reference.captured import SMALLEST_V, Reference
-from eitskin.reference.front_end import SYMMETRIC, Sameness, stuck
+from eitskin.reference.front_end import Sameness, stuck
 from eitskin.reference.judged import ReferenceChecks, accept, judge
 from eitskin.reference.movement import Movement
-from eitskin.reference.repeats import own_counts, tells
 from eitskin.reference.scanned import ReferenceScan
 from eitskin_proto.sensor.noise_law import shared_noise
 from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable
@@ -126,15 +125,12 @@ class ReferenceBuilder:
         against = checks or ReferenceChecks()
         looked_at = found.voltages_V if against.missing is None else np.where(against.missing, 0.0, found.voltages_V)
         step_V = step_of(hello)
-        # With noise of many counts not even rows that are the same by symmetry have the same mean
-        symmetric = 1 if tells(own_counts(found.spread_V, found.shared_V, step_V)) else SYMMETRIC
-        own_rows = self._table.id == ADJACENT_104.id
-        if wrong := stuck(found.voltages_V / step_V, symmetric=symmetric, own_rows=own_rows):
+        if wrong := stuck(found.voltages_V / step_V, own_rows=self._table.id == ADJACENT_104.id):
             raise BadReference(
                 f"the reference does not come from a sheet: {wrong}; the front end's converter or multiplexer is "
                 "stuck: power the device off and on, check its supply and its wires"
             )
-        faults = self._sameness.faults(found.voltages_V, found.spread_V, step_V, found.shared_V)
+        faults = self._sameness.faults(found.voltages_V, step_V)
         judgement = judge(found, self._movement.relative(looked_at), against, faults)
         accept(judgement, force=force)
         return replace(found, judgement=judgement)

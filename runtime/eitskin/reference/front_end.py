@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.reference.repeats import SURPRISE, evidence, own_counts, ranges, tells
+from eitskin.reference.repeats import SURPRISE, evidence, ranges
 from eitskin_proto.sensor.table import N_ROWS, TABLE
 
 Array = npt.NDArray[np.float64]
@@ -43,6 +43,7 @@ LARGEST_GROWTH: Final = 8.0
 
 MAX_CUT_OFF: Final = 8
 """Rows that may be cut off at more than ``LARGEST_GROWTH`` times their reference."""
+
 
 MIN_MEAN_DISTANCE: Final = 0.02
 """Mean distance, in log, of a row from the mean of those of all drives: 0.6 and more while the demonstration plays,
@@ -73,7 +74,6 @@ def stuck(
     reference: npt.NDArray[np.number] | None = None,
     cut_off: int = 0,
     limit: float = 0,
-    symmetric: int = SYMMETRIC,
     *,
     own_rows: bool = True,
 ) -> str:
@@ -84,7 +84,6 @@ def stuck(
         reference: As many counts of the reference, 0 in rows that carry nothing; None where there is none yet.
         cut_off: Bit r: the device says that row r was cut off.
         limit: Largest count of the converter.
-        symmetric: Rows that may read the same by symmetry, where there is no reference.
         own_rows: 104 rows are those of the project's table, so that drives and measurements can be compared.
     """
     marked = None
@@ -97,10 +96,8 @@ def stuck(
                 return f"{strange} rows are cut off at {limit:g} counts, of which the reference has an eighth at most"
         counts = np.where(marked, 0, counts)
     values = counts.tolist()  # what every frame far from its reference comes through: no numpy, whose calls are cold
-    if len(values) - len(set(values)) > 1:
-        found = _alike(counts, values, reference, symmetric)
-        if found:
-            return found
+    if len(values) - len(set(values)) > 1 and (found := _alike(counts, values, reference)):
+        return found
     if own_rows and len(values) == N_ROWS:
         weak = MIN_BESIDE_RATIO * abs(values[_ACROSS])
         for strong, depart, weights, what in _WIRES:
@@ -116,14 +113,13 @@ def _alike(
     counts: npt.NDArray[np.number],
     values: list[float],
     reference: npt.NDArray[np.number] | None,
-    symmetric: int,
 ) -> str:
     """Return whether rows share counts as no sheet's do; ``values`` are the counts once more, as numbers."""
     chance, same, most, which, total = 0.0, 0, 0, 0.0, len(counts)
     crowded = max(1.0, total / N_ROWS)  # 208 rows are 104 read both ways
     for value in [value for value, times in Counter(values).items() if value and times > 1]:
         group = np.flatnonzero(counts == value)
-        many = _different(group, reference, symmetric * math.ceil(crowded))
+        many = _different(group, reference, SYMMETRIC * math.ceil(crowded))
         if len(group) >= 0.75 * total:
             chance = -math.inf
         elif many < 2:
@@ -150,19 +146,17 @@ def _different(rows: npt.NDArray[np.intp], reference: npt.NDArray[np.number] | N
 
 
 class Sameness:
-    """Counts frames of a capture that repeat another and rows that repeat the frame before; allocates little.
+    """Counts rows of a capture that repeat the frame before; allocates little.
 
     Args:
         rows: Of a frame.
     """
 
-    __slots__ = ("_before", "_hashes", "_repeats", "_same", "_squares", "taken")
+    __slots__ = ("_before", "_same", "_squares", "taken")
 
     def __init__(self, rows: int) -> None:
-        self.taken = self._repeats = 0
-        self._hashes: set[int] = set()
-        self._before = np.zeros(rows)
-        self._same, self._squares = np.zeros((2, rows))
+        self.taken = 0
+        self._before, self._same, self._squares = np.zeros((3, rows))
 
     def add(self, voltages: Array) -> None:
         """Take one frame, (rows,) V."""
@@ -171,28 +165,18 @@ class Sameness:
             self._same += voltages == self._before
             self._squares += (voltages - self._before) ** 2
         self._before[:] = voltages
-        seen = hash(voltages.tobytes())
-        self._repeats += seen in self._hashes
-        self._hashes.add(seen)
 
-    def faults(self, mean_V: Array, spread_V: Array, step_V: float, shared_V: Array | None = None) -> tuple[str, ...]:
+    def faults(self, mean_V: Array, step_V: float) -> tuple[str, ...]:
         """Return what of them no living front end reads.
 
         Args:
             mean_V: (rows,) V.
-            spread_V: (rows,) V, standard deviation of single frames.
             step_V: Of one count.
-            shared_V: (rows, k) V, the part of it that rows share; None for none.
         """
-        if len(self._hashes) == 1:
+        if self._same.min() == self.taken - 1:
             return (
                 f"all {self.taken} frames are the same bit by bit: the front end hangs, or it has no noise at all, as "
                 "only a simulation can",
-            )
-        if self._repeats and tells(own_counts(spread_V, shared_V, step_V)):
-            return (
-                f"{self._repeats} of {self.taken} frames repeat another bit by bit, which noise does not do: the "
-                "front end hangs now and then",
             )
         # Noise from one frame to the next. A row that hangs has none: what the others have counts, in V or as a share
         size, there = np.abs(mean_V), mean_V != 0.0
@@ -217,7 +201,7 @@ def front_end_faults(voltages: Array, step_V: float | None = None) -> tuple[str,
     sameness = Sameness(voltages.shape[1])
     for frame in voltages:
         sameness.add(frame)
-    faults = list(sameness.faults(voltages.mean(axis=0), voltages.std(axis=0), step_V))
+    faults = list(sameness.faults(voltages.mean(axis=0), step_V))
     found = [text for frame in np.rint(voltages / step_V) if (text := stuck(frame))]
     if found:
         faults.append(f"in {len(found)} of {len(voltages)} frames its converter or multiplexer is stuck: {found[-1]}")

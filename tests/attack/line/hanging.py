@@ -176,7 +176,7 @@ def _wrong(name: str, seen: Seen, patient_s: float, scale: float) -> list[str]:
     found = []
     if how == "revives" and (seen.error or seen.published < 5):
         found.append(f"did not come back: {seen.error}")
-    if how != "revives" and seen.published > (name == "frozen"):  # the first of equal frames is none yet
+    if how != "revives" and seen.published > 6 * (name == "frozen"):  # the first of equal frames are none yet
         found.append(f"{seen.published} published")
     if how != "revives" and not (case.ends in seen.error and bool(case.ends) == bool(seen.error)):
         found.append(f"ended with {seen.error or 'nothing'}")

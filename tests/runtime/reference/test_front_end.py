@@ -63,7 +63,7 @@ def test_a_reference_of_frames_that_are_all_the_same_is_refused_unless_forced(fr
 def test_a_front_end_that_hangs_now_and_then_or_in_some_rows_has_no_reference(frames, hello):
     hung = frames.copy()
     hung[30:35] = hung[29]
-    with pytest.raises(BadReference, match="5 of 50 frames repeat another"):
+    with pytest.raises(BadReference, match=r"rows .* repeat their reading"):
         captured(hung, hello)
     for since in (0, 30):
         hung = frames.copy()
