@@ -46,6 +46,7 @@ def test_phantoms_are_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--phantoms FILE is missing" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_panels_of_devices_show_what_an_untold_solver_would_see(tmp_path: Path) -> None:
     path = tmp_path / "rows.json"
     path.write_text(json.dumps([{"name": "soft", "border_mm": 4.0}, {"name": "gauge", "gauge_factor": 1.0}]))

@@ -18,6 +18,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(card, "parts", lambda path: ["contrast-50", "mismatch-2"])
 
 
+@pytest.mark.slow
 def test_the_card_goes_into_a_bundle_that_is_else_the_same(tmp_path, capsys):
     out = tmp_path / "with.eitskin"
     assert cli.main(["card", "free", *FEW, "--out", str(out), "--json"]) == 0

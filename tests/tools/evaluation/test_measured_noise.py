@@ -53,6 +53,7 @@ def test_noise_is_about_the_mean_of_each_shape_and_a_sample_alone_in_its_shape_h
     assert UntouchedSamples.of(changes[:7], shapes[:7], np.ones(7, dtype=bool)) is None
 
 
+@pytest.mark.slow
 def test_the_command_gives_p_of_untouched_samples(tmp_path, capsys):
     flat = flat_voltages()
     volts = flat * (1.0 + lab_noise(40))
