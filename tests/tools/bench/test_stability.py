@@ -34,8 +34,8 @@ def sheet():
 
 def test_what_the_stream_shows_is_what_the_pipeline_publishes(sheet):
     tally = Tally()
-    stream = Stream(load_bundle(default_path("units")), tally)
     case, _ = sheet
+    stream = Stream(load_bundle(default_path("units")), case.flat_reference, tally)
     image = stream.show(case)
     assert image is not None
     assert image.shape == (30, 45)

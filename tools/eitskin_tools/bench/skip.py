@@ -23,7 +23,7 @@ from eitskin.model.bundle import Bundle, load_bundle
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
-from eitskin_proto.wire.frames import Frame
+from eitskin_proto.wire.frames import Frame, full_scale, quantise
 from eitskin_proto.wire.messages import Hello
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
@@ -47,8 +47,10 @@ FRAMES_PER_TURN: Final = 10
 NOISE: Final = "N2"
 SNR_DB: Final = 50.0
 
-FULL_SCALE: Final = 2**23 - 1
-"""Counts of a 24-bit converter; the largest voltage takes an eighth of it, which a sheet never exceeds."""
+HEADROOM: Final = 8.0
+"""Full scale of the converters, relative to the largest voltage of the reference."""
+
+SAMPLE_BYTES: Final = 4
 
 REFERENCE_FRAMES: Final = 100
 
@@ -100,25 +102,22 @@ class Frames:
 
     Args:
         reference_V: (104,) V0.
-        rng: Source of the reference's noise.
+        spread_V: (104,) V by which single frames of the reference vary.
     """
 
-    def __init__(self, reference_V: Array, rng: np.random.Generator) -> None:
-        self._volts_per_count = 8.0 * float(np.abs(reference_V).max()) / FULL_SCALE
-        taken = noisy(reference_V, REFERENCE_FRAMES, reference_V, rng)
-        self.reference = Reference(
-            taken.mean(axis=0), taken.std(axis=0, ddof=1), REFERENCE_FRAMES, "BENCH", 0, "paper", ""
-        )
+    def __init__(self, reference_V: Array, spread_V: Array) -> None:
+        self._volts_per_count = HEADROOM * float(np.abs(reference_V).max()) / full_scale(SAMPLE_BYTES)
+        self.reference = Reference(reference_V, spread_V, REFERENCE_FRAMES, "BENCH", 0, "paper", "")
         self.hello = Hello(
             firmware_version=(1, 0, 0), hardware_id=1, serial_number="BENCH", configuration_digest=0, generation=0,
-            configuration_name="paper", rate_mHz=200_000, rows=len(reference_V), sample_bytes=4,
+            configuration_name="paper", rate_mHz=200_000, rows=len(reference_V), sample_bytes=SAMPLE_BYTES,
             volts_per_count=self._volts_per_count,
         )  # fmt: skip
 
     def payload(self, voltages: Array, sequence: int) -> bytes:
-        """Return the payload of one frame."""
-        counts = np.rint(voltages / self._volts_per_count).astype(np.int32)
-        return Frame(sequence=sequence, device_us=(sequence * 5000) % 2**32, counts=counts).pack()
+        """Return the payload of one frame; voltages beyond full scale are cut off and marked."""
+        counts, saturation = quantise(voltages, self._volts_per_count, SAMPLE_BYTES)
+        return Frame(sequence, (sequence * 5000) % 2**32, counts, saturation=saturation).pack()
 
     def pipeline(self, bundle: Bundle, *, skip_unchanged: bool = False) -> Pipeline:
         """Return a pipeline for the flat sheet's cloud, ready for frames."""
@@ -126,6 +125,11 @@ class Frames:
         pipeline.use_reference(self.reference)
         pipeline.start_with(GeometryGraph(bundle).geometry(None, None, 0))
         return pipeline
+
+
+def without_gate(bundle: Bundle) -> Bundle:
+    """Return a bundle that computes every frame."""
+    return replace(bundle, files={name: data for name, data in bundle.files.items() if name != "gate.npz"})
 
 
 def noisy(voltages: Array, times: int, reference_V: Array, rng: np.random.Generator) -> Array:
@@ -154,12 +158,13 @@ class Material:
         """Return it solved."""
         sheet = inverted_sheet(Bend())
         reference_V = sheet.untouched_V
+        taken = noisy(reference_V, REFERENCE_FRAMES, reference_V, rng)
         one = np.array([[RECTANGLE, 60.0, 50.0, 15.0, 15.0, 0.0, 50.0]])
         weak = np.array([[RECTANGLE, 100.0, 40.0, 10.0, 10.0, 0.0, CONTRAST]])
         one_V, two_V = set_voltages([sheet], gather([one, np.concatenate([one, weak])]))[0]
         bent_V = np.stack([inverted_sheet(bend).untouched_V for bend in draw("A", bends, SEED)])
         return cls(
-            Frames(reference_V, rng),
+            Frames(taken.mean(axis=0), taken.std(axis=0, ddof=1)),
             noisy(bent_V, max(each // bends, 1), reference_V, rng),
             noisy(one_V, each, reference_V, rng),
             noisy(two_V, each, reference_V, rng),
@@ -250,11 +255,9 @@ def costs(bundle: Bundle, shown: Material, count: int) -> dict[str, Any]:
 
 def untouched(bundle: Bundle, frames: Frames, bent_V: Array, touched_V: Array, count: int) -> dict[str, Any]:
     """Return the row of "nothing touched", beside what a touched frame costs."""
-    files = {name: data for name, data in bundle.files.items() if name != "gate.npz"}
-    without = replace(bundle, files=files)
     ways = {
         "with": FrameRunner(frames, frames.pipeline(bundle), bent_V),
-        "without": FrameRunner(frames, frames.pipeline(without), bent_V),
+        "without": FrameRunner(frames, frames.pipeline(without_gate(bundle)), bent_V),
         "touched": FrameRunner(frames, frames.pipeline(bundle), touched_V),
     }
     row = saving(interleaved(ways, count))

@@ -17,16 +17,11 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.health.monitor import health_of
 from eitskin.model.bundle import Bundle, default_path, load_bundle
 from eitskin.model.engine import engines
 from eitskin.model.geometry import GeometryGraph
-from eitskin.pipeline.frame_pipeline import Pipeline
-from eitskin.reference.captured import Reference
 from eitskin.reference.predicted import log_ratio
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_proto.wire.frames import Frame, full_scale, quantise
-from eitskin_proto.wire.messages import Hello
 from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.harness import Case, Sheet
 from eitskin_sim.evaluation.metrics import correlation
@@ -36,6 +31,7 @@ from eitskin_sim.measurement.noise import NOISES, Kind, add_noise, spread_of
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import flat_voltages
 from eitskin_tools.bench.harness import Row, report
+from eitskin_tools.bench.skip import Frames, without_gate
 from eitskin_tools.command_line import files
 
 Array = npt.NDArray[np.float64]
@@ -47,12 +43,6 @@ SNR_DB: Final = (80.0, 70.0, 60.0, 50.0, 45.0, 40.0, 35.0, 30.0, 25.0, 20.0)
 
 
 CLOUD_SEED: Final = 71_903
-
-SERIAL_NUMBER: Final = "STRESS-0001"
-SAMPLE_BYTES: Final = 4
-
-HEADROOM: Final = 8.0
-"""The converters' full scale, relative to the largest voltage of the reference."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     sheets = touched_sheets(
         "units" if bundle.labels == "units" else "area", 2 if quick else 8, element_size_mm=6.0 if quick else 3.0
     )
-    rows = noise_rows(Stream(bundle, tally), sheets, quick=quick)
+    rows = noise_rows(Stream(bundle, sheets[0][0].flat_reference, tally), sheets, quick=quick)
     summary = {
         "rows": len(rows), "broken": sum(row["breaks_at"] is not None for row in rows), **tally.summary(),
         "cpu_s": round(time.process_time() - start, 1),
@@ -141,71 +131,46 @@ class Stream:
 
     Args:
         bundle: The solvers.
+        flat_V: (104,) V of the flat, untouched sheet.
         tally: Counts what is published.
     """
 
-    def __init__(self, bundle: Bundle, tally: Tally) -> None:
-        without_gate = {name: data for name, data in bundle.files.items() if name != "gate.npz"}
-        self.bundle, self.tally = replace(bundle, files=without_gate), tally
-        self.pipeline = Pipeline(self.bundle, _hello(1e-9), health=health_of(self.bundle))
+    def __init__(self, bundle: Bundle, flat_V: Array, tally: Tally) -> None:
+        self.bundle, self.tally = without_gate(bundle), tally
+        self._frames = Frames(flat_V, np.zeros_like(flat_V))
+        self.pipeline = self._frames.pipeline(self.bundle)
         self._engines = {engine.name: engine for engine in engines(self.bundle, self.pipeline.buffers)}
         self._graph = GeometryGraph(self.bundle)
         self._sequence = 0
         self._sheet: Sheet | None = None
-        self._reference: Array = np.zeros(0)
-        self._volts_per_count = 0.0
 
     @property
     def engines(self) -> tuple[str, ...]:
         """The names that :meth:`show` takes, the most accurate first."""
         return tuple(self._engines)
 
-    def show(self, case: Case, engine: str = "vd2t", spread: Array | None = None) -> Array | None:
-        """Return the (rows, columns) map that is published of a case, None if the frame is withheld.
+    def use_spread(self, spread_V: Array) -> None:
+        """Take a reference whose single frames vary by (104,) V."""
+        self.pipeline.use_reference(replace(self._frames.reference, spread_V=spread_V))
 
-        Args:
-            case: Its voltages beyond full scale are cut off and marked.
-            engine: Which computes it.
-            spread: (104,) V by which single frames of the reference vary; None where they do not.
-        """
-        self._prepare(case, np.zeros_like(case.flat_reference) if spread is None else spread)
-        pipeline = self.pipeline
+    def show(self, case: Case, engine: str = "vd2t") -> Array | None:
+        """Return the (rows, columns) map that is published of a case, None if the frame is withheld."""
+        pipeline, skin = self.pipeline, self.bundle.skin
+        if case.sheet is not self._sheet:
+            uses_prediction = self.bundle.uses_prediction
+            predicted = log_ratio(case.sheet.predicted(), flat_voltages(skin)) if uses_prediction else None
+            pipeline.start_with(self._graph.geometry(case.sheet.cloud_mm, predicted, 0))
+            self._sheet = case.sheet
         pipeline.engines[0] = self._engines[engine]
-        counts, saturation = quantise(case.voltages, self._volts_per_count, SAMPLE_BYTES)
         self._sequence += 1
-        frame = Frame(self._sequence, self._sequence * 5000 % (1 << 32), counts, saturation=saturation)
         before = Counter(pipeline.intake.withheld)
-        if not (pipeline.accept(frame.pack(), time.perf_counter_ns()) and pipeline.compute(True)):
+        payload = self._frames.payload(case.voltages, self._sequence)
+        if not (pipeline.accept(payload, time.perf_counter_ns()) and pipeline.compute(True)):
             self.tally.withheld += Counter(pipeline.intake.withheld) - before
             return None
-        image = np.frombuffer(pipeline.record.map, dtype=np.float32).reshape(self.bundle.skin.grid.shape)
+        image = np.frombuffer(pipeline.record.map, dtype=np.float32).reshape(skin.grid.shape)
         self.tally.count(image)
         return image.astype(np.float64)
-
-    def _prepare(self, case: Case, spread: Array) -> None:
-        """Give the pipeline the case's scale, reference and cloud, where they changed."""
-        flat = case.flat_reference
-        volts_per_count = HEADROOM * float(np.abs(flat).max()) / full_scale(SAMPLE_BYTES)
-        if volts_per_count != self._volts_per_count:
-            self.pipeline.greet(_hello(volts_per_count))
-            self._volts_per_count = volts_per_count
-        reference = np.stack([flat, spread])
-        if not np.array_equal(reference, self._reference):
-            self.pipeline.use_reference(Reference(flat, spread, 100, SERIAL_NUMBER, 0, "stress", ""))
-            self._reference = reference
-        if case.sheet is not self._sheet:
-            uses_prediction, skin = self.bundle.uses_prediction, self.bundle.skin
-            predicted = log_ratio(case.sheet.predicted(), flat_voltages(skin)) if uses_prediction else None
-            self.pipeline.start_with(self._graph.geometry(case.sheet.cloud_mm, predicted, 0))
-            self._sheet = case.sheet
-
-
-def _hello(volts_per_count: float) -> Hello:
-    return Hello(
-        firmware_version=(1, 0, 0), hardware_id=1, serial_number=SERIAL_NUMBER, configuration_digest=0, generation=0,
-        configuration_name="stress", rate_mHz=200_000, rows=N_ROWS, sample_bytes=SAMPLE_BYTES,
-        volts_per_count=volts_per_count,
-    )  # fmt: skip
 
 
 def short(value: float | None) -> float | None:
@@ -238,6 +203,7 @@ def noise_rows(stream: Stream, sheets: Sequence[TouchedSheet], *, quick: bool) -
     rows = []
     for kind in NOISES:
         for engine in stream.engines:
+            stream.use_spread(np.zeros(N_ROWS))
             calm = float(np.mean([_cc(stream.show(case, engine), truth) for case, truth in sheets]))
             accuracy = [_noisy_cc(stream, sheets, engine, kind, snr_db, draws) for snr_db in levels]
             degraded, broken = (crossing(levels, accuracy, share * calm) for share in (0.9, 0.5))
@@ -252,18 +218,14 @@ def noise_rows(stream: Stream, sheets: Sequence[TouchedSheet], *, quick: bool) -
 def _noisy_cc(
     stream: Stream, sheets: Sequence[TouchedSheet], engine: str, kind: Kind, snr_db: float, draws: int
 ) -> float:
+    flat_V = sheets[0][0].flat_reference
+    stream.use_spread(spread_of(flat_V, kind, snr_db))
     found = []
     for number, (case, truth) in enumerate(sheets):
-        spread = spread_of(case.flat_reference, kind, snr_db)
         for draw in range(draws):
-            shown = noisy(case, kind, snr_db, np.random.default_rng([draw, number]))
-            found.append(_cc(stream.show(shown, engine, spread), truth))
+            volts = add_noise(case.voltages, flat_V, kind, snr_db, np.random.default_rng([draw, number]))
+            found.append(_cc(stream.show(replace(case, voltages=volts), engine), truth))
     return float(np.mean(found))
-
-
-def noisy(case: Case, kind: Kind, snr_db: float, rng: np.random.Generator) -> Case:
-    """Return a case with noise."""
-    return replace(case, voltages=add_noise(case.voltages, case.flat_reference, kind, snr_db, rng))
 
 
 def _cc(image: Array | None, truth: Array) -> float:

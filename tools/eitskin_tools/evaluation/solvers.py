@@ -352,10 +352,6 @@ def judge_of(bundle: Bundle | None) -> Callable[[Array, Array], bool]:
     return touched
 
 
-BINS: Final = (0.1, 0.5, 0.9)
-"""Heights with which an untouched sheet's peak is compared."""
-
-
 def touched_trial(
     phantoms: list[Phantom], each: int, request: Request, conditions: Conditions, progress: Progress | None
 ) -> dict[str, Any]:
@@ -382,7 +378,13 @@ def untouched_trial(
     touches: TouchKind = "lower" if conditions.skin.touch_kind == "lower" else "raise"
     solver = named(request, labels, conditions.skin, touches, conditions)
     peaks: list[float] = []
-    run = Run(_keeping_peaks(solver.run.solver, peaks), solver.run.reference)
+
+    def solve(case: Case) -> npt.NDArray[np.float64]:
+        image = solver.run.solver(case)
+        peaks.append(float(image.max()))
+        return image
+
+    run = Run(solve, solver.run.reference)
     evaluate_all(trials.untouched(deformations, family, labels, conditions.skin, seed), [run], conditions, progress)
     found = np.array(peaks)
     return {
@@ -391,20 +393,8 @@ def untouched_trial(
         "peak": float(found.max()),
         "peak_mean": float(found.mean()),
         "ghost_share": float(np.mean(found >= TOUCHED)),
-        "peak_over": {f"{level:g}": float(np.mean(found >= level)) for level in BINS},
         "worst_deformation": int(np.argmax(found)) // conditions.seeds,
     }
-
-
-def _keeping_peaks(
-    solver: Callable[[Case], npt.NDArray[np.float64]], peaks: list[float]
-) -> Callable[[Case], npt.NDArray[np.float64]]:
-    def solve(case: Case) -> npt.NDArray[np.float64]:
-        image = solver(case)
-        peaks.append(float(image.max()))
-        return image
-
-    return solve
 
 
 def _head(request: Request, conditions: Conditions, solver: Any) -> dict[str, Any]:
