@@ -20,9 +20,8 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.harness import Case, Run, Sheet
-from eitskin_sim.evaluation.metrics import Score, lost_mm, score
+from eitskin_sim.evaluation.metrics import MAX_MATCH_DISTANCE_MM, Score, lost_mm, score
 from eitskin_sim.evaluation.mismatch import IDEAL
-from eitskin_sim.evaluation.near import MAX_MATCH_DISTANCE_MM
 from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.measurement.consistency import RowImputation
 from eitskin_sim.measurement.noise import NOISES, add_noise

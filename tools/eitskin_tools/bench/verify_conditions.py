@@ -15,6 +15,7 @@ import numpy.typing as npt
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.device import Device, draw_device
+from eitskin_sim.evaluation.device_runs import PRESS_BORDER_MM, PRESS_MM, SINGLE_MM
 from eitskin_sim.evaluation.mismatch import IDEAL, LAB, Mismatch
 from eitskin_sim.evaluation.trials import TouchProfile
 from eitskin_sim.fem.solve import solve_scene
@@ -39,20 +40,11 @@ SEED: Final = 61_007
 UNIT_COUNTS: Final = (1, 6)
 """Least and most touched units of a map."""
 
-SINGLE_MM: Final = 10.0
-"""Side of a single touch."""
-
 FAMILIES: Final[tuple[Family, ...]] = ("A", "B")
 """Of deformations."""
 
 LARGE_GENTLE_TOUCHES: Final = ((3.0, 16.0), (2.0, 16.0), (2.0, 20.0))
 """Contrasts and sides of gentle touches that are larger than a network of hard ones shows them."""
-
-PRESS_MM: Final = 16.0
-"""Diameter of a press."""
-
-PRESS_BORDER_MM: Final = 4.0
-"""Of its graded border."""
 
 ACROSS_SEED: Final = 61_017
 """Names the touches' places, sizes and angles."""

@@ -134,13 +134,7 @@ def _touches(contrast: float, deformations: int, each: int, skin: Skin) -> list[
     """Return phantoms of one touch of a contrast: a hard square, or by turns a soft square and a soft disc."""
     if contrast > 1.0:
         return trials.single(runs.SINGLE_MM, deformations, each, "A", trials.TouchProfile(contrast), skin)
-    square, disc = (
-        trials.single(
-            runs.PRESS_MM, deformations, each, "A", trials.TouchProfile(contrast, runs.PRESS_BORDER_MM, round_), skin
-        )
-        for round_ in (False, True)
-    )
-    return [two[number % 2] for number, two in enumerate(zip(square, disc, strict=True))]
+    return list(runs.presses(contrast, deformations, each, skin))
 
 
 def _rows(rows: list[Row], kinds: list[runs.Trial], bundle: Bundle, draws: int) -> list[dict[str, Any]]:

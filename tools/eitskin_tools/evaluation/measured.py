@@ -20,8 +20,7 @@ from eitskin_proto.files.plain import plain
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.harness import Case, Reference, Sheet
-from eitskin_sim.evaluation.metrics import correlation, localisation_error_mm
-from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
+from eitskin_sim.evaluation.metrics import correlation, distances_mm, localisation_error_mm, missed_and_rms
 from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_tools.evaluation.measured_file import UNTOUCHED, Measured
 from eitskin_tools.evaluation.printed import cell

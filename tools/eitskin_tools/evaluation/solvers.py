@@ -6,7 +6,7 @@ forward model from the measured cloud, against the same model's flat sheet. It t
 touches match the phantoms, unless one is named.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -283,19 +283,8 @@ def evaluate_requests(
     for request, (by_group, results) in zip(
         requests, evaluate_named(phantoms, requests, conditions, progress), strict=True
     ):
-        first = next(iter(by_group.values()))
-        ids = sorted({one.bundle_id for one in by_group.values() if one.bundle_id})
-        extra = {
-            "snr_db": conditions.snr_db,
-            "reference": first.run.reference,
-            "prediction": first.prediction,
-            "seeds": conditions.seeds,
-            "shift_px": conditions.shift_px,
-            "cloud": conditions.cloud,
-            "bundles": ids,
-            "skin_digest": conditions.skin.digest,
-        }
-        found.append({**report(request.name, conditions.noise, results), **extra})
+        head = _head(request, conditions, by_group.values())
+        found.append({**report(request.name, conditions.noise, results), **head})
         if (checked := verdicts_of(phantoms, by_group, conditions.seeds)) is not None:
             from eitskin_tools.evaluation.verified.solver import add_verdicts
 
@@ -357,7 +346,7 @@ def touched_trial(
 ) -> dict[str, Any]:
     """Return the summary of one solver on drawn phantoms, ``each`` of them at a deformation."""
     ((solvers, results),) = evaluate_named(phantoms, [request], conditions, progress)
-    found = {**_head(request, conditions, next(iter(solvers.values()))), **summary(results, each, conditions.skin.grid)}
+    found = {**_head(request, conditions, solvers.values()), **summary(results, each, conditions.skin.grid)}
     if (checked := verdicts_of(phantoms, solvers, conditions.seeds)) is not None:
         from eitskin_tools.evaluation.verified.solver import summary_of
 
@@ -388,7 +377,7 @@ def untouched_trial(
     evaluate_all(trials.untouched(deformations, family, labels, conditions.skin, seed), [run], conditions, progress)
     found = np.array(peaks)
     return {
-        **_head(request, conditions, solver),
+        **_head(request, conditions, [solver]),
         "maps": len(found),
         "peak": float(found.max()),
         "peak_mean": float(found.mean()),
@@ -397,15 +386,17 @@ def untouched_trial(
     }
 
 
-def _head(request: Request, conditions: Conditions, solver: Any) -> dict[str, Any]:
+def _head(request: Request, conditions: Conditions, solvers: Collection[Named]) -> dict[str, Any]:
+    first = next(iter(solvers))
     return {
         "solver": request.name,
         "noise": conditions.noise,
         "snr_db": conditions.snr_db,
         "seeds": conditions.seeds,
+        "shift_px": conditions.shift_px,
         "cloud": conditions.cloud,
-        "reference": solver.run.reference,
-        "prediction": solver.prediction,
-        "bundles": [solver.bundle_id] if solver.bundle_id else [],
+        "reference": first.run.reference,
+        "prediction": first.prediction,
+        "bundles": sorted({one.bundle_id for one in solvers if one.bundle_id}),
         "skin_digest": conditions.skin.digest,
     }

@@ -119,16 +119,6 @@ def still(
     return Script(name, float("inf"), (0.0, flat_s, flat_s + 1.0), at, skin)
 
 
-def from_scene(path: str | Path, skin: Skin = PAPER) -> Script:
-    """Return a script that holds the scene of a JSON file.
-
-    Raises:
-        SceneError: The file is no valid scene.
-        OSError: The file cannot be read.
-    """
-    return still(load_scene(path, skin), Path(path).name, skin=skin)
-
-
 def script_of(scene: str | Path | None, skin: Skin = PAPER) -> Script:
     """Return the script that holds a scene's file, or the demonstration's.
 
@@ -136,7 +126,9 @@ def script_of(scene: str | Path | None, skin: Skin = PAPER) -> Script:
         SceneError: The file is no valid scene.
         OSError: The file cannot be read.
     """
-    return demonstration(skin) if scene is None else from_scene(scene, skin)
+    if scene is None:
+        return demonstration(skin)
+    return still(load_scene(scene, skin), Path(scene).name, skin=skin)
 
 
 QUIETLY_SOLVED_MOMENTS: Final = 20

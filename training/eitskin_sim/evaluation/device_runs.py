@@ -25,9 +25,8 @@ from eitskin_sim.arrays import Array
 from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.device import DRAW_SEED, Device, draw_device
 from eitskin_sim.evaluation.harness import Case, Reference, Run, Sheet
-from eitskin_sim.evaluation.metrics import correlation
+from eitskin_sim.evaluation.metrics import correlation, distances_mm, missed_and_rms
 from eitskin_sim.evaluation.mismatch import Mismatch, Row, deviations, random_mismatch
-from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
 from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.fem.solve import factorise_scene, solve_scene
 from eitskin_sim.measurement.faults import response_of
@@ -113,15 +112,17 @@ def drawn_trials(deformations: int, each: int, skin: Skin = PAPER) -> list[Trial
     """Return the trials whose deformations and places are drawn, on any skin."""
     found = [Trial("single", tuple(trials.single(SINGLE_MM, deformations, each, skin=skin)))]
     for name, contrast in (("press04", 0.4), ("press06", 0.6)):
-        square, disc = (
-            trials.single(
-                PRESS_MM, deformations, each, "A", trials.TouchProfile(contrast, PRESS_BORDER_MM, round_), skin
-            )
-            for round_ in (False, True)
-        )
-        mixed = tuple(two[number % 2] for number, two in enumerate(zip(square, disc, strict=True)))
-        found.append(Trial(name, mixed, lowering=True))
+        found.append(Trial(name, presses(contrast, deformations, each, skin), lowering=True))
     return found
+
+
+def presses(contrast: float, deformations: int, each: int, skin: Skin = PAPER) -> tuple[Phantom, ...]:
+    """Return phantoms of one press of a contrast, by turns a soft square and a soft disc."""
+    square, disc = (
+        trials.single(PRESS_MM, deformations, each, "A", trials.TouchProfile(contrast, PRESS_BORDER_MM, round_), skin)
+        for round_ in (False, True)
+    )
+    return tuple(two[number % 2] for number, two in enumerate(zip(square, disc, strict=True)))
 
 
 def sets_of_touches(labels: Literal["units", "area"], deformations: int, each: int, skin: Skin) -> tuple[Phantom, ...]:

@@ -40,6 +40,9 @@ from eitskin_sim.arrays import Array
 TOUCHED: Final = 0.5
 """A pixel or unit at or above this is touched."""
 
+MAX_MATCH_DISTANCE_MM: Final = 15.0
+"""A touch is missed if none is found this near to it."""
+
 PSNR_CAP_DB: Final = 120.0
 """The PSNR of a perfect map: a mean square error of 1e-12."""
 
@@ -157,6 +160,19 @@ def localisation_error_mm(
         return lost_mm(grid)
     distance = cdist(true, found)
     return float(0.5 * (distance.min(axis=1).mean() + distance.min(axis=0).mean()))
+
+
+def distances_mm(image: Array, truth: Array, grid: Grid = PAPER.grid) -> Array:
+    """Return (true touches,) mm from each to the nearest that a map shows; infinite where it shows none."""
+    true, found = touch_centres_mm(truth, grid, truth_level(truth)), touch_centres_mm(image, grid)
+    return np.asarray(cdist(true, found).min(axis=1) if len(found) else np.full(len(true), np.inf))
+
+
+def missed_and_rms(distance_mm: Array) -> tuple[float | None, float | None]:
+    """Return the share of touches that are missed, and the root mean square distance of the others; None for none."""
+    near = distance_mm[distance_mm <= MAX_MATCH_DISTANCE_MM]
+    missed = float(np.mean(distance_mm > MAX_MATCH_DISTANCE_MM)) if distance_mm.size else None
+    return missed, float(np.sqrt(np.mean(near**2))) if near.size else None
 
 
 def is_exact(
