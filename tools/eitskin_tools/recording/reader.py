@@ -35,8 +35,9 @@ LARGEST_CHUNK: Final = 8 << 20
 LARGEST_TEXT: Final = 1 << 20
 """Bounds in bytes on what is read: a chunk, packed or not, has about a megabyte; a reference has 10 kB."""
 
-MOST_PACKED: Final = 100
-"""Times that a chunk may be larger than packed; those of a skin are 3 to 5 times larger."""
+MOST_PACKED: Final = 500
+"""Times that a chunk may be larger than packed; those of a skin are 3 to 5 times larger, and 160 times if they consist
+of pictures of an untouched sheet."""
 
 MOST_RECORDS: Final = 20_000
 """Records in a chunk; a quarter of a second has a thousand."""
