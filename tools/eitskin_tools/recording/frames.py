@@ -17,7 +17,6 @@ from eitskin.messaging.frame import COUNTS, MAX_TEXT, MAX_TEXTS, Frame
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import default_solver
 from eitskin.model.taught import TaughtFinder
-from eitskin.touches.surface import Surface
 from eitskin.touches.touch import LAYOUT, unpack_touches
 from eitskin.touches.watch import TouchWatch
 from eitskin_tools.recording.reinfer import NO_SOLVER, ComputedFrame, Rerun
@@ -38,7 +37,6 @@ class RecordedFrames:
     def __init__(self, script: Script, bundle: Bundle) -> None:
         self._script, self._grid = script, bundle.skin.grid
         self._rerun = Rerun(script, bundle)
-        self._flat = Surface(self._grid.flat_cloud_mm(), self._grid)
         self._nothing = np.zeros(self._grid.shape, dtype=np.float32)
         self._solver = default_solver(bundle)
         self._blank = blank(script, self._nothing)
@@ -60,12 +58,10 @@ class RecordedFrames:
             SkinError: Reference or cloud cannot be used with the bundle.
             OSError: The file cannot be read any more.
         """
-        surface, cloud = self._flat, 0
-        kept, shown = self._nothing, -1
+        cloud, kept, shown = 0, self._nothing, -1
         for step in map(self._with_map, self._script.part(from_s, to_s)):
             frame = step.frame
-            if step.cloud is not None:
-                cloud, surface = step.cloud.revision, Surface(step.cloud.cloud, self._grid)
+            cloud = cloud if step.cloud is None else step.cloud.revision
             stands = self._rerun.as_recorded and frame.map_seq == shown
             found = self._rerun.compute(step, every=not stands)
             if found is None or frame.seq is None:
@@ -75,9 +71,8 @@ class RecordedFrames:
             if has_map and not stands:  # it stays while frames go out without one: a later one may have it
                 kept, shown = found.map, frame.seq if frame.map_seq is None else frame.map_seq
             values = kept if has_map else self._nothing
-            listed = watch.update(
-                values.ravel().astype(float) if has_map else None, shown, surface, frame.device_us or 0
-            )
+            flat = values.ravel().astype(float) if has_map else None
+            listed = watch.update(flat, shown, self._rerun.surface, frame.device_us or 0)
             touches = unpack_touches(listed[0], LAYOUT.size, *listed[1:])
             told = published(step, found, self._script.first_ns)
             yield step, replace(self._blank, **told, map=values, cloud=cloud, touch_list=touches)

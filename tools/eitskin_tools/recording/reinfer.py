@@ -29,6 +29,7 @@ from eitskin.model.geometry import GeometryGraph
 from eitskin.model.taught import TaughtField
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.recorded import RecordedHealth
+from eitskin.touches.surface import Surface
 from eitskin_proto.files.arrays import save_arrays
 from eitskin_proto.files.writing import replacing
 from eitskin_tools.pictures import draw_map, save
@@ -146,6 +147,11 @@ class Rerun:
     def field(self) -> TaughtField | None:
         """What finds touches that were learned from presses; None in other bundles."""
         return self._pipeline.field
+
+    @property
+    def surface(self) -> Surface:
+        """The surface in use."""
+        return self._pipeline.buffers.surface
 
     @property
     def change(self) -> npt.NDArray[np.float32]:
