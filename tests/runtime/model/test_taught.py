@@ -65,15 +65,6 @@ def test_untouched_frames_are_untouched_and_the_map_peaks_at_the_touch():
     assert not out[:45].any()
 
 
-def test_two_touches_are_found_as_two():
-    field = TaughtField([arrays()], GRID)
-    frame(field, [(35.0, 50.0), (115.0, 50.0)])
-    assert field.touched()
-    found = sorted(field.touches(), key=lambda touch: touch.x_mm)
-    assert len(found) == 2
-    np.testing.assert_allclose([[one.x_mm, one.y_mm] for one in found], [[35.0, 50.0], [115.0, 50.0]], atol=8.0)
-
-
 def test_the_baseline_follows_drift_while_untouched_and_stays_under_a_held_press():
     field = TaughtField([arrays()], GRID)
     drifts = np.linspace(0.0, 10.0, 100 * FOLLOW_FRAMES)  # at once this would be a touch
