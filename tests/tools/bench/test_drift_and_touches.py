@@ -13,6 +13,8 @@ from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Disc
 
+pytestmark = pytest.mark.slow
+
 ELEMENT_MM = 6.0
 BENDS = (Bend(), Bend(angle_deg=60.0))
 
@@ -84,7 +86,6 @@ def share_taken_out(consistency, logs, noise, looks, rng):
     return float(np.sqrt(np.mean((drift.resting.drift - before) ** 2) / np.mean(logs**2)))
 
 
-@pytest.mark.slow
 def test_a_touch_held_for_an_hour_is_not_learned_at_any_noise(touches, consistency):
     rng = np.random.default_rng(0)
     for noise, most in ((0.0032, 0.05), (0.035, 0.15)):  # 50 and 29 dB

@@ -96,6 +96,7 @@ def test_a_row_that_is_off_is_named_and_the_best_sheet_is_written(recorded, caps
     assert load(out).calibrated_from == STATED.digest
 
 
+@pytest.mark.slow
 def test_an_offset_larger_than_most_rows_is_found(recorded, device):
     with np.load(recorded / "r.npz") as file:
         volts = file["reference_V"].copy()

@@ -42,7 +42,9 @@ def test_rows_off_by_one_are_named_before_any_object(tmp_path, frames, capsys):
     assert capsys.readouterr().out.startswith("wiring: the rows are not in the stated order: readings come 1 row late")
 
 
-@pytest.mark.parametrize("solver", ["tikhonov", "l1", "sbl"])
+@pytest.mark.parametrize(
+    "solver", ["tikhonov", *(pytest.param(name, marks=pytest.mark.slow) for name in ("l1", "sbl"))]
+)
 def test_every_solver_finds_either_sign_and_common_drift_changes_nothing(tmp_path, capsys, solver):
     arrays = {}
     for common in (0.0, 0.02):
