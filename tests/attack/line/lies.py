@@ -27,7 +27,7 @@ LONGEST = 100
 SAID_WITHIN = 50
 """... and of those that repeat, how many may be published before it is known."""
 
-ALIKE = ("full scale", "one count", "nothing", "half of the rows", "a drive's rows", "a drive again", "drives stuck",
+ALIKE = ("full scale", "one count", "nothing", "half of the rows", "a drive's rows", "drives stuck",
          "measurements stuck", "all turned", "half turned", "a drive turned")  # fmt: skip
 REPEATED = {"frozen": (1, 104), "half frozen": (1, 52), "most frozen": (1, 100), "a ring": (64, 104)}
 """Frames that come round, and rows of them; the others live."""
@@ -56,12 +56,6 @@ def alike(what: str, counts: Counts, sample_bytes: int, rng: np.random.Generator
             found[rng.choice(104, 52, replace=False)] = some
         case "a drive's rows":
             found[TABLE[:, 0] == rng.integers(0, 7 if sample_bytes > 2 else 6)] = some  # nine rows and more, or seven
-        case "a drive again":  # its buffer is sent for another drive as well
-            first, second = (int(one) for one in rng.choice(4, 2, replace=False))
-            rows = np.flatnonzero(TABLE[:, 0] == first)
-            others = np.flatnonzero(TABLE[:, 0] == second)
-            count = min(len(rows), len(others))
-            found[others[:count]] = found[rows[:count]]
         case "all turned":
             found = -found
         case "half turned":
@@ -86,8 +80,6 @@ def lies(effort: Effort) -> Outcome:
             sheet = Sheet(seed, kind, snr_db, sample_bytes)
             judge = Judge(sheet)
             for what in (*ALIKE, *REPEATED):
-                if what == "a drive again" and sample_bytes == 2:
-                    continue  # among 65,536 counts a dozen pairs of rows read the same by chance
                 published = sum(_told(judge, what))
                 allowed = SAID_WITHIN if what in REPEATED else 0
                 slowest[what] = max(slowest.get(what, 0), published)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.health.monitor import MOST_HANGING, health_of
+from eitskin.health.monitor import health_of
 from eitskin.model.bundle import load_bundle
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
@@ -85,16 +85,6 @@ def test_rows_that_hang_are_named_and_filled_in_until_they_move(hello, rows):
     _, events = show(pipeline, frames[60:], 100)
     assert any(event.startswith("rows:") and event.endswith(":back") for event in events)
     assert not pipeline.health.lacks_rows
-
-
-def test_with_too_many_rows_that_hang_every_frame_is_withheld(hello):
-    pipeline, counts = watched(load_bundle(), hello)
-    show(pipeline, living(counts, 20))
-    frames = living(counts, 60, 1)
-    frames[:, : MOST_HANGING + 20] = frames[0, : MOST_HANGING + 20]
-    seen, _ = show(pipeline, frames, 21)
-    assert not any(seen[10:])
-    assert pipeline.intake.withheld["frozen"] >= 50
 
 
 @pytest.mark.parametrize("level", [0.2, 1.0, 3.0])
