@@ -6,6 +6,7 @@ import pytest
 from eitskin.errors import BadReference
 from eitskin.reference.builder import MOST_UNFIT, ReferenceBuilder
 from eitskin.reference.front_end import MAX_CUT_OFF, stuck
+from eitskin.reference.repeats import Repeats
 from eitskin_proto.sensor.table import TABLE
 
 FULL_SCALE = 2**23 - 1
@@ -94,3 +95,22 @@ def test_frames_that_are_not_fit_end_a_capture_with_what_was_wrong():
         builder.leave_out("rows are cut off")
     with pytest.raises(BadReference, match=r"200 frames could not be used.*because rows are cut off"):
         builder.leave_out("rows are cut off")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("own", "level", "shared"), [
+    (3e-3, 0.0, 0.0), (0.0, 30.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.3, 0.0), (3e-5, 1.0, 3e-3), (1e-4, 0.0, 0.0),
+])  # fmt: skip
+def test_of_720_000_honest_frames_that_drift_none_hangs(own, level, shared):
+    seed, each, size = 5, 120_000, np.geomspace(1.6e4, 33.0, 104)
+    print(f"seed {seed}")
+    rng, watch, blamed = np.random.default_rng(seed), Repeats(104), 0
+    for first in range(0, each, 4000):
+        at = (first + np.arange(4000.0))[:, None]
+        drift = 0.03 * np.sin(at / 30_000.0) + 0.005 * np.sin(at / 50_000.0 + np.arange(104.0))
+        noise = own * rng.standard_normal((4000, 104)) + shared * rng.standard_normal((4000, 1))
+        frames = np.rint(size * (1.0 + drift + noise) + level * rng.standard_normal((4000, 104)))
+        if not first:
+            watch.use_reference(size, frames[:100].std(axis=0), 32_767.0)
+        blamed += sum(watch.add(frame) and (watch.is_old(frame, 0, 1) or watch.hanging.any()) for frame in frames)
+    assert blamed == 0
