@@ -173,7 +173,7 @@ powercut fuzz hotplug: $(VENV)/.dev system-packages
 
 # ATTACK names what is passed on, such as `make attack ATTACK="--only connections --seed 7"`.
 attack: $(VENV)/.dev system-packages
-	$(BIN)/python -m tests.attack $(ATTACK)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.attack $(ATTACK)
 
 SECONDS ?= 1200
 soak: $(VENV)/.dev system-packages

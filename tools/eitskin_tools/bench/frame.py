@@ -41,8 +41,6 @@ RATES_HZ: Final = (200.0, 1000.0)
 WARM_CALLS: Final = 30
 """Calls of one variant back to back, before the next has its turn."""
 
-MAX_STREAMS: Final = 16
-"""Subscribers to what was measured."""
 
 LINE_FRAMES: Final = 1000
 """Most frames of the bare line, before a stream and behind it."""
@@ -61,23 +59,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="frames a second (default: 200 and 1000); may be repeated",
     )
     parser.add_argument("--solver", metavar="NAME", help="most accurate solver of the stream, as for 'eitskin run'")
-    parser.add_argument("--streams", type=int, default=0, metavar="N", help="add N subscribers to measured voltages")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
-    if not 0 <= arguments.streams <= MAX_STREAMS:
-        raise UsageError(f"--streams is {arguments.streams}, expected 0 to {MAX_STREAMS}")
     if arguments.frames < 100 or arguments.calls < 10:
         raise UsageError("--frames must be at least 100 and --calls at least 10: percentiles need values")
     rates = arguments.rate or RATES_HZ
-    streams = {
-        f"{rate:g}": stream(
-            rate, arguments.frames, arguments.bundle, solver=arguments.solver, streams=arguments.streams
-        )
-        for rate in rates
-    }  # fmt: skip
+    streams = {f"{rate:g}": stream(rate, arguments.frames, arguments.bundle, solver=arguments.solver) for rate in rates}
     first = next(iter(streams.values()))
     found = {**first, "streams": streams, **inference(arguments.bundle, arguments.calls), "machine": machine()}
     if arguments.json:
@@ -103,7 +93,6 @@ def stream(
     bundle: Path | None,
     *,
     solver: str | None = None,
-    streams: int = 0,
 ) -> dict[str, Any]:
     """Return the timing of a stream at one rate, and of the bare line before and behind it.
 
@@ -112,12 +101,11 @@ def stream(
         frames: How many.
         bundle: To run; None for the shipped one.
         solver: The most accurate one to use; None for the bundle's own choice.
-        streams: Subscribers to what was measured, beside the one to frames.
     """
     say("frame", f"{frames} frames at {rate_hz:g} frames/s")
     bare = [floor_ns(rate_hz, min(frames, LINE_FRAMES))]
     seconds = frames / rate_hz
-    result = streamed(Options(seconds, rate_hz, bundle, solver, clouds=False, streams=streams))
+    result = streamed(Options(seconds, rate_hz, bundle, solver, clouds=False))
     bare.append(floor_ns(rate_hz, min(frames, LINE_FRAMES)))
     names = ("cpu_us_per_frame", "behind_us", "left_us", "skipped", "solvers", "withheld")
     runtime = {name: result.runtime.get(name) for name in names}

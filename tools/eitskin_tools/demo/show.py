@@ -76,8 +76,6 @@ class Options:
     """Say on standard error how far it is."""
     clouds: bool = True
     """Send clouds while the sheet bends."""
-    streams: int = 0
-    """Subscribers to what was measured, beside the one to frames."""
     view: bool = False
     """Serve the page of ``eitskin view`` meanwhile, and say where."""
     touches: TouchKind = "raise"
@@ -218,8 +216,6 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
         [publish, str(folder / "record.npz"), f"--seconds={options.seconds}", f"--capacity={capacity}"], folder,
     )  # fmt: skip
     children.append(subscriber)
-    listener = "eitskin_tools.demo.listener"
-    children += [Child("listener", listener, [publish], folder) for _ in range(options.streams)]
     if options.clouds:
         children.append(_scanner(options, control, folder, scene + sheet))
     runtime.line(runtime.err, "ready ", READY_S, children)
