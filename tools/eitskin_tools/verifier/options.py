@@ -104,10 +104,15 @@ def verifying(
         skin: Open.
         publisher: Bound.
         arguments: Of the command line, checked.
+
+    Raises:
+        UsageError: The skin is a disc.
     """
     if arguments.verify == "off":
         yield None
         return
+    if skin.pipeline.skin.outline.kind == "disc":
+        raise UsageError("--verify needs a rectangle: no touches are modelled on a disc; leave it out")
     from eitskin_tools.verifier.child import Placement, VerifierProcess
     from eitskin_tools.verifier.feed import VerifierFeed
     from eitskin_tools.verifier.letters import BUDGET_S

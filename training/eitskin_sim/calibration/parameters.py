@@ -108,14 +108,8 @@ class Parameters:
         self.count = int(stops[-1])
         self._skin = skin
 
-    def values(self, name: str, z: Array, default: float = 0.0) -> Array:
-        """Return a group's values; a group that is not there has its stated ones.
-
-        Args:
-            name: Of the group.
-            z: (count,)
-            default: Where the skin has no such number.
-        """
+    def values(self, name: str, z: Array) -> Array:
+        """Return a group's values at z (count,); a group that is not there has its stated ones, or zeros."""
         if name in self.groups:
             return self.groups[name].values(z[self.slices[name]])
         for part in (self._skin.electrodes, self._skin.layer, self._skin.front_end, self._skin.may_be_off):
@@ -123,7 +117,7 @@ class Parameters:
             if isinstance(quantity, Quantity):
                 each = N_ELECTRODES if part is self._skin.electrodes or name in ("gain", "offset_V", "stray_pF") else 2
                 return quantity.nominal(each)
-        return np.full(N_ELECTRODES, default)
+        return np.zeros(N_ELECTRODES)
 
     def inside(self, z: Array) -> Array:
         """Return the nearest (count,) parameters whose electrodes have room.

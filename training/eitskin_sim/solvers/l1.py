@@ -27,7 +27,6 @@ def l1_image(
     factor: float = FACTOR,
     upper: float = np.inf,
     iterations: int = ITERATIONS,
-    lipschitz: float | None = None,
 ) -> Array:
     """Return the (n,) non-negative, sparse minimiser.
 
@@ -37,14 +36,13 @@ def l1_image(
         factor: Regularisation, relative to max |A^T d|: at 1 the image is empty.
         upper: Largest value of a cell.
         iterations: Steps.
-        lipschitz: Largest squared singular value of A, if it is known.
 
     Raises:
         ValueError: The factor is negative, or the upper bound not positive.
     """
     if not factor >= 0.0 or not upper > 0.0:
         raise ValueError(f"factor must be at least 0 and upper above 0, found {factor} and {upper}")
-    step = 1.0 / (float(np.linalg.norm(operator @ operator.T, 2)) if lipschitz is None else lipschitz)
+    step = 1.0 / float(np.linalg.norm(operator @ operator.T, 2))
     penalty = factor * float(np.abs(operator.T @ data).max(initial=0.0))
     image = np.zeros(operator.shape[1])
     ahead, momentum = image, 1.0
