@@ -365,7 +365,7 @@ class Pipeline:
         self.bundle = bundle
         self._is_wire = not isinstance(hello, DriverHello)
         self._next_geometry: Geometry | None = None
-        self._was_touched = self._unlike = False
+        self._was_touched = self._suspicious = self._compared = False
         self._since_look = 0
 
     @property
@@ -445,19 +445,25 @@ class Pipeline:
             self.maps.drop_map()
         if record.idle and self.idle_gate is not None:
             self.idle_gate.load(intake.counts)
-            counts, repeats = intake.counts, self.front_end.idle_repeats
         else:
             self.normaliser.load(intake.counts)
-            counts, repeats = self.normaliser.counts, self.front_end.repeats
-        suspicious, filled = repeats.add(counts), self.health is not None and self.health.hanging_count
-        if (suspicious or intake.repeated or filled) and self._hangs(counts, repeats):
+        self._compared = bool(self._suspicious or intake.repeated or (self.health and self.health.hanging_count))
+        if self._compared and self._hangs():
             return intake.give_up("frozen")
         record.stamps[DECODE] = time.perf_counter_ns()
         return True
 
-    def _hangs(self, counts: npt.NDArray[np.number], repeats: Repeats) -> bool:
+    def _compare(self) -> tuple[npt.NDArray[np.number], Repeats]:
+        """Hold the frame against the one before; return its counts and what they were held against."""
+        idle, watch = self.record.idle, self.front_end
+        counts, repeats = (self.intake.counts, watch.idle_repeats) if idle else (self.normaliser.counts, watch.repeats)
+        self._suspicious = repeats.add(counts)
+        return counts, repeats
+
+    def _hangs(self) -> bool:
         """Return whether the frame is old, or rows of it hang that are too many to fill in."""
         health, intake = None if self.record.idle else self.health, self.intake
+        counts, repeats = self._compare()
         old = repeats.is_old(counts, intake.repeated, intake.remembered)
         if health is None:
             return old or bool(repeats.hanging.any())
@@ -515,8 +521,10 @@ class Pipeline:
             record.touched = decided.touched
         if health is not None:
             health.complete(self._change, self.buffers.log_predicted[0])
-            if judged and self._is_unlike(health):
+            due = record.touched != self._was_touched or self._since_look >= LOOK_FRAMES
+            if judged and due and self._is_unlike(health):
                 return self._give_up_fault("unlike")
+        self._since_look += 1
         stamps[GATE] = time.perf_counter_ns()
         if not record.touched and wanted and self._infers_untouched() and self._infer_untouched():
             record.touched = True
@@ -540,12 +548,10 @@ class Pipeline:
         return None if self.health is None else self.health.electrodes.missing
 
     def _is_unlike(self, health: Health) -> bool:
-        """Return whether the frame was held against what rows of a sheet have in common, and failed."""
-        touched, self._since_look = self.record.touched, self._since_look + 1
-        if self._unlike or (touched and not self._was_touched) or self._since_look >= LOOK_FRAMES:
-            self._since_look, self._unlike = 0, health.electrodes.is_unlike(self._change)
-        self._was_touched = touched and not self._unlike
-        return self._unlike
+        """Hold the frame against what rows of a sheet have in common, and return whether it fails."""
+        unlike = health.electrodes.is_unlike(self._change)
+        self._was_touched, self._since_look = self.record.touched and not unlike, LOOK_FRAMES * unlike
+        return unlike
 
     def _give_up_fault(self, reason: str) -> bool:
         """Withhold the frame in hand, and let health look for the electrode that explains it."""
@@ -616,6 +622,8 @@ class Pipeline:
     def keep_for_health(self) -> None:
         """Keep the data of the frame just published, for judging electrodes and drift, and look at its touches."""
         health, record = self.health, self.record
+        if not self._compared:  # of honest frames only here, where no subscriber waits for it
+            self._compare()
         if health is not None and not record.idle and health.put_aside(self._own_counts, touched=record.touched):
             self.check_health()
         if self.doubts.due and self.decisions.touched is None and (event := self.doubts.look()):
