@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from tests.runtime.health.test_electrodes import NOISE, REFERENCE, consistency, detached, healthy
 
-from eitskin.health.electrodes import WINDOW
 from eitskin.health.evidence import N_VOTES, Weigher
 from eitskin.health.monitor import BATCH_FRAMES, MAX_BATCH, Health
 from eitskin_proto.sensor.row_gaussian import rows_of
@@ -71,20 +70,6 @@ def test_a_frame_that_is_passed_over_quickly_would_have_surprised_nowhere():
     assert seen == {False, True}
     assert 0 < quick < 201
     assert np.array_equal(weighs.evidence().surprise, surprise[0])
-
-
-def test_a_stream_has_its_failure_named_within_20_frames():
-    health = Health(consistency())
-    health.use_reference(REFERENCE, NOISE * np.abs(REFERENCE))
-    for number, frame in enumerate(np.concatenate([healthy(53), detached(healthy(20, seed=1), 6)])):
-        health.prepare(frame.copy())
-        health.put_aside(touched=True)
-        if health.due and health.examine(NO_SCAN):
-            assert 53 + 10 <= number + 1 <= 53 + 20
-            break
-    assert health.electrodes.texts == ("6:detached:imputed",)
-    assert health.take_events() == ("electrode:6:detached:imputed",)
-    assert WINDOW + MAX_BATCH - 1 <= 20  # frames of evidence, and those that wait for the others
 
 
 def test_frames_are_looked_at_in_any_case_if_the_line_never_rests():

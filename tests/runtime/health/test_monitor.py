@@ -37,16 +37,6 @@ def go(pipeline, counts, sequence):
     return done
 
 
-def test_what_a_dead_electrode_reads_does_not_reach_the_gate(watching, counts):
-    dead = counts.copy()
-    dead[rows_of((5,))] = 7
-    assert go(watching, dead, 1)
-    change = watching.buffers.change[0]
-    assert np.abs(change[~rows_of((5,))]).max() < 1e-3
-    assert np.abs(change[rows_of((5,))]).max() < 0.9  # as measured they are at -1
-    assert watching.health.electrodes.texts == ("5:excluded:imputed",)
-
-
 def test_a_dead_electrode_does_not_touch_the_sheet(watching, counts):
     gate = watching.health.gate_without_rows
     assert gate is not None

@@ -8,7 +8,6 @@ from eitskin.model.bundle import load_bundle
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
-from eitskin_proto.wire.codes import FrameFlag
 
 from .passing import go, payload
 
@@ -125,10 +124,3 @@ def test_signs_that_turn_and_columns_that_are_exchanged_are_no_touch(hello, name
     show(pipeline, living(counts, 300, 2), 100)
     assert go(pipeline, payload(living(counts, 1, 3)[0], 500))
     assert not pipeline.record.touched
-
-
-def test_a_frame_of_another_width_or_table_is_none_of_this_device(pipeline, counts):
-    assert not go(pipeline, payload(counts // 2, 1, sample_bytes=3))
-    assert not go(pipeline, payload(np.tile(counts, 2), 2, flags=FrameFlag.FULL))
-    assert pipeline.intake.withheld["malformed"] == 2
-    assert go(pipeline, payload(counts, 3))
