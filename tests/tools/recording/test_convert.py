@@ -24,6 +24,7 @@ from eitskin_tools.recording.frames import RecordedFrames
 from eitskin_tools.recording.layout import CLOUD as CLOUDS
 from eitskin_tools.recording.layout import MAP, STATE
 from eitskin_tools.recording.recorder import RecorderOptions
+from eitskin_tools.recording.reinfer import reinfer
 from eitskin_tools.recording.script import Script, Step
 
 from .conftest import CLOUD, PERIOD_NS, TINY, VOLTS, counts, measured, recorded, reference, scans
@@ -129,6 +130,12 @@ def test_touches_of_a_taught_bundle_are_those_that_were_published(tmp_path: Path
     assert len(found) == 20
     for name in ("centre_mm", "error_mm", "amplitude", "log_likelihood_ratio"):
         np.testing.assert_allclose(found[name], published(items, name), rtol=1e-5)
+    assert reinfer(script, bundle).fields()["equal"] == 60
+    late = [item for item in items if not isinstance(item, WireFrame) or item.seq is None or item.seq >= 120]
+    recorded(tmp_path / "late.mcap", late)
+    again = reinfer(Script(tmp_path / "late.mcap"), bundle).fields()
+    assert not again["differing"]
+    assert again["unknown_why"]["earlier"] == again["unknown"] > 0, "the first frames of a mean are missing"
 
 
 @pytest.mark.slow  # its package comes with the slow tests

@@ -238,6 +238,7 @@ frames."""
 UNKNOWN_REASONS: Final = {
     "no_conditions": "came before the file has their reference and cloud",
     "frame_missing": "have the map of a frame that the file lacks or does not describe",
+    "earlier": "rest on frames from before the recording: a taught bundle averages them and follows the sheet",
     "region": "differ in a last bit at most: an earlier release computed some rectangles of them alone",
 }
 """Reasons why equality with a published map is unknown, with their texts."""
@@ -250,6 +251,8 @@ TOUCHED_LEVEL: Final = 0.5
 class Equality:
     """Counts published maps that come out the same."""
 
+    follows: bool = False
+    """Maps rest on earlier frames, which a recording may lack."""
     published: int = 0
     """Frames that were published, with a digest."""
     equal: int = 0
@@ -297,10 +300,12 @@ class Equality:
         )
         if found is None or ours is None:
             self.unknown_why["no_conditions" if found is None else "frame_missing"] += 1
-        elif found.gate_logit is not None and found.gate_logit != frame.gate_logit:
-            self._differs("gate", frame)
-        elif ours == digest:
+        elif (same_gate := found.gate_logit in (None, frame.gate_logit)) and ours == digest:
             self.equal += 1
+        elif self.follows:
+            self.unknown_why["earlier"] += 1
+        elif not same_gate:
+            self._differs("gate", frame)
         elif not found.is_whole:
             self.unknown_why["region"] += 1
         else:
@@ -499,7 +504,7 @@ def reinfer(
         SkinError: The recording, its reference or its clouds cannot be used with the bundle.
     """
     rerun = Rerun(script, bundle)
-    equality = Equality() if solver is None and rerun.as_recorded else None
+    equality = Equality(rerun.field is not None) if solver is None and rerun.as_recorded else None
     agreement = None if solver is None else Agreement(bundle.skin.grid.pixel_mm)
     kept, others = Kept(), Kept()
     count = withheld = 0
