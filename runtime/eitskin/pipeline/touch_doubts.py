@@ -2,7 +2,7 @@
 
 A touch that lowers conductance by a factor reads nearly like the reciprocal of one that raises it by as much. So a
 network that learned one kind shows the other where V / V_pred is replaced by its reciprocal. And the projection, whose
-values have a sign, is largest with the sign of the touch, as far as V_pred is known. Twice a second ::
+values have a sign, is largest with the sign of the touch, as far as V_pred is known. Once a second ::
 
     own, other = touched pixels of the frame's map and of its reciprocal's
     turned      other > 2 own + OTHER_PIXELS, or the projection's largest value < OTHER_SHARE of that of the other sign
@@ -25,8 +25,8 @@ from eitskin.pipeline.map_source import MapSource
 from eitskin.touches.pieces import HALF
 from eitskin.touches.tracking import BIRTH
 
-LOOK_US: Final = 500_000
-LOOKS: Final = 6
+LOOK_US: Final = 1_000_000
+LOOKS: Final = 4
 """Three seconds."""
 
 OTHER_PIXELS: Final = 5
