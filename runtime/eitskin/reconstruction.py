@@ -40,7 +40,7 @@ def reconstruct(
     The frames are taken in their order, as those of a stream: the gate remembers untouched ones.
 
     Args:
-        voltages: (n, rows) or (rows,) V; each frame is judged by itself.
+        voltages: (n, rows) or (rows,) V, signed or amounts; each frame is judged by itself.
         reference: (rows,) V of the untouched sheet, by the same device.
         bundle: A bundle, its file, or a shipped one's name; None takes ``free``.
         cloud: (3, rows of the map, columns) mm, the shape of the sheet; None for the flat sheet. Networks use it.
@@ -58,7 +58,7 @@ def reconstruct(
     if source.rows != len(untouched):
         raise ValueError(f"voltages have {len(untouched)} rows, expected {source.rows}, those of {source.name}")
     try:
-        mapped = row_map(source, loaded.table)
+        mapped = row_map(source, loaded.table, signed=bool((untouched < 0.0).any()))  # else they are amounts
     except ValueError as error:
         raise ValueError(f"{loaded.path}: {error}; take a bundle of these rows, or name their table") from error
     normaliser, frame = Normaliser(1.0, loaded.rows, mapped), np.zeros(loaded.rows)
@@ -95,6 +95,11 @@ def _checked(
     voltages: npt.ArrayLike, reference: npt.ArrayLike
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return (n, rows) and (rows,) V."""
+    if np.iscomplexobj(voltages) or np.iscomplexobj(reference):
+        raise ValueError(
+            "voltages or reference are complex, expected real numbers in V: project each row on its phase in the "
+            "reference, or hand the scans to eitskin.Feed"
+        )
     try:
         volts, untouched = (np.asarray(values, dtype=np.float64) for values in (voltages, reference))
     except (TypeError, ValueError) as error:

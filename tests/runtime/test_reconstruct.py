@@ -5,7 +5,7 @@ import eitskin
 from eitskin.model.buffers import Buffers
 from eitskin.model.engine import default_solver, engines
 from eitskin.model.geometry import GeometryGraph
-from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL
+from eitskin_proto.sensor.table import FULL_TABLE, N_FULL_ROWS, N_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL
 
 REFERENCE = np.linspace(-2.0, -0.1, N_ROWS)
 
@@ -43,6 +43,17 @@ def test_a_frame_alone_and_all_208_rows_give_the_same_map(tiny, voltages):
     assert np.array_equal(eitskin.reconstruct(full, reference, tiny).map, alone.map)
 
 
+def test_amounts_have_no_sign_that_a_table_could_change(tiny, voltages):
+    table = FULL_TABLE.astype(int)[:, [0, 0, 1, 1]]
+    table[:, [1, 3]] = (table[:, [1, 3]] + 1) % 16
+    table[::3] = table[::3][:, [0, 1, 3, 2]]
+    full, reference = np.zeros((2, N_FULL_ROWS))
+    for rows in (ROW_IN_FULL, RECIPROCAL_IN_FULL):
+        full[rows], reference[rows] = np.abs(voltages[5]), np.abs(REFERENCE)
+    found = eitskin.reconstruct(full, reference, tiny, table=table)
+    assert np.array_equal(found.map, eitskin.reconstruct(voltages[5], REFERENCE, tiny).map)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -54,6 +65,7 @@ def test_a_frame_alone_and_all_208_rows_give_the_same_map(tiny, voltages):
         (lambda v, r: (v[:, :90], r[:90]), "90 rows of an unknown protocol; take a bundle of these rows"),
         (lambda v, r: (v, 0 * r), "a reference of zeros cannot normalise frames"),
         (lambda v, r: ([["a"]], r), "real numbers"),
+        (lambda v, r: (v * 1j, r * 1j), "complex, expected real numbers"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_voltages_is_refused_in_a_line(tiny, voltages, change, message):

@@ -159,7 +159,7 @@ def _orders(rows: int) -> Iterator[tuple[str, Table]]:
 
 
 def _better_orders(read: Array, stated: Table, levels: Array, found: float) -> list[str]:
-    """Return the names of the most likely order and of those with the same levels, at most three.
+    """Return the names of the most likely order and of those with the same levels, at most four.
 
     There are none where the stated order is about as likely.
     """
@@ -179,7 +179,7 @@ def _better_orders(read: Array, stated: Table, levels: Array, found: float) -> l
         return []
     likely = others[scores.index(best)][1]
     names = [name for name, other in others if np.corrcoef(likely, other)[0, 1] >= SAME_LEVELS]
-    return names[: 3 if "place" in names[0] else 1]
+    return names[: 4 if "place" in names[0] else 1]
 
 
 def _without_two(read: Array, stated: Table, expected: Array) -> float:

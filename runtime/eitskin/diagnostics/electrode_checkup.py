@@ -55,7 +55,7 @@ ADVICE: Final[dict[str, str]] = {
     "swapped": "exchange the two wires at the plug; until then the runtime swaps their rows back",
     "noisy": "its contact comes and goes: fix the wire so that it does not move, renew the hydrogel",
     "excluded": "you excluded it",
-    UNKNOWN: "fix the front end or the order of rows first, see below",
+    UNKNOWN: "fix the front end or the order of rows first",
     NOT_RECIPROCAL: "it measures differently than it drives: check its wire, its contact and the front end's switch",
 }
 """Advice for each state."""
@@ -159,9 +159,10 @@ def check_up(recording: Recording, consistency: Consistency, reference: Referenc
     surprise, ratio, jumping = (np.median([one[part] for one in seen], axis=0) for part in range(3))
     gaps = None if recording.gap is None else electrode_gaps(recording.gap)
     faults = front_end_faults(recording.voltages, recording.step_V)
-    wiring = read_wiring(recording.voltages, consistency.reference)
     exchanged = volts * (1.0 + np.median(corrected, axis=0))
-    wrong = not (wiring.right or faults or read_wiring(exchanged, consistency.reference).right)
+    wirings = [read_wiring(read, consistency.reference) for read in (recording.voltages, exchanged)]
+    wiring = next((one for one in wirings if one.right), wirings[0])
+    wrong = not (wiring.right or faults)
     found = []
     for electrode, watched in enumerate(watch.states()):
         gap = None if gaps is None else float(gaps[electrode])
@@ -217,6 +218,8 @@ def lines(found: dict[str, Any]) -> list[str]:
             f"{one['to_do']}"
         )
     shown += [f"front end: {fault}" for fault in found["front_end"]]
+    if found["wiring"]["right"] and not found["front_end"]:
+        shown.append(f"wiring: {found['wiring']['text']}")
     shown += found["noise"] or []
     return shown
 

@@ -59,6 +59,14 @@ def test_a_known_order_is_named(volts, said):
     assert said in found.text
 
 
+def test_a_ring_that_only_runs_clockwise_is_named_among_those_with_the_same_levels():
+    quarter = np.radians([10.0, 35.0, 50.0, 80.0])
+    places = np.sort(np.concatenate([quarter, np.pi - quarter, np.pi + quarter, 2.0 * np.pi - quarter]))
+    places = np.roll(places, 3)
+    found = read_wiring(measured(levels((15 - TABLE.astype(int)) % 16, places)), levels(TABLE, places))
+    assert "electrodes run clockwise from the place of 0" in found.text
+
+
 def test_a_failed_electrode_is_not_a_wrong_order():
     volts, rng = measured(MODEL), np.random.default_rng(5)
     failed = np.isin(TABLE, (3, 4)).any(axis=1)

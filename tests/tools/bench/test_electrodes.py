@@ -83,6 +83,12 @@ def test_no_electrode_works_where_rows_are_in_another_order(order: np.ndarray, s
     assert said in lines(found)[0]
 
 
+def test_inverted_signs_are_said_and_do_no_harm() -> None:
+    found = check_up(Recording(-frames(None), None), consistency())
+    assert any("inverted signs" in line for line in lines(found))
+    assert lines(found)[0] == "All 16 electrodes work."
+
+
 def test_a_row_that_differs_from_its_reciprocal_is_reported() -> None:
     gap = np.full(104, 0.003)
     gap[(TABLE == 4).any(axis=1) | (TABLE == 3).any(axis=1)] = 0.2
