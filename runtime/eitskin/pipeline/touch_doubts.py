@@ -26,7 +26,7 @@ from eitskin.touches.pieces import HALF
 from eitskin.touches.tracking import BIRTH
 
 LOOK_US: Final = 1_000_000
-LOOKS: Final = 4
+LOOKS: Final = 3
 """Three seconds."""
 
 OTHER_PIXELS: Final = 5
