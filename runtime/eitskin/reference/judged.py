@@ -34,7 +34,8 @@ from eitskin.model.gate import Gate
 from eitskin.reference.captured import Reference
 from eitskin.reference.judgement import Judgement
 from eitskin.reference.row_noise import lost_rows, relative_spread
-from eitskin_proto.sensor.row_table import ADJACENT_104
+from eitskin_proto.sensor.row_table import ADJACENT_104, ADJACENT_208
+from eitskin_proto.sensor.wiring import read_wiring
 
 if TYPE_CHECKING:
     from eitskin.model.bundle import Bundle
@@ -110,7 +111,7 @@ def judge(found: Reference, movement: float, checks: ReferenceChecks, refused: t
         checks: What it is compared with.
         refused: Reasons for refusal found already.
     """
-    found, refusals, remarks = _comparable(found, checks).flat(), list(refused), []
+    as_read, found, refusals, remarks = found, _comparable(found, checks).flat(), list(refused), []
     usable = ~lost_rows(found.voltages_V, found.spread_V)
     if checks.missing is not None:
         usable &= ~checks.missing
@@ -141,6 +142,10 @@ def judge(found: Reference, movement: float, checks: ReferenceChecks, refused: t
         model = _difference(found.voltages_V, checks.flat_V, usable, noise)
         flat = "the bundle's flat, untouched sheet"
         _compare(model, MODEL_DIFFERENCE, flat, refusals, remarks, f" ({OTHER_SHEET_HINT})")
+        if model > MODEL_DIFFERENCE[1] and found.table.id == ADJACENT_104.id:
+            rows = as_read if as_read.table.id == ADJACENT_208.id else found
+            wiring = read_wiring(rows.voltages_V, checks.flat_V)
+            refusals += [] if wiring.right else [wiring.text]
     touched = None
     if (before := _same_device(found, checks.older)) is not None:
         both = usable & ~lost_rows(before.voltages_V, before.spread_V)

@@ -81,6 +81,12 @@ def test_a_common_factor_of_current_or_wetness_is_no_reason(bundle, flat, hello)
     assert dry.judgement.older_difference == pytest.approx(0.0, abs=2e-3)
 
 
+def test_a_refusal_names_the_order_that_rows_have(bundle, flat, hello):
+    late = np.roll(flat, 1)
+    with pytest.raises(BadReference, match="the rows are not in the stated order: readings come 1 row late"):
+        capture(frames_of(late), hello, reference_checks(bundle))
+
+
 def test_force_takes_it_and_says_what_was_found(bundle, flat, hello):
     bent = flat * np.exp(0.4 * np.sin(np.arange(104)))
     found = capture(frames_of(bent), hello, reference_checks(bundle), force=True)

@@ -82,7 +82,7 @@ def _capture(arguments: argparse.Namespace) -> Any:
         scan = scan_of(load_surface(arguments.surface, skin), skin)
     lies = "lie flat" if scan is None else "lie as scanned"
     print(f"eitskin reference: capturing now; the sheet must {lies}, untouched", file=sys.stderr)
-    found = capture(
+    return capture(
         arguments.port,
         arguments.frames,
         arguments.baud or DEFAULT_BAUD,
@@ -92,20 +92,6 @@ def _capture(arguments: argparse.Namespace) -> Any:
         scan=scan,
         reconnect_s=arguments.reconnect,
     )
-    _warn_of_wiring(found, bundle)
-    return found
-
-
-def _warn_of_wiring(found: Any, bundle: Any) -> None:
-    """Say which order rows have where their levels do not fit the bundle's model."""
-    from eitskin_proto.sensor.wiring import read_wiring
-
-    arrays = bundle.consistency_arrays()
-    if arrays is None or len(found.voltages_V) != len(arrays["reference"]):
-        return
-    wiring = read_wiring(found.voltages_V, arrays["reference"])
-    if not wiring.right:
-        say(f"eitskin reference: warning: {wiring.text}", error=True)
 
 
 def _older(arguments: argparse.Namespace, skin: Any) -> Any:
