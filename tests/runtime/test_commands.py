@@ -2,14 +2,19 @@
 
 import json
 import os
+import re
 import signal
 import time
+from dataclasses import replace
 from functools import partial
 
 import pytest
 
 import eitskin
 from eitskin.reference.captured import load
+from eitskin_proto.skin.parts import Outline
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import to_toml
 
 from .command_line import command, finished, wait_until_ready
 from .made_up_skin import begin_touches
@@ -99,6 +104,18 @@ def test_subscribe_prints_frames_and_one_object(virtual_skin, running, tmp_path)
         summary = json.loads(out)
     assert (summary["frames"], summary["lost"], summary["rejected"]) == (20, 0, 0)
     assert "deliver" in summary["stages_us"]
+
+
+def test_places_are_in_mm_only_if_the_runtime_has_that_sheet(virtual_skin, running, tmp_path):
+    small = tmp_path / "small.toml"
+    small.write_text(to_toml(replace(PAPER, outline=Outline(size_mm=(148.0, 100.0)))))  # its maps have the same shape
+    with virtual_skin(touches=[[0.2, 600, 0.3]], touches_wait=True) as port, running(port, tmp_path) as runtime:
+        begin_touches(port)
+        words = ["subscribe", runtime.publisher.endpoint, "--frames", 200, "--mode", "all"]
+        places = re.findall(r"peak \S+ at (\w+)", finished(*words)[1])
+        assert set(places) == {"x"}
+        places = re.findall(r"peak \S+ at (\w+)", finished(*words, "--skin", small)[1])
+        assert set(places) == {"row"}
 
 
 def test_ctrl_c_ends_subscribe_without_a_traceback_before_and_after_the_first_frame(

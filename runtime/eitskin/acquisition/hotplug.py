@@ -14,8 +14,12 @@ interface; any other port is found by its path.
 import math
 import os
 import select
+import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import CancelledError, Future, InvalidStateError
+from contextlib import suppress
+from functools import partial
 from typing import Any, Final
 
 from eitskin.acquisition.drivers.driver import device_path, driver_name
@@ -53,6 +57,20 @@ def port_named(name: str) -> str | None:
     return next((str(found.device) for found in serial_ports() if _name_of(found) == name), None)
 
 
+def _open_for(opening: "Future[Transport]", open_line: Callable[[], Transport]) -> None:
+    """Open a line for a caller that waits; close it again if nobody waits any more."""
+    try:
+        line = open_line()
+    except Exception as error:
+        with suppress(InvalidStateError):
+            opening.set_exception(error)
+        return
+    try:
+        opening.set_result(line)
+    except InvalidStateError:
+        line.close()
+
+
 class HotPlug:
     """A transport that survives unplugging; see :class:`eitskin.acquisition.transport.Transport`.
 
@@ -84,7 +102,7 @@ class HotPlug:
         self._opened_s = -math.inf
         self._why: Exception | None = None
         try:
-            self._take(port)
+            self._take(port, open_line(port, baud))
         except (PortMissing, PortBusy, PortDenied, PortLost, NotReady) as error:
             self._why = error
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -162,11 +180,13 @@ class HotPlug:
         self._drop()
         deadline_s = None if self._give_up_s is None else time.perf_counter() + self._give_up_s
         while deadline_s is None or time.perf_counter() < deadline_s:
-            if self._poll.poll(round(LOOK_S * 1000)):
-                os.eventfd_read(self._wake)
+            if self._cancelled_within(LOOK_S):
                 return b""
-            if self._reopened():
-                raise PortReturned(f"{self.name} vanished and is back: repeat the handshake")
+            try:
+                if self._reopened():
+                    raise PortReturned(f"{self.name} vanished and is back: repeat the handshake")
+            except CancelledError:
+                return b""
         if self._opened_s < 0.0:
             raise PortLost(f"waited {self._give_up_s:g} s: {self._why}")
         raise PortLost(
@@ -177,17 +197,40 @@ class HotPlug:
         path = port_named(self._usb) if self._usb else device_path(self.name)
         if path is None:
             return False
-        again = self._opened_s >= 0.0
+        again, port = self._opened_s >= 0.0, self.name.replace(device_path(self.name), path)
         try:
-            self._take(self.name.replace(device_path(self.name), path))
+            self._take(port, self._opened(port))
         except (TransportError, NotReady) as error:  # not there yet, or its permissions are not set yet
             self._why = error
             return False
         self.returns += again
         return True
 
-    def _take(self, port: str) -> None:
-        self._line = self._open(port, self._baud)
+    def _opened(self, port: str) -> Transport:
+        """Return an open line. A driver may wait long for its device, so it opens in a thread, which ``cancel`` leaves.
+
+        Raises:
+            CancelledError: ``cancel`` was called.
+        """
+        if not driver_name(port):
+            return self._open(port, self._baud)
+        opening: Future[Transport] = Future()
+        work = opening, partial(self._open, port, self._baud)
+        threading.Thread(target=_open_for, args=work, name="eitskin-open", daemon=True).start()
+        while not opening.done():
+            if self._cancelled_within(LOOK_S):
+                opening.cancel()
+        return opening.result()
+
+    def _cancelled_within(self, wait_s: float) -> bool:
+        """Return whether ``cancel`` is called within a time, and forget it."""
+        cancelled = bool(self._poll.poll(round(wait_s * 1000)))
+        if cancelled:
+            os.eventfd_read(self._wake)
+        return cancelled
+
+    def _take(self, port: str, line: Transport) -> None:
+        self._line = line
         self.name, self._usb, self._opened_s = port, usb_name(port), time.perf_counter()
 
     def _drop(self) -> None:

@@ -77,6 +77,38 @@ def test_a_port_that_is_missing_or_held_at_first_is_waited_for(pty):
         HotPlug("nobody:/dev/x")
 
 
+def test_a_driver_that_waits_for_its_device_is_left_and_its_line_is_closed(pty):
+    opens, comes, closed = threading.Event(), threading.Event(), threading.Event()
+
+    class Line(SerialPort):
+        def close(self):
+            super().close()
+            closed.set()
+
+    def open_line(port, baud):
+        opens.set()
+        assert comes.wait(60.0)
+        return Line(str(pty.path), baud)
+
+    comes.set()
+    line = HotPlug(f"line:{pty.path}", open_line=open_line)
+    comes.clear(), opens.clear(), pty.unplug(), pty.plug()
+
+    def cancel():
+        assert opens.wait(60.0)
+        line.cancel()
+
+    stopper = threading.Thread(target=cancel)
+    stopper.start()
+    assert line.read() == b""
+    assert line.gone
+    stopper.join()
+    closed.clear()
+    comes.set()
+    assert closed.wait(60.0)
+    line.close()
+
+
 def test_a_board_that_boots_and_prints_is_asked_again(pty):
     """The board answers only once it has heard several requests, and prints text for each of them before."""
     known, asked, texts = threading.Event(), Deframer(), [b"booting 2.1\r\n"] * 3

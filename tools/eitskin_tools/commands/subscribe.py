@@ -14,14 +14,20 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eitskin_tools.command_line import options
 from eitskin_tools.console.terminal import say
 from eitskin_tools.errors import UsageError
 
+if TYPE_CHECKING:
+    from eitskin_proto.skin.skin import Skin
+
 REPEAT_S = 0.1
 """Between two lists of touches in mode ``latest``; events of touches are always printed."""
+
+STATE_S = 3.0
+"""Longest wait, behind the first frame, for what the runtime says of its skin every second."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -67,7 +73,6 @@ def run(arguments: argparse.Namespace) -> int:
     options.check_positive(arguments, "frames", "seconds", "timeout_s", "max_age_ms")
     from eitskin.messaging.regions import Region
     from eitskin.messaging.subscription import subscribe
-    from eitskin_tools.console.stream_view import StreamView, describe
 
     skin = options.chosen_skin(arguments)
     if arguments.region is not None:
@@ -92,17 +97,11 @@ def run(arguments: argparse.Namespace) -> int:
         max_age_s=None if arguments.max_age_ms is None else arguments.max_age_ms / 1000,
         keys=keys,
     )
-    view = StreamView(sys.stdout, grid=skin.grid)
-    show: Callable[[Any], None] = view.show
-    if arguments.mode == "all":
-        show = lambda frame: say(describe(frame, 0.0, skin.grid))  # noqa: E731
-    if arguments.touches:
-        show = _touch_lines(REPEAT_S if arguments.mode == "latest" else 0.0)
+    show: Callable[[Any], None] | None = None
     latencies: list[float] = []
     stages: dict[str, list[float]] = {}
     first_s = time.perf_counter()
     with contextlib.ExitStack() as stack:
-        stack.callback(view.end)
         stack.enter_context(contextlib.suppress(KeyboardInterrupt))
         for frame in stack.enter_context(subscription):
             if arguments.json:
@@ -110,6 +109,7 @@ def run(arguments: argparse.Namespace) -> int:
                 for stage, span in frame.stages_us().items():
                     stages.setdefault(stage, []).append(span)
             else:
+                show = show or _shown_by(arguments, skin, keys, stack)
                 show(frame if arguments.region is None else _within(frame, subscription.region))
             if arguments.frames is not None and subscription.received >= arguments.frames:
                 break
@@ -118,6 +118,36 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(_summary(subscription, latencies, stages, time.perf_counter() - first_s)))
     return 0
+
+
+def _shown_by(
+    arguments: argparse.Namespace, skin: "Skin", keys: Any, stack: contextlib.ExitStack
+) -> Callable[[Any], None]:
+    """Return what prints a frame, with places in mm if the runtime says that it has this skin."""
+    from eitskin_tools.console.stream_view import StreamView, describe
+
+    if arguments.touches:
+        return _touch_lines(REPEAT_S if arguments.mode == "latest" else 0.0)
+    grid = skin.grid if _grid_id(arguments.endpoint, keys) == skin.grid_id else None
+    if arguments.mode == "all":
+        return lambda frame: say(describe(frame, 0.0, grid))
+    view = StreamView(sys.stdout, grid=grid)
+    stack.callback(view.end)
+    return view.show
+
+
+def _grid_id(endpoint: str | None, keys: Any) -> str:
+    """Return the id of the grid of a runtime that publishes; "" if it says none."""
+    from eitskin.errors import NoFrame
+    from eitskin.messaging.streams.state import SkinState
+    from eitskin.messaging.streams.subscription import subscribe_streams
+
+    with (
+        contextlib.suppress(NoFrame),
+        subscribe_streams(endpoint, wire=False, clouds=False, timeout_s=STATE_S, keys=keys) as states,
+    ):
+        return next(item.grid_id for item in states if isinstance(item, SkinState))
+    return ""
 
 
 def _within(frame: Any, region: Any) -> Any:

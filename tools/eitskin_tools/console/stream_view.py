@@ -37,9 +37,9 @@ def peak_mm(image: Any, grid: Grid) -> tuple[float, float, float]:
     return float(image[row, column]), (float(column) + 0.5) * dx, (float(row) + 0.5) * dy
 
 
-def peak(image: Any, grid: Grid) -> str:
-    """Return height and place of the highest pixel: in mm, or by its numbers where the map is another skin's."""
-    if image.shape == grid.shape:
+def peak(image: Any, grid: Grid | None) -> str:
+    """Return height and place of the highest pixel: in mm, or by its numbers where the grid is unknown."""
+    if grid is not None and image.shape == grid.shape:
         height, x_mm, y_mm = peak_mm(image, grid)
         return f"peak {height:.2f} at x {x_mm:.1f}, y {y_mm:.1f} mm"
     row, column = np.unravel_index(int(np.argmax(image)), image.shape)
@@ -52,10 +52,12 @@ class StreamView:
     Args:
         stream: Where the line goes.
         now_s: The clock.
-        grid: Of the skin that streams.
+        grid: Of the skin that streams; None if it is unknown.
     """
 
-    def __init__(self, stream: TextIO, now_s: Callable[[], float] = time.monotonic, grid: Grid = PAPER.grid) -> None:
+    def __init__(
+        self, stream: TextIO, now_s: Callable[[], float] = time.monotonic, grid: Grid | None = PAPER.grid
+    ) -> None:
         self._grid = grid
         self._line = StatusLine(stream)
         self._now_s = now_s
@@ -96,13 +98,13 @@ class StreamView:
             self._line.above(text)
 
 
-def describe(frame: Any, rate_hz: float, grid: Grid = PAPER.grid) -> str:
+def describe(frame: Any, rate_hz: float, grid: Grid | None = PAPER.grid) -> str:
     """Return a frame in a line.
 
     Args:
         frame: :class:`eitskin.Frame`.
         rate_hz: Frames a second that the runtime publishes; 0 while that is unknown.
-        grid: Of the skin that streams.
+        grid: Of the skin that streams; None if it is unknown.
     """
     shown = f"touched  {peak(frame.map, grid)}" if frame.touched else "untouched"
     rate = f"{rate_hz:.1f} frames/s" if rate_hz else f"frame {frame.sequence}"
