@@ -72,6 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--force-table needs --verified: only the verifier estimates a touch's strength")
     options.check_positive(arguments, "frames", "seconds", "timeout_s", "max_age_ms")
     from eitskin.messaging.regions import Region
+    from eitskin.messaging.streams.subscription import subscribe_streams
     from eitskin.messaging.subscription import subscribe
 
     skin = options.chosen_skin(arguments)
@@ -98,18 +99,22 @@ def run(arguments: argparse.Namespace) -> int:
         keys=keys,
     )
     show: Callable[[Any], None] | None = None
+    states: Any = None
     latencies: list[float] = []
     stages: dict[str, list[float]] = {}
     first_s = time.perf_counter()
     with contextlib.ExitStack() as stack:
         stack.enter_context(contextlib.suppress(KeyboardInterrupt))
+        if not arguments.json and not arguments.touches:
+            states = subscribe_streams(arguments.endpoint, wire=False, clouds=False, timeout_s=STATE_S, keys=keys)
+            stack.enter_context(states)
         for frame in stack.enter_context(subscription):
             if arguments.json:
                 latencies.append(frame.latency_s * 1e6)
                 for stage, span in frame.stages_us().items():
                     stages.setdefault(stage, []).append(span)
             else:
-                show = show or _shown_by(arguments, skin, keys, stack)
+                show = show or _shown_by(arguments, skin, states, stack)
                 show(frame if arguments.region is None else _within(frame, subscription.region))
             if arguments.frames is not None and subscription.received >= arguments.frames:
                 break
@@ -121,33 +126,22 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _shown_by(
-    arguments: argparse.Namespace, skin: "Skin", keys: Any, stack: contextlib.ExitStack
+    arguments: argparse.Namespace, skin: "Skin", states: Any, stack: contextlib.ExitStack
 ) -> Callable[[Any], None]:
     """Return what prints a frame, with places in mm if the runtime says that it has this skin."""
+    from eitskin.errors import NoFrame
     from eitskin_tools.console.stream_view import StreamView, describe
 
     if arguments.touches:
         return _touch_lines(REPEAT_S if arguments.mode == "latest" else 0.0)
-    grid = skin.grid if _grid_id(arguments.endpoint, keys) == skin.grid_id else None
+    grid = None
+    with contextlib.suppress(NoFrame), states:
+        grid = skin.grid if states.next_item().grid_id == skin.grid_id else None
     if arguments.mode == "all":
         return lambda frame: say(describe(frame, 0.0, grid))
     view = StreamView(sys.stdout, grid=grid)
     stack.callback(view.end)
     return view.show
-
-
-def _grid_id(endpoint: str | None, keys: Any) -> str:
-    """Return the id of the grid of a runtime that publishes; "" if it says none."""
-    from eitskin.errors import NoFrame
-    from eitskin.messaging.streams.state import SkinState
-    from eitskin.messaging.streams.subscription import subscribe_streams
-
-    with (
-        contextlib.suppress(NoFrame),
-        subscribe_streams(endpoint, wire=False, clouds=False, timeout_s=STATE_S, keys=keys) as states,
-    ):
-        return next(item.grid_id for item in states if isinstance(item, SkinState))
-    return ""
 
 
 def _within(frame: Any, region: Any) -> Any:
