@@ -53,6 +53,7 @@ def test_the_quick_form_publishes_nothing_absurd(capsys):
     rows, summary = found["rows"], found["summary"]
     assert summary["published_not_finite"] == summary["published_out_of_range"] == 0
     assert summary["published"] > 50
+    assert "withheld_frozen" not in summary
     assert all(row["why"] for row in rows)
     assert not any(isinstance(value, list | dict) for row in rows for value in row.values())
     strongest = {row["solver"]: row for row in rows if row["sweep"] == "noise N3"}
