@@ -5,7 +5,9 @@ import io
 import re
 import shlex
 from functools import cache
+from itertools import pairwise
 
+from eitskin_tools.bench.verify import chosen_rows
 from eitskin_tools.cli import _parser
 
 from .markdown import commands, pages
@@ -65,3 +67,10 @@ def refused(command):
 
 def test_every_command_in_the_documents_is_understood():
     assert {command: said for command in all_commands() if (said := refused(command))} == {}
+
+
+def test_every_row_of_bench_verify_in_the_documents_exists():
+    found = [words_of(command) for command in all_commands() if "bench verify" in command]
+    texts = [text for words in found for before, text in pairwise(words) if before == "--only"]
+    assert texts
+    chosen_rows(texts)

@@ -44,6 +44,12 @@ CONTRAST: Final = 20.0
 FRAMES_PER_TURN: Final = 10
 """Frames of one way before the other has its turn."""
 
+BENDS: Final = 20
+"""At which the untouched sheet is shown."""
+
+STEADY_FRAMES: Final = 200
+"""Of one touch, and then of two."""
+
 NOISE: Final = "N2"
 SNR_DB: Final = 50.0
 
@@ -73,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
     rng = np.random.default_rng(arguments.seed)
     bundle = load_bundle(arguments.bundle)
     say("skip", "solving what the pipelines are shown")
-    shown = Material.of(rng)
+    shown = Material.of(rng, arguments.frames)
     say("skip", "what each skip saves")
     skips = costs(bundle, shown, arguments.frames)
     more = {"skips": skips, "bundle": bundle.id, "machine": machine()}
@@ -145,7 +151,7 @@ class Material:
         frames: Makes payloads and pipelines.
         bent_V: (n, 104) V of untouched sheets at bends of family A.
         one_V: (n, 104) V of one touch on the flat sheet.
-        two_V: (n, 104) V of the same touch and a weak one of 10 mm.
+        two_V: (m, 104) V of the same touch and a weak one of 10 mm.
     """
 
     frames: Frames
@@ -154,20 +160,20 @@ class Material:
     two_V: Array
 
     @classmethod
-    def of(cls, rng: np.random.Generator, bends: int = 20, each: int = 200) -> "Material":
-        """Return it solved."""
+    def of(cls, rng: np.random.Generator, count: int) -> "Material":
+        """Return it solved, with noise of its own for each of a number of frames: one that repeats is withheld."""
         sheet = inverted_sheet(Bend())
         reference_V = sheet.untouched_V
         taken = noisy(reference_V, REFERENCE_FRAMES, reference_V, rng)
         one = np.array([[RECTANGLE, 60.0, 50.0, 15.0, 15.0, 0.0, 50.0]])
         weak = np.array([[RECTANGLE, 100.0, 40.0, 10.0, 10.0, 0.0, CONTRAST]])
         one_V, two_V = set_voltages([sheet], gather([one, np.concatenate([one, weak])]))[0]
-        bent_V = np.stack([inverted_sheet(bend).untouched_V for bend in draw("A", bends, SEED)])
+        bent_V = np.stack([inverted_sheet(bend).untouched_V for bend in draw("A", BENDS, SEED)])
         return cls(
             Frames(taken.mean(axis=0), taken.std(axis=0, ddof=1)),
-            noisy(bent_V, max(each // bends, 1), reference_V, rng),
-            noisy(one_V, each, reference_V, rng),
-            noisy(two_V, each, reference_V, rng),
+            noisy(bent_V, -(-count // BENDS), reference_V, rng),
+            noisy(one_V, max(count, STEADY_FRAMES), reference_V, rng),
+            noisy(two_V, STEADY_FRAMES, reference_V, rng),
         )
 
 
@@ -177,7 +183,7 @@ class FrameRunner:
     Args:
         frames: Makes payloads.
         pipeline: Takes them.
-        voltages: (n, 104) V; shown over and over.
+        voltages: (n, 104) V; shown once.
     """
 
     def __init__(self, frames: Frames, pipeline: Pipeline, voltages: Array) -> None:
@@ -189,7 +195,7 @@ class FrameRunner:
     def prepare(self, index: int) -> None:
         """Make the payload of the next frame, which is no part of what is measured."""
         self._sequence += 1
-        self._ready = self._make(self._voltages[index % len(self._voltages)], self._sequence)
+        self._ready = self._make(self._voltages[index], self._sequence)
 
     def __call__(self) -> bool:
         """Take the prepared frame through the pipeline, and do what waits for leisure when it is due."""
@@ -249,7 +255,7 @@ def costs(bundle: Bundle, shown: Material, count: int) -> dict[str, Any]:
     found = {}
     if bundle.gate_arrays() is not None:
         found["untouched"] = untouched(bundle, frames, shown.bent_V, touched_V, count)
-    found["unchanged"] = unchanged(bundle, frames, touched_V, shown.two_V)
+    found["unchanged"] = unchanged(bundle, frames, touched_V[:STEADY_FRAMES], shown.two_V)
     return found
 
 

@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
     if arguments.deformations < 1 or arguments.each < 1 or arguments.sets < 0:
         raise UsageError("--deformations and --each must be at least 1, --sets at least 0")
-    chosen = _chosen(arguments.only)
+    chosen = chosen_rows(arguments.only)
     rows: list[Row] = []
     for condition in conditions():
         if condition.name in chosen:
@@ -82,23 +82,22 @@ def run(arguments: argparse.Namespace) -> int:
     return report(arguments, rows + _calibration(arguments), summary)
 
 
-def _chosen(only: list[str] | None) -> set[str]:
+def chosen_rows(only: list[str] | None) -> set[str]:
     """Return the names of the rows that were asked for.
 
     Raises:
-        UsageError: There is none.
+        UsageError: A text is in no name.
     """
     known = [*(one.name for one in conditions()), CALIBRATION]
-    found = {name for name in known if not only or any(text in name for text in only)}
-    if not found:
-        texts = " ".join(repr(text) for text in only or ())
-        raise UsageError(f"--only {texts}: expected a part of one of: {', '.join(known)}")
-    return found
+    for text in only or ():
+        if not any(text in name for name in known):
+            raise UsageError(f"--only {text!r}: expected a part of one of: {', '.join(known)}")
+    return {name for name in known if not only or any(text in name for text in only)}
 
 
 def _calibration(arguments: argparse.Namespace) -> list[Row]:
     """Return the calibration of p; no rows unless it was asked for."""
-    if CALIBRATION not in _chosen(arguments.only) or not arguments.sets:
+    if CALIBRATION not in chosen_rows(arguments.only) or not arguments.sets:
         return []
     start = time.process_time()
     stated = matched(arguments.sets)
