@@ -1,12 +1,15 @@
 """What is said of a taught sheet: the verdict in words, and a picture of where it errs."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from eitskin_tools.pictures import save
 from eitskin_tools.teach.teaching import Taught, error_map
+
+ENOUGH_UNTOUCHED: Final = 50
+"""Of untouched readings, from which one alarm in a hundred can be told."""
 
 
 def of_shapes(reports: dict[str, dict[str, Any]]) -> dict[str, Any]:
@@ -44,6 +47,11 @@ def _verdict(report: dict[str, Any]) -> str:
     if wrong > 0.3:
         lines.append(
             "Single readings hide these presses in noise; a running skin averages while it is still, and finds more."
+        )
+    if report["untouched"] < ENOUGH_UNTOUCHED:
+        lines.append(
+            f"The gate rests on {report['untouched']} untouched readings: its false alarms may be other ones. More "
+            "untouched readings make them sure."
         )
     return "\n".join(lines)
 
