@@ -111,6 +111,7 @@ AS_WRITTEN = {
     "wide.txt": "x\ty\tz\n1.5\t2.5\t3.5\n4.5\t5.5\t6.5\n7.5\t8.5\t9.5\n".encode("utf-16"),
     "comma.txt": b"1,5 2,5 3,5\n4,5 5,5 6,5\n7,5 8,5 9,5\n",
     "comma.csv": b"x;y;z\n1,5;2,5;3,5\n4,5;5,5;6,5\n7,5;8,5;9,5\n",
+    "quoted.csv": b'"x";"y";"z"\n"1,5";"2,5";"3,5"\n"4,5";"5,5";"6,5"\n"7,5";"8,5";"9,5"\n',
     "spaced.csv": b"1.5, 2.5, 3.5\n4.5, 5.5, 6.5\n7.5, 8.5, 9.5\n",
     "mesh.obj": b"# J\xf6rg\nv 1.5 2.5 3.5 1 0 0\nvn 0 0 1\nv 4.5 5.5 6.5\nvt 0 1\nv 7.5 8.5 9.5\nf 1 2 3\n",
     "mesh.stl": stl_of(POINTS),

@@ -60,6 +60,12 @@ def test_a_rim_or_clamps_are_said_and_doubted_and_cut_off_where_their_width_is_s
     assert (cut.doubts, cut.prediction_rms > DOUBTFUL_RMS) == ((), False)
 
 
+def test_a_stated_rim_that_leaves_less_than_the_skin_is_said():
+    exchanged, none = (organise(scan(7.0, 3.0), CORNER, rim_mm=rim) for rim in ((3.0, 7.0), (0.0, 0.0)))
+    assert "without its rim the scan is 158" in exchanged.doubts[0]
+    assert none.doubts == ()
+
+
 def test_a_box_depths_and_a_plane_cut_the_second_sheet_off(tmp_path, capsys):
     own = scan()
     np.save(tmp_path / "two.npy", np.concatenate([own, own + np.array([0.0, 200.0, 100.0])]))

@@ -186,12 +186,23 @@ def _organise(
         corner=corner,
         rotation=rotation,
         translation_mm=translation,
-        doubts=_doubts(outline.size_mm, flat_mm) if rim_mm is None else (),
+        doubts=_doubts(outline.size_mm, flat_mm, rim_mm),
     )
 
 
-def _doubts(size_mm: tuple[float, float], flat_mm: tuple[float, float]) -> tuple[str, ...]:
-    if all(found <= LARGER * flat for found, flat in zip(size_mm, flat_mm, strict=True)):
+def _doubts(
+    size_mm: tuple[float, float], flat_mm: tuple[float, float], rim_mm: tuple[float, float] | None
+) -> tuple[str, ...]:
+    share = np.divide(size_mm, flat_mm)
+    if rim_mm is not None:
+        if not any(rim_mm) or share.min() >= 1.0 / LARGER:
+            return ()
+        return (
+            f"without its rim the scan is {size_mm[0]:.1f} x {size_mm[1]:.1f} mm, the skin {flat_mm[0]:g} x "
+            f"{flat_mm[1]:g} mm: expected a rim that leaves the whole skin; check --rim, whose first width is that at "
+            "the ends of the longer sides",
+        )
+    if share.max() <= LARGER:
         return ()
     return (
         f"the scan is {size_mm[0]:.1f} x {size_mm[1]:.1f} mm, the skin {flat_mm[0]:g} x {flat_mm[1]:g} mm: it may show "

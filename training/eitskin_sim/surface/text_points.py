@@ -38,7 +38,7 @@ def read_text(data: bytes) -> Array:
         if data.startswith(mark):
             data = data.decode(encoding).encode()
     lines = [
-        (number, line)
+        (number, line.replace(b'"', b""))
         for number, line in enumerate(data.removeprefix(codecs.BOM_UTF8).splitlines(), 1)
         if line and not line.isspace()
     ]
