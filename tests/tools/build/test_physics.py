@@ -88,7 +88,7 @@ def test_the_card_says_how_well_both_solvers_and_the_gate_do(built):
     assert list(card["solvers"]) == ["l1", "tikhonov"]
     assert card["solvers"]["l1"]["cc"] > 0.5
     assert eitskin.load_bundle(built[0]).manifest["metrics"]["card"] == card
-    assert set(card["gate"]) == {"false_alarm_rate", "missed_rate"}
+    assert set(card["gate"]) == {"false_alarm_rate", "missed_rate", "felt_mm"}
 
 
 @pytest.mark.parametrize("option", [["--hours", "2"], ["--work", "folder"], ["--threads", "1"]])

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from eitskin import WireFrame
-from eitskin.model.bundle import load_bundle
+from eitskin.model.bundle import L1_FILE, load_bundle
+from eitskin_export.bundle import write as write_bundle
+from eitskin_proto.files.arrays import pack_arrays
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.fem.jacobian import flat_jacobian
+from eitskin_sim.solvers.whitened import l1_arrays
 from eitskin_sim.verification.snapped_units import UnitVerdict
 from eitskin_tools import cli
 from eitskin_tools.evaluation.verified import recorded as module
@@ -98,6 +103,17 @@ def test_the_command_says_what_physics_says(
     assert found["solver"] == "verified"
     assert found["other_bundle"] == found["bundle"]
     assert found["verified"]["frames"] == 10
+
+
+def test_physics_starts_from_l1_where_a_bundle_has_no_network(
+    file: Path, physics: list[Physics], tmp_path: Path
+) -> None:
+    operators = l1_arrays(np.eye(104), flat_jacobian(PAPER), "raise")
+    files = {L1_FILE: pack_arrays(operators), "gate.npz": load_bundle(TINY).files["gate.npz"]}
+    facts = {"labels": "area", "touches": "raise", "gate": {}, "metrics": {}}
+    write_bundle(tmp_path / "p.eitskin", files, facts, PAPER)
+    script, bundle = Script(file), load_bundle(tmp_path / "p.eitskin")
+    assert reinfer(script, bundle, VerifiedSolver(script, bundle)).fields()["verified"]["frames"] > 10
 
 
 @pytest.mark.slow

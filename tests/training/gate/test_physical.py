@@ -14,9 +14,9 @@ def test_a_gate_of_physics_tells_touches_from_bends_and_drift_that_it_never_saw(
     jacobian, reference = flat_jacobian(PAPER), flat_voltages(PAPER)
     directions = rng.normal(size=(12, N_ROWS)) * 0.3 ** np.arange(12)[:, None]
     learn, choose, measure = (0.3 * rng.normal(size=(count, 12)) @ directions for count in (400, 400, 400))
-    touches = touch_logs(jacobian, PAPER, np.ones(PAPER.grid.n_pixels, dtype=bool), rng, 600)
+    touches, sizes_mm = touch_logs(jacobian, PAPER, np.ones(PAPER.grid.n_pixels, dtype=bool), rng, 600)
     assert touches.mean() < 0  # they raise conductance, so voltages fall
-    arrays, facts = physical_gate(Untouched(learn, choose, measure), touches, reference, PAPER, rng)
+    arrays, facts = physical_gate(Untouched(learn, choose, measure), touches, sizes_mm, reference, PAPER, rng)
     gate = Gate(arrays)
 
     def rate(logs: np.ndarray) -> float:
@@ -28,3 +28,6 @@ def test_a_gate_of_physics_tells_touches_from_bends_and_drift_that_it_never_saw(
     assert facts["false_alarm_rate"] <= 2 * FALSE_ALARM_RATE
     assert rate(measure + touches[:400]) > 0.9
     assert facts["missed_rate"] < 0.1
+    assert 5.0 <= facts["felt_mm"] < 15.0
+    _, faint = physical_gate(Untouched(learn, choose, measure), 0.03 * touches, sizes_mm, reference, PAPER, rng)
+    assert faint["felt_mm"] > 1.5 * facts["felt_mm"]

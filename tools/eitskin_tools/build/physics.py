@@ -97,8 +97,8 @@ def build(
     tell("fitting solvers and gate")
     noise = spread_of(flat.voltages_V, skin.front_end.noise, float(np.mean(skin.front_end.snr_db)))
     whitening = whitening_of(untouched.learn, noise / np.abs(flat.voltages_V))
-    touches = touch_logs(flat.jacobian, skin, flat.inside, rng)
-    gate, measures = physical_gate(untouched, touches, flat.voltages_V, skin, rng)
+    touches, sizes_mm = touch_logs(flat.jacobian, skin, flat.inside, rng)
+    gate, measures = physical_gate(untouched, touches, sizes_mm, flat.voltages_V, skin, rng)
     projection = tikhonov_of_logs(whitening, flat.jacobian, skin.touch_kind)
     files = {
         L1_FILE: pack_arrays(l1_arrays(whitening, flat.jacobian, skin.touch_kind)),

@@ -48,7 +48,8 @@ def card_of(path: Path) -> dict[str, Any]:
         }
     rounded = {name: _figures(scores) for name, scores in results.items()}
     count = len(next(iter(results.values())))
-    gate = {key: bundle.manifest["gate"][key] for key in ("false_alarm_rate", "missed_rate")}
+    stated = bundle.manifest["gate"]
+    gate = {key: stated[key] for key in ("false_alarm_rate", "missed_rate", "felt_mm") if key in stated}
     return {"size_mm": size_mm, "contrast": contrast, "maps": count, "solvers": rounded, "gate": gate}
 
 
@@ -75,7 +76,15 @@ def lines_of(card: dict[str, Any]) -> list[str]:
         f"{card['maps']} touches of {card['size_mm']:.3g} mm and contrast {card['contrast']:.2g}, at unseen bends:",
         *lines,
         f"gate, single frames at unseen bends: {rates}",
+        *([_felt_said(gate["felt_mm"])] if "felt_mm" in gate else []),
     ]
+
+
+def _felt_said(felt_mm: float | None) -> str:
+    """Return which touches the sheet feels, in words."""
+    if felt_mm is None:
+        return "the sheet feels no size in [touches] reliably: expect larger or stronger touches, or bend it less"
+    return f"the sheet feels 9 of 10 touches of {felt_mm:.0f} mm or more; unseen bends hide many smaller ones"
 
 
 def _touch_of(skin: Skin) -> tuple[float, float]:

@@ -21,8 +21,11 @@ from eitskin_training.network.mirror import mirrors
 FALSE_ALARM_RATE: Final = 0.01
 """Of single untouched frames."""
 
-CHOSEN_RATE: Final = 0.005
-"""The same at the bends that choose the limit: they are few, so others may have twice as many alarms."""
+FELT_SHARE: Final = 0.9
+"""Share of touches of a size that are found if the sheet feels that size."""
+
+SIZE_GROUPS: Final = 20
+"""Into which touches are divided by their size."""
 
 FRAMES: Final = 8192
 """Of untouched sheets, to learn from, to choose the threshold, and to measure it."""
@@ -51,8 +54,8 @@ class Untouched:
 
 def touch_logs(
     jacobian: Array, skin: Skin, inside: npt.NDArray[np.bool_], rng: np.random.Generator, count: int = TOUCHES
-) -> Array:
-    """Return (count, 104) first-order log(V touched / V untouched) of discs anywhere on the sheet.
+) -> tuple[Array, Array]:
+    """Return (count, 104) first-order log(V touched / V untouched) of discs on the sheet, and their (count,) mm.
 
     Args:
         jacobian: (104, pixels) relative change of each row with that of each pixel's conductivity.
@@ -72,7 +75,7 @@ def touch_logs(
     rises, falls = (_log_uniform(one, count, rng) for one in (touches.raising_contrast, touches.lowering_contrast))
     contrast = np.where(raising, rises, falls)
     effective = 2.0 * (contrast - 1.0) / (contrast + 1.0)
-    return np.asarray(effective[:, None] * (shares @ jacobian.T))
+    return effective[:, None] * (shares @ jacobian.T), 2.0 * radii
 
 
 def _log_uniform(bounds: tuple[float, float], count: int, rng: np.random.Generator) -> Array:
@@ -81,13 +84,14 @@ def _log_uniform(bounds: tuple[float, float], count: int, rng: np.random.Generat
 
 
 def physical_gate(
-    untouched: Untouched, touches: Array, reference: Array, skin: Skin, rng: np.random.Generator
+    untouched: Untouched, touches: Array, sizes_mm: Array, reference: Array, skin: Skin, rng: np.random.Generator
 ) -> tuple[filters.Arrays, dict[str, Any]]:
     """Return the arrays of a bundle's gate.npz, and what a manifest states of it.
 
     Args:
         untouched: Sheets.
         touches: (t, 104) log(V touched / V untouched).
+        sizes_mm: (t,) diameters of the touches.
         reference: (104,) V of the flat sheet.
         skin: Whose noise and mirror images.
         rng: Draws frames.
@@ -99,7 +103,7 @@ def physical_gate(
         filters.ratios(_frames(logs, reference, skin, rng) @ whitening, bank)
         for logs in (untouched.choose, untouched.measure)
     )
-    limit = float(np.quantile(choose, 1.0 - CHOSEN_RATE))
+    limit = float(np.quantile(choose, 1.0 - FALSE_ALARM_RATE))
     bent = _bends(untouched.measure, len(touches), skin, rng) + touches
     found = filters.ratios(_noisy(bent, reference, skin, rng) @ whitening, bank) > limit
     first, second, bias = filters.layers(whitening, bank, limit)
@@ -110,7 +114,16 @@ def physical_gate(
         "false_alarm_rate": float((measure > limit).mean()),
         "held_out_sheets": len(untouched.measure),
         "missed_rate": float(1.0 - found.mean()),
+        "felt_mm": _felt_mm(sizes_mm, found),
     }
+
+
+def _felt_mm(sizes_mm: Array, found: npt.NDArray[np.bool_]) -> float | None:
+    """Return from which size on ``FELT_SHARE`` of touches are found; None if that is so of no size."""
+    groups = np.array_split(np.argsort(sizes_mm), SIZE_GROUPS)
+    faint = [number for number, group in enumerate(groups) if found[group].mean() < FELT_SHARE]
+    felt = groups[faint[-1] + 1 if faint else 0 :]
+    return float(sizes_mm[felt[0]].min()) if felt else None
 
 
 def _frames(logs: Array, reference: Array, skin: Skin, rng: np.random.Generator) -> Array:

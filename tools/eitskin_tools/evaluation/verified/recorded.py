@@ -24,21 +24,24 @@ from eitskin_tools.recording.script import Script, Step, reference_of
 NETWORK: Final = "vd2t"
 """Whose map physics starts from."""
 
+WITHOUT_NETWORK: Final = "l1"
+"""Whose it is in a bundle of ``eitskin build --physics``."""
+
 
 class VerifiedSolver:
-    """A bundle's network and the verifier behind it.
+    """A bundle's network, or l1, and the verifier behind it.
 
     Args:
         script: The recording.
-        bundle: Has the network.
+        bundle: Has the network, or l1.
 
     Raises:
-        ValueError: It has none.
+        ValueError: It has neither.
     """
 
     def __init__(self, script: Script, bundle: Bundle) -> None:
         self._script, self._bundle = script, bundle
-        self._rerun = Rerun(script, bundle, NETWORK)
+        self._rerun = Rerun(script, bundle, NETWORK if bundle.has_network else WITHOUT_NETWORK)
         self.bundle_id = bundle.id
         self.verdicts = Verdicts()
         """On the frames so far."""
