@@ -112,14 +112,14 @@ class FirstFrame:
     Args:
         clock: The device clock, which dates scans.
         now_ns: Time of the request, on ``perf_counter_ns``.
+        awaited: Whether frames come by themselves; else the program that feeds them decides.
     """
 
     __slots__ = ("_awaited", "_begun_ns", "_clock", "backlog")
 
-    def __init__(self, clock: DeviceClock, now_ns: int) -> None:
+    def __init__(self, clock: DeviceClock, now_ns: int, *, awaited: bool) -> None:
         self._clock, self._begun_ns = clock, now_ns
-        self._awaited = True
-        self.backlog = True
+        self._awaited = self.backlog = awaited
         """Waiting frames are older than the request: only the newest of them may be the first."""
 
     def is_old(self, scanned_ns: int, read_ns: int) -> bool:
@@ -238,7 +238,7 @@ class FrameSource:
                 return
             raise
         intake.heard_ns = self._fit_ns = self._patient_ns = time.perf_counter_ns()
-        first = FirstFrame(pipeline.clock, self._fit_ns)
+        first = FirstFrame(pipeline.clock, self._fit_ns, awaited=self.waits)
         self._withheld = intake.withheld_total
         self._reading = True
         try:

@@ -4,6 +4,7 @@ import itertools
 import os
 import sys
 import threading
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -167,6 +168,14 @@ def test_a_network_takes_rows_in_any_order_and_maps_are_those_of_its_own(tiny):
             assert other.touched
             np.testing.assert_allclose(one.map, other.map, rtol=1e-5, atol=1e-6)
         assert mine.status()["frames"] == 10
+
+
+def test_a_program_that_feeds_late_loses_no_scan(tiny):
+    still = np.array([own_rows(at_rest(number)) for number in range(60)])
+    with eitskin.Skin(source=eitskin.Feed(), bundle=tiny, reference=still) as skin:
+        assert skin.feed(own_rows(at_rest(60)), 1_000_000) is not None
+        time.sleep(0.2)  # twice what a device's first frame may wait
+        assert skin.feed(own_rows(at_rest(61)), 1_005_000) is not None
 
 
 def test_an_iterable_ends_with_its_last_scan(tiny):
