@@ -8,9 +8,8 @@ values have a sign, is largest with the sign of the touch, as far as V_pred is k
     turned      other > 2 own + OTHER_PIXELS, or the projection's largest value < OTHER_SHARE of that of the other sign
     doubtful    turned, or own has nothing that is listed as a touch
 
-Of touches of the other kind, contrast 0.2 to 200, 93 to 100 % are turned on a flat sheet and 72 to 93 % on a bent one
-without a cloud; of the bundle's own kind none and up to 5 %. Doubtful looks count up, others down; ``LOOKS`` are an
-event.
+Nearly all touches of the other kind are turned on a flat sheet, and most on a bent one without a cloud; of the bundle's
+own kind hardly any. Doubtful looks count up, others down; ``LOOKS`` are an event.
 """
 
 from typing import Final
