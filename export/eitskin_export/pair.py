@@ -1,13 +1,10 @@
-"""Puts another network into a bundle: in addition to its own, or in place of it.
+"""Puts another network into a bundle, in addition to its own.
 
 An additional network is a smaller one, the solver ``vd2t-small``, to which a stream switches before it switches to a
 matrix; or one for gentle touches, which draws those that the bundle's own hardly shows (:mod:`eitskin.model.gentle`).
 All were trained on the same kind of touch on the same skin. Two graphs are copied from its bundle, with the head in 8
 bits if its maps are nearly the same; gate, projection and statistics of healthy frames stay the bundle's own. The
 manifest's ``small`` or ``gentle`` names their origin, with their card.
-
-A replacement of the bundle's own network brings its graphs and their metrics. Gate, projection and statistics of
-healthy frames do not depend on a network, and stay.
 """
 
 from pathlib import Path
@@ -16,21 +13,12 @@ from typing import Any, Final
 from eitskin.errors import BundleError
 from eitskin.model.bundle import Bundle, graphs_of, load_bundle
 from eitskin.model.engine import HEADS, QUANTISED, default_solver, flipped_pixels, solvers
-from eitskin.model.manifest import EXTRA_NETWORKS, GENTLE, SMALL
+from eitskin.model.manifest import GENTLE, SMALL
 from eitskin_export.bundle import read, write
 from eitskin_proto.errors import SkinError
 
 CARD: Final = ("card", "phantoms", "int8", "held_out")
 """The metrics that are kept of an additional network."""
-
-GRAPHS: Final = ("geometry.onnx", "head.onnx", "head_int8.onnx")
-"""A network's members."""
-
-NETWORK_KEYS: Final = ("head", "recipe", "seeds", "data_digest", "training", "build")
-"""What a manifest says of its network."""
-
-FRAME_METRICS: Final = ("electrodes",)
-"""Of a manifest's metrics, what is not of the network."""
 
 FLIPPED_PIXELS: Final = 2.0
 """The head of an additional network is used in 8 bits if fewer pixels than this change sides of one half: it must be
@@ -99,36 +87,6 @@ def carried(bundle: Path, other: Path, out: Path, name: str = GENTLE) -> str:
     files, facts, skin = read(bundle)
     files |= {file: whole.files[file] for file in graphs_of(name)}
     return write(out, files, {**facts, name: whole.manifest[name]}, skin)
-
-
-def replaced(bundle: Path, newer: Path, out: Path) -> dict[str, Any]:
-    """Write a bundle with another's network in place of its own, and return a report.
-
-    Args:
-        bundle: Its gate, projection and statistics stay. Its additional networks are left out.
-        newer: A bundle of the same skin, labels and touches.
-        out: Where; may be ``bundle``.
-
-    Returns:
-        path, bundle and bytes of the new one; ``large_head_bytes`` that a frame reads.
-
-    Raises:
-        SkinError: They do not go together, or one is no whole bundle.
-        OSError: A file cannot be read or written.
-    """
-    _, after = _that_go_together(bundle, newer)
-    files, facts, skin = read(bundle)
-    gone = [*GRAPHS, *(file for name in EXTRA_NETWORKS for file in graphs_of(name))]
-    files = {name: data for name, data in files.items() if name not in gone}
-    files |= {name: after.files[name] for name in GRAPHS if name in after.files}
-    facts = {name: value for name, value in facts.items() if name not in (*EXTRA_NETWORKS, *NETWORK_KEYS)}
-    facts |= {name: after.manifest[name] for name in NETWORK_KEYS if name in after.manifest}
-    own = facts.get("metrics", {})
-    metrics = {name: one for name, one in after.manifest.get("metrics", {}).items() if name not in FRAME_METRICS}
-    facts["metrics"] = metrics | {name: own[name] for name in FRAME_METRICS if name in own}
-    identity = write(out, files, facts, skin)
-    head = files[HEADS[default_solver(load_bundle(out))]]
-    return {"path": str(out), "bundle": identity, "bytes": out.stat().st_size, "large_head_bytes": len(head)}
 
 
 def _fast_head(part: Bundle) -> str:

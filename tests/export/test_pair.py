@@ -15,7 +15,7 @@ from eitskin.model.engine import VD2T_SMALL, engines
 from eitskin.model.geometry import GeometryGraph
 from eitskin.model.manifest import GENTLE
 from eitskin_export.bundle import read, write
-from eitskin_export.pair import FLIPPED_PIXELS, GRAPHS, carried, pair, replaced
+from eitskin_export.pair import FLIPPED_PIXELS, carried, pair
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.cli import main
@@ -75,29 +75,6 @@ def test_a_smaller_head_may_show_a_little_more_or_less_in_8_bits(
     assert load_bundle(tmp_path / "both.eitskin").manifest["small"]["head"] == head
 
 
-def test_a_network_that_learned_on_takes_the_place_of_its_own(large: Path, small: Path, tmp_path: Path) -> None:
-    facts = {"metrics": {"card": {"cc": 0.7}, "electrodes": "its own"}, "seeds": {"training": 9}}
-    newer, out = made(tmp_path / "newer.eitskin", 16, **facts), tmp_path / "out.eitskin"
-    pair(large, small, out)
-    known = load_bundle(out).manifest
-    result = replaced(out, newer, out)
-    found, after, before = load_bundle(out), load_bundle(newer), load_bundle(large)
-    assert result["bundle"] == found.id
-    for name in GRAPHS:
-        assert found.files[name] == after.files[name]
-    for name in set(before.files) - set(GRAPHS):
-        assert found.files[name] == before.files[name], name
-    assert "small" in known
-    assert "small" not in found.manifest
-    assert not set(graphs_of("small")) & set(found.files)
-    assert found.manifest["seeds"] == {"training": 9}
-    assert found.manifest["gate"] == before.manifest["gate"]
-    assert found.manifest["metrics"]["card"] == {"cc": 0.7}
-    assert found.manifest["metrics"].get("electrodes") == before.manifest["metrics"].get("electrodes")
-    for name, image in shown(newer).items():
-        assert np.array_equal(shown(out)[name], image)
-
-
 @pytest.mark.parametrize(
     ("facts", "skin", "what"),
     [({}, SECOND, "skin found"), ({"labels": "units"}, PAPER, "labels found units, expected area"),
@@ -131,8 +108,6 @@ def test_a_network_for_gentle_touches_goes_besides_and_may_be_larger(large: Path
     assert both.beside == {"small": 4, "gentle": 64}
     assert both.manifest["gentle"] == found.manifest["gentle"]
     assert all(both.files[name] == found.files[name] for name in graphs_of(GENTLE))
-    replaced(again, other, again)
-    assert load_bundle(again).beside == {}
 
 
 def test_the_command_reports_sizes(
@@ -143,7 +118,5 @@ def test_the_command_reports_sizes(
     assert json.loads(capsys.readouterr().out)["bytes"] == out.stat().st_size
     assert main(["pair", str(large), str(small), "--out", str(out)]) == 0
     assert "with vd2t-small 0.0" in capsys.readouterr().out
-    assert main(["pair", str(large), str(small), "--out", str(out), "--replace"]) == 0
-    assert "vd2t-small" not in capsys.readouterr().out
     assert main(["pair", str(large), str(small), "--out", str(out), "--gentle"]) == 0
     assert "MB where it shows faint touches alone" in capsys.readouterr().out

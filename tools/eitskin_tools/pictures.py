@@ -1,19 +1,16 @@
 """Maps in a terminal: two pixels a character, by half blocks with a colour above and one below; and figures in files.
 
-A map of 30 x 45 takes 15 lines of 45 characters. The truth stands beside or below it. Both are drawn as large as the
-terminal allows, whole pixels enlarged where there is room, and averaged over areas where there is not. The picture is
-drawn on the alternate screen, so that the terminal afterwards shows what it showed before. y = 0 is at the bottom.
+The map and its truth are drawn beside each other, as large as the terminal allows, each pixel the mean over its area.
+They are drawn on the alternate screen, so that the terminal afterwards shows what it showed before. y = 0 is at the
+bottom.
 """
 
 import os
 import shutil
-import struct
 import textwrap
-import zlib
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Literal, Self, TextIO
+from typing import Any, Final, Self, TextIO
 
 import numpy as np
 import numpy.typing as npt
@@ -22,55 +19,6 @@ from eitskin_proto.files.writing import replacing
 
 GAP: Final = 4
 """Characters between two maps side by side."""
-
-MIN_COLUMNS: Final = 24
-"""A narrower map shows nothing of a touch any more."""
-
-MAX_ZOOM: Final = 4
-"""Most characters across of an enlarged pixel."""
-
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """Where maps stand."""
-
-    columns: int
-    """Characters across a map."""
-    lines: int
-    """Lines of a map."""
-    arrangement: Literal["beside", "below", "alone"]
-    """Where the truth stands, or that there is only one map."""
-    left_out: bool = False
-    """Whether there is a truth that is not shown."""
-
-
-def arrange(width: int, height: int, shape: tuple[int, int], *, truth: bool) -> Layout:
-    """Return how maps fit.
-
-    Args:
-        width: Characters of the screen.
-        height: Lines that are left for maps and captions.
-        shape: Rows and columns of a map's pixels.
-        truth: Whether there are two maps.
-    """
-    alone = _largest(width, height - 1, shape)
-    if not truth:
-        return Layout(*alone, "alone")
-    beside = _largest((width - GAP) // 2, height - 1, shape)
-    below = _largest(width, (height - 2) // 2, shape)
-    if max(beside[0], below[0]) < MIN_COLUMNS:
-        return Layout(*alone, "alone", left_out=True)
-    return Layout(*below, "below") if below[0] > beside[0] else Layout(*beside, "beside")
-
-
-def _largest(width: int, lines: int, shape: tuple[int, int]) -> tuple[int, int]:
-    """Return (columns, lines) of the largest map in a box, at least 2 by 1."""
-    rows, columns = shape
-    times = min(width // columns, 2 * lines // (rows + rows % 2), MAX_ZOOM)
-    if times >= 1:
-        return times * columns, -(-times * rows // 2)
-    share = min(width / columns, 2 * lines / rows)
-    return max(int(share * columns), 2), max(round(share * rows / 2), 1)
 
 
 def fitted(image: npt.NDArray[np.floating], columns: int, lines: int) -> npt.NDArray[np.float64]:
@@ -94,9 +42,6 @@ _STOPS: Final = np.array(
     [[13, 16, 42], [47, 42, 118], [126, 48, 140], [204, 71, 120], [248, 149, 64], [252, 253, 191]], dtype=np.float64
 )
 
-TRUTH_LEFT_OUT: Final = "truth left out; make this 80 x 24"
-"""What a terminal says that is too small for both maps."""
-
 LEVELS: Final = 32
 """Colours of the scale."""
 
@@ -117,33 +62,8 @@ def _codes() -> tuple[list[str], list[str]]:
 
 
 HALF: Final = "▀"
-SHADES: Final = " ░▒▓█"
-ASCII_SHADES: Final = " .+*#"
-"""What a terminal shows whose encoding has no blocks."""
-
-
-def has_blocks(encoding: str | None) -> bool:
-    """Return whether what is drawn with can be written in an encoding; None for a stream without one, of texts."""
-    try:
-        (HALF + SHADES).encode(encoding or "utf-8")
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
-def plain_lines(image: npt.NDArray[np.floating], shades: str = SHADES) -> list[str]:
-    """Return a line of shades for two rows of a map, for a terminal without colours or for a text file.
-
-    Args:
-        image: (rows, columns), 0 to 1.
-        shades: From the lowest to the highest.
-    """
-    upright = np.asarray(image, dtype=np.float64)[::-1]
-    if len(upright) % 2:
-        upright = np.concatenate([np.zeros((1, upright.shape[1])), upright])
-    pairs = np.maximum(upright[0::2], upright[1::2])
-    levels = np.clip((pairs * len(shades)).astype(int), 0, len(shades) - 1)
-    return ["".join(shades[level] for level in row) for row in levels]
+SHADES: Final = " .+*#"
+"""What a terminal shows that has no colours, or whose encoding has no blocks."""
 
 
 class Painter:
@@ -156,8 +76,7 @@ class Painter:
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         self._above, self._below = _codes()
-        self._shades = SHADES if has_blocks(stream.encoding) else ASCII_SHADES
-        self._plain = bool(os.environ.get("NO_COLOR")) or self._shades is ASCII_SHADES
+        self._plain = bool(os.environ.get("NO_COLOR")) or "utf" not in (stream.encoding or "utf-8").lower()
 
     def __enter__(self) -> Self:
         self._stream.write("\x1b[?1049h\x1b[?25l\x1b[2J")
@@ -172,10 +91,10 @@ class Painter:
 
     def lines(self, image: npt.NDArray[np.floating]) -> list[str]:
         """Return the lines of one map, one for two of its rows."""
+        shades = len(SHADES) if self._plain else LEVELS
+        levels = np.clip((np.asarray(image)[::-1] * shades).astype(int), 0, shades - 1)
         if self._plain:
-            return plain_lines(image, self._shades)
-        upright = np.asarray(image, dtype=np.float64)[::-1]
-        levels = np.clip((upright * LEVELS).astype(int), 0, LEVELS - 1)
+            return ["".join(SHADES[level] for level in row) for row in np.maximum(levels[0::2], levels[1::2])]
         found = []
         for top, bottom in zip(levels[0::2], levels[1::2], strict=True):
             cells, before = [], (-1, -1)
@@ -188,7 +107,7 @@ class Painter:
         return found
 
     def show(
-        self, title: str, image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating] | None, footer: list[str]
+        self, title: str, image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating], footer: list[str]
     ) -> None:
         """Draw one picture over the one before.
 
@@ -196,7 +115,7 @@ class Painter:
             title: First line; it is wrapped where it is too long.
             image: (rows, columns) the streamed map.
             truth: (rows, columns) what it should be.
-            footer: Lines below, wrapped as well; they say what is left out where the terminal is too small.
+            footer: Lines below, wrapped as well.
         """
         text = self.picture(*shutil.get_terminal_size(), title, image, truth, footer)
         body = "\n".join(line + "\x1b[K" for line in text)
@@ -209,62 +128,23 @@ class Painter:
         height: int,
         title: str,
         image: npt.NDArray[np.floating],
-        truth: npt.NDArray[np.floating] | None,
+        truth: npt.NDArray[np.floating],
         footer: list[str],
     ) -> list[str]:
-        """Return the lines of one picture, at most ``height`` of at most ``width`` characters.
-
-        Args:
-            width: Characters of the terminal.
-            height: Lines of the terminal.
-            title: See :meth:`show`.
-            image: See :meth:`show`.
-            truth: See :meth:`show`.
-            footer: See :meth:`show`.
-        """
+        """Return the lines of one picture, at most ``height`` of at most ``width`` characters; see :meth:`show`."""
         above, below = _wrapped([title], width), _wrapped(footer, width)
-        layout = arrange(width, height - len(above) - len(below), image.shape, truth=truth is not None)
-        if layout.left_out:  # texts get a line each, so that the map keeps the rest
-            above, below = [title[:width]], [line[:width] for line in (TRUTH_LEFT_OUT, *footer)]
-            layout = arrange(width, height - len(above) - len(below), image.shape, truth=False)
-        maps = self._maps(layout, image, truth)
-        spare = height - len(above) - len(maps) - len(below)
-        return [*above, *[""][: max(spare - 1, 0)], *maps, *[""][: max(spare, 0)], *below][: max(height, 1)]
-
-    def _maps(
-        self, layout: Layout, image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating] | None
-    ) -> list[str]:
-        """Return the maps under their captions."""
-        streamed = self.lines(fitted(image, layout.columns, layout.lines))
-        if truth is None or layout.arrangement == "alone":
-            return ["streamed", *streamed]
-        right = self.lines(fitted(truth, layout.columns, layout.lines))
-        if layout.arrangement == "below":
-            return ["streamed", *streamed, "truth", *right]
+        rows, columns = image.shape
+        zoom = min((width - GAP) / 2 / columns, 2 * (height - len(above) - len(below) - 1) / rows)
+        across, lines = max(int(zoom * columns), 2), max(int(zoom * rows / 2), 1)
+        maps = [self.lines(fitted(one, across, lines)) for one in (image, truth)]
         gap = " " * GAP
-        captions = f"{'streamed'.ljust(layout.columns)}{gap}truth"
-        return [captions, *(a + gap + b for a, b in zip(streamed, right, strict=True))]
+        captions = f"{'streamed'.ljust(across)}{gap}truth"[:width]
+        return [*above, captions, *(a + gap + b for a, b in zip(*maps, strict=True)), *below][: max(height, 1)]
 
 
 def _wrapped(lines: list[str], width: int) -> list[str]:
     """Return lines of limited width."""
     return [part for line in lines for part in textwrap.wrap(line, max(width, 8)) or [""]]
-
-
-def png(pixels: npt.NDArray[np.uint8]) -> bytes:
-    """Return a picture as the content of a PNG file.
-
-    Args:
-        pixels: (height, width, 3), red, green and blue.
-    """
-    height, width, _ = pixels.shape
-    rows = np.pad(pixels.reshape(height, -1), ((0, 0), (1, 0)))  # each begins with 0, the filter that changes nothing
-    head, data = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0), zlib.compress(rows.tobytes())
-    chunks = [
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in ((b"IHDR", head), (b"IDAT", data), (b"IEND", b""))
-    ]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
 
 def draw_map(

@@ -22,8 +22,7 @@ TAKING_A_FILE = {
     "virtual-skin --scene": ["virtual-skin", "--scene", ABSENT],
     "virtual-skin --log": ["virtual-skin", "--log", f"{ABSENT}/log"],
     "demo --scene": ["demo", "--scene", ABSENT],
-    "demo --bundle": ["demo", "--bundle", ABSENT, "--no-draw"],
-    "demo --record": ["demo", "--record", f"{ABSENT}/record.npz"],
+    "demo --bundle": ["demo", "--bundle", ABSENT],
     "run --bundle": ["run", "--port", "/dev/null", "--bundle", ABSENT],
     "run --skin": ["run", "--port", "/dev/null", "--skin", ABSENT],
     "run --reference": ["run", "--port", "/dev/null", "--reference", ABSENT],
@@ -64,7 +63,6 @@ def test_a_file_that_is_not_there_is_named_in_one_line(capsys, monkeypatch, tmp_
         (files.PHANTOMS, ("paper_mm", "paper_units")),
         (files.CONFIGURATION, ("fast", "full208", "idle", "paper")),
         (files.SCENE, ("sample",)),
-        (files.START, ("free", "press", "units")),
     ],
 )
 def test_shipped_files_are_found_by_name_and_listed_where_another_was_meant(kind, names):
@@ -95,7 +93,7 @@ def test_an_error_of_the_system_becomes_a_line_that_names_the_file(error, expect
     assert expected in (files.explain(error) or "")
 
 
-@pytest.mark.parametrize("name", ["simulate --out", "demo --record"])
+@pytest.mark.parametrize("name", ["simulate --out"])
 def test_a_folder_that_takes_no_files_is_said_before_the_work(name, capsys, monkeypatch):
     words = [word.replace(ABSENT, "/proc") for word in TAKING_A_FILE[name]]
     monkeypatch.setattr("os.access", lambda path, _: str(path) != "/proc")  # root may write nearly everywhere
@@ -108,8 +106,6 @@ WRITING = {
     "simulate": ["simulate", "sample", "--out"],
     "surface": ["surface", "sample", "--out"],
     "reference": ["reference", "--port", "/dev/null", "--out"],
-    "demo --record": ["demo", "--no-draw", "--record"],
-    "demo --picture": ["demo", "--no-draw", "--picture"],
     "record": ["record", "--out"],
     "reinfer --out": ["reinfer", ABSENT, "--out"],
     "reinfer --plot": ["reinfer", ABSENT, "--plot"],

@@ -43,7 +43,6 @@ OTHERS = {
     kinds.VOLTAGES: arrays("voltages", "voltages208", "scene"),
     kinds.GUIDED: arrays("reference_V", "reference_frames", "press_V"),
     kinds.PRESSES: arrays("xy_mm", "size_mm", "voltages_V"),
-    kinds.DEMO_RECORD: arrays("received_ns", "scalars"),
     kinds.CONVERTED: arrays("voltages_V", "reference_V", "serial", "map", "solver", "wall_ns"),
     kinds.COMPUTED: arrays("seq", "map", "solver", "wall_ns"),
     kinds.PARQUET: b"PAR1\0\0",

@@ -33,7 +33,6 @@ view --port 99999 | --port is 99999
 view --recordings /nowhere | --recordings is /nowhere
 status --timeout-s 0 | --timeout-s is 0
 subscribe --verified --touches | --verified receives no frames
-subscribe --verified --max-age-ms 5 | --verified receives no frames
 subscribe --force-table force.csv --touches | --force-table needs --verified
 doctor --electrodes | --port PORT or --recorded
 doctor --recorded f.npy | --recorded needs --electrodes or --drift

@@ -15,7 +15,6 @@ OVER = {
     "simulate --skin": ["simulate", "sample", "--skin", MINE, "--out", MINE],
     "calibrate --surface": ["calibrate", MINE, "--guided", "--port", "/dev/null", "--surface", MINE, "--out", "s.toml"],
     "pair": ["pair", "free", MINE, "--out", MINE],
-    "demo --scene": ["demo", "--scene", MINE, "--record", MINE],
     "virtual-skin --scene": ["virtual-skin", "--scene", MINE, "--log", MINE],
 }
 """One command for each way to name what is read and what is written."""
@@ -39,7 +38,7 @@ def test_what_is_read_is_not_written_over(command, how, tmp_path, monkeypatch, c
     "words",
     [
         ["reinfer", "day.mcap", "--out", "x.png", "--plot", "x.png"],
-        ["demo", "--record", "x.png", "--picture", "./x.png"],
+        ["virtual-skin", "--wire-times", "x.npy", "--log", "./x.npy"],
         ["calibrate", "x.npz", "--guided", "--port", "/dev/null", "--out", "x.npz"],
     ],
 )

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.process
 
 ROOT = Path(__file__).parents[3]
 BUNDLE = ROOT / "tests" / "golden" / "tiny.eitskin"
-COMMAND = [sys.executable, "-m", "eitskin_tools.cli", "demo", "--no-draw"]
+COMMAND = [sys.executable, "-m", "eitskin_tools.cli", "demo"]
 PATIENCE_S = 120.0
 """How long a busy machine may take for anything here; a quiet one takes seconds."""
 

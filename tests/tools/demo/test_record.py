@@ -1,10 +1,9 @@
-"""What a recorded demonstration is scored as and drawn as, without any process."""
+"""What a recorded demonstration is scored as, without any process."""
 
 import numpy as np
 import pytest
 
 from eitskin_proto.skin.skin import PAPER
-from eitskin_tools.demo.frame_picture import choose, picture
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.demo.score import accuracy, timing
 from eitskin_tools.scripted_scene.script import demonstration
@@ -52,21 +51,3 @@ def test_timing_counts_from_the_wire_and_sums_up_over_the_stages():
     assert spans["wire"] == 100.0
     assert spans["deliver"] == 50.0
     assert sum(spans.values()) == pytest.approx(found["latency_us"]["p50"])
-
-
-def test_the_picture_shows_a_bent_touched_frame(tmp_path):
-    script = demonstration()
-    index, time_s = choose(a_record(), script, 1_000_000)
-    scene = script.scene_at(time_s)
-    assert len(scene.touches) == 3
-    assert abs(scene.bend.angle_deg) >= 50.0
-    assert index == round((time_s - 0.02) / 0.05)
-    with pytest.raises(ValueError, match="record more seconds"):
-        choose(a_record(60), script, 1_000_000)
-    picture(a_record(), script, 1_000_000, tmp_path / "frame.png")
-    drawn = np.asarray(pytest.importorskip("PIL.Image").open(tmp_path / "frame.png").convert("RGB"), dtype=int)
-    streamed, truth = drawn[:360], drawn[372:]
-    assert drawn.shape == (732, 540, 3)
-    np.testing.assert_array_equal(streamed, truth)
-    y, x = np.unravel_index(np.argmax(script.truth_at(time_s)), PAPER.grid.shape)
-    assert streamed[12 * (29 - y) + 6, 12 * x + 6].sum() > 3 * 200, "a touch is bright where it is, y upwards"

@@ -20,7 +20,7 @@ from .conftest import started
     ("terminal", "display", "words", "seen"),
     [
         (True, "DISPLAY", [], True),
-        (True, "WAYLAND_DISPLAY", ["--token"], True),
+        (True, "WAYLAND_DISPLAY", [], True),
         (True, "DISPLAY", ["--no-open"], False),
         (True, "NO_DISPLAY", [], False),
         (False, "DISPLAY", [], False),

@@ -55,7 +55,6 @@ CALIBRATION_RECORDING: Final = Kind("what was recorded of the sheet as .npz, see
 TANK: Final = Kind("frames of a tank as .npz, see docs/evaluation.md")
 MISMATCHES: Final = Kind("a JSON list of mismatches", "eitskin_tools.mismatches", ".json", ("lab", "random"))
 BUNDLE: Final = Kind("a bundle made by 'eitskin build'", "eitskin.bundles", ".eitskin")
-START: Final = Kind("a folder of 'eitskin train', or a bundle", "eitskin.bundles", ".eitskin")
 SKIN: Final = Kind("a skin's description as TOML", "eitskin_proto.skins", ".toml")
 RECIPE: Final = Kind("a skin's description or a bundle's recipe as TOML", "eitskin_tools.recipes", ".toml")
 REFERENCE: Final = Kind("a reference captured by 'eitskin reference'")
@@ -221,7 +220,7 @@ def _missing(path: Path) -> str:
     return f"no file {str(path)!r}{where}"
 
 
-OUTPUT_ARGUMENTS: Final = ("out", "plot", "picture", "record", "log", "wire_times")
+OUTPUT_ARGUMENTS: Final = ("out", "plot", "picture", "log", "wire_times")
 """Arguments that name what is written."""
 
 UPDATED_INPUTS: Final[dict[str, tuple[str, ...]]] = {

@@ -47,7 +47,6 @@ CLOUD: Final = FileKind("a cloud of 'eitskin surface'", holds=("magic.npy", "clo
 VOLTAGES: Final = FileKind("voltages of 'eitskin simulate'", holds=("voltages.npy", "voltages208.npy"))
 GUIDED: Final = FileKind("a recording to calibrate from", holds=("reference_V.npy", "reference_frames.npy"))
 PRESSES: Final = FileKind("presses at known places", holds=("xy_mm.npy", "size_mm.npy"))
-DEMO_RECORD: Final = FileKind("what 'eitskin demo' noted", holds=("received_ns.npy", "scalars.npy"))
 CONVERTED: Final = FileKind("a converted recording (.npz)", holds=("voltages_V.npy", "reference_V.npy", "serial.npy"))
 COMPUTED: Final = FileKind(
     "maps of 'eitskin reinfer'", holds=("map.npy", "solver.npy", "wall_ns.npy"), lacks="serial.npy"

@@ -4,9 +4,8 @@ import argparse
 import json
 import signal
 import sys
-from pathlib import Path
 
-from eitskin_tools.command_line import files, kinds, options
+from eitskin_tools.command_line import files, options
 from eitskin_tools.processes.signals import endings
 
 
@@ -34,17 +33,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="at 50 dB (default N2)")
     parser.add_argument("--seed", type=int, default=0, help="of the noise (default 0)")
     parser.add_argument("--view", action="store_true", help="show it in the browser, until Ctrl-C")
-    parser.add_argument("--no-draw", action="store_true", help="do not draw the map in the terminal")
-    parser.add_argument("--record", type=Path, metavar="FILE.npz", help="store what the subscriber received")
-    parser.add_argument(
-        "--picture", type=Path, metavar="FILE.png", help="draw a frame of this run and the truth below it"
-    )
     parser.add_argument("--json", action="store_true", help="print the summary as one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration."""
-    from eitskin_tools.demo.show import Options, choose, draw_picture, print_summary, stream, summarise
+    from eitskin_tools.demo.show import Options, choose, print_summary, stream, summarise
 
     seconds = arguments.seconds if arguments.seconds is not None else 3600.0 if arguments.view else 20.0
     options.check_positive(arguments, "seconds")
@@ -52,14 +46,10 @@ def run(arguments: argparse.Namespace) -> int:
     options.check_seed(arguments.seed)
     options.check_solver(arguments)
     scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
-    if arguments.record is not None:
-        files.writable(arguments.record, kinds.DEMO_RECORD)
-    if arguments.picture is not None:
-        files.picture(arguments.picture, (".png",))
     bundle, kind = choose(arguments.bundle, options.chosen_touches(arguments))
     for number in endings():
         signal.signal(number, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind
-    draw = sys.stdout.isatty() and not (arguments.no_draw or arguments.view) and not arguments.json
+    draw = sys.stdout.isatty() and not (arguments.view or arguments.json)
     wanted = Options(
         seconds=seconds,
         rate_hz=arguments.rate,
@@ -73,14 +63,10 @@ def run(arguments: argparse.Namespace) -> int:
         draw=draw,
         view=arguments.view,
         talk=not draw and not arguments.json,
-        record=arguments.record,
     )
-    streamed = stream(wanted)
-    summary = summarise(wanted, streamed)
+    summary = summarise(wanted, stream(wanted))
     if arguments.json:
         print(json.dumps(summary), flush=True)
     else:
         print_summary(summary)
-    if arguments.picture is not None:  # last: a run without a frame worth drawing has a summary all the same
-        draw_picture(wanted, streamed, arguments.picture)
     return 0

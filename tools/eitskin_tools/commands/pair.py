@@ -1,7 +1,6 @@
 """``eitskin pair BUNDLE OTHER --out FILE``: another network goes into a bundle.
 
-A smaller one is its solver ``vd2t-small`` then. With ``--gentle`` it is one that draws faint touches; with
-``--replace`` it takes the place of the bundle's own.
+A smaller one is its solver ``vd2t-small`` then. With ``--gentle`` it is one that draws faint touches.
 """
 
 import argparse
@@ -16,14 +15,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", required=True, type=Path, metavar="FILE", help="the bundle; its name should end in .eitskin"
     )
-    kind = parser.add_mutually_exclusive_group()
-    kind.add_argument(
+    parser.add_argument(
         "--gentle",
         action="store_true",
         help="use OTHER's network for touches that BUNDLE's hardly shows; it may have any size",
-    )
-    kind.add_argument(
-        "--replace", action="store_true", help="replace BUNDLE's network by OTHER's and keep everything else"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -31,25 +26,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Put the one into the other, and report."""
     from eitskin.model.manifest import GENTLE, SMALL
-    from eitskin_export.pair import pair, replaced
+    from eitskin_export.pair import pair
     from eitskin_tools.command_line import files, kinds
 
     bundle, other = (files.find(name, files.BUNDLE) for name in (arguments.bundle, arguments.other))
     files.writable(arguments.out, kinds.BUNDLE)
-    if arguments.replace:
-        found = replaced(bundle, other, arguments.out)
-    else:
-        found = pair(bundle, other, arguments.out, GENTLE if arguments.gentle else SMALL)
+    found = pair(bundle, other, arguments.out, GENTLE if arguments.gentle else SMALL)
     if arguments.json:
         print(json.dumps(found))
         return 0
-    more = ""
     if arguments.gentle:
-        more = f", and {found['gentle_head_bytes'] / 1e6:.2f} MB where it shows faint touches alone"
-    elif not arguments.replace:
-        more = f", with vd2t-small {found['small_head_bytes'] / 1e6:.2f} MB"
+        more = f"and {found['gentle_head_bytes'] / 1e6:.2f} MB where it shows faint touches alone"
+    else:
+        more = f"with vd2t-small {found['small_head_bytes'] / 1e6:.2f} MB"
     print(
         f"{found['path']}: bundle {found['bundle']}, {found['bytes'] / 1e6:.1f} MB; a frame reads "
-        f"{found['large_head_bytes'] / 1e6:.2f} MB of weights{more}"
+        f"{found['large_head_bytes'] / 1e6:.2f} MB of weights, {more}"
     )
     return 0

@@ -16,14 +16,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, required=True, help="the .npz to write: voltages (104,), voltages208 (208,)"
     )
-    parser.add_argument("--element-size-mm", type=float, help="instead of the scene's own")
-    parser.add_argument(
-        "--contact-law",
-        choices=("modes", "constant"),
-        default="modes",
-        help="how a face contact passes current: by the modes of the layer's depth (default), or by one fitted "
-        "constant, which data sets and bundles are made with",
-    )
     parser.add_argument(
         "--reference",
         action="store_true",
@@ -35,10 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Solve the scene and write its voltages."""
-    from dataclasses import replace
-
     from eitskin_sim.fem.solve import solve_scene
-    from eitskin_sim.scene.scene import check_scene, load_scene
+    from eitskin_sim.scene.scene import load_scene
     from eitskin_tools.command_line import files
 
     skin = options.chosen_skin(arguments)
@@ -46,13 +36,10 @@ def run(arguments: argparse.Namespace) -> int:
     files.writable(arguments.out, kinds.VOLTAGES)
     if arguments.reference:
         scene = scene.reference()
-    if arguments.element_size_mm is not None:
-        scene = replace(scene, element_size_mm=arguments.element_size_mm)
-        check_scene(scene)
     if sys.stderr.isatty():
         print("eitskin simulate: solving, a minute or so; longer with elements below 1.5 mm", file=sys.stderr)
     start = perf_counter()
-    solution = solve_scene(scene, arguments.contact_law)
+    solution = solve_scene(scene, "modes")
     seconds = perf_counter() - start
     _write(arguments.out, scene, solution, skin)
     report = {
@@ -61,7 +48,6 @@ def run(arguments: argparse.Namespace) -> int:
         "n_elements": solution.n_elements,
         "n_nodes": solution.n_nodes,
         "element_size_mm": scene.element_size_mm,
-        "contact_law": arguments.contact_law,
         "seconds": round(seconds, 3),
         "smallest_V": float(abs(solution.voltages).min()),
         "largest_V": float(abs(solution.voltages).max()),

@@ -6,7 +6,6 @@ line a frame.
 
 import argparse
 import contextlib
-import dataclasses
 import json
 import signal
 import sys
@@ -39,16 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
     parser.add_argument("--timeout-s", type=float, default=5.0, metavar="T", help="fail after T s without a frame")
-    parser.add_argument("--max-age-ms", type=float, metavar="A", help="fail on a frame older than A ms")
-    parser.add_argument(
-        "--region",
-        type=float,
-        nargs=4,
-        metavar=("X0", "Y0", "X1", "Y1"),
-        help="show only this rectangle of the sheet, in mm",
-    )
     options.add_skin(parser, "the sheet's size, so that places are in mm")
-    parser.add_argument("--skip-unchanged", action="store_true", help="skip maps that changed by noise only")
     parser.add_argument("--touches", action="store_true", help="print touches instead of maps")
     parser.add_argument("--verified", action="store_true", help="print the verifier's results instead of frames")
     parser.add_argument(
@@ -61,27 +51,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print what comes (or, with ``--json``, one object at the end) and return 0."""
     options.check_client_keys(arguments)
-    if arguments.touches and (arguments.region is not None or arguments.skip_unchanged):
-        raise UsageError("--touches receives no maps: leave out --region and --skip-unchanged")
-    maps_wanted = arguments.region is not None or arguments.skip_unchanged or arguments.max_age_ms is not None
-    if arguments.verified and (arguments.touches or maps_wanted):
-        raise UsageError(
-            "--verified receives no frames: leave out --touches, --region, --skip-unchanged and --max-age-ms"
-        )
+    if arguments.verified and arguments.touches:
+        raise UsageError("--verified receives no frames: leave out --touches")
     if arguments.force_table is not None and not arguments.verified:
         raise UsageError("--force-table needs --verified: only the verifier estimates a touch's strength")
-    options.check_positive(arguments, "frames", "seconds", "timeout_s", "max_age_ms")
-    from eitskin.messaging.regions import Region
+    options.check_positive(arguments, "frames", "seconds", "timeout_s")
     from eitskin.messaging.streams.subscription import subscribe_streams
     from eitskin.messaging.subscription import subscribe
 
     skin = options.chosen_skin(arguments)
-    if arguments.region is not None:
-        try:
-            x0, y0, x1, y1 = arguments.region
-            Region.from_mm(x0, y0, x1, y1, skin.grid)
-        except ValueError as error:
-            raise UsageError(f"--region: {error}") from error
     keys = options.client_keys(arguments)
     if threading.current_thread() is threading.main_thread():  # a script's "&" has it ignore Ctrl-C, which ends it
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -91,11 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.endpoint,
         arguments.mode,
         timeout_s=arguments.timeout_s,
-        region_mm=None if arguments.region is None else tuple(arguments.region),
         skin=skin,
-        skip_unchanged=arguments.skip_unchanged,
         maps=not arguments.touches,
-        max_age_s=None if arguments.max_age_ms is None else arguments.max_age_ms / 1000,
         keys=keys,
     )
     show: Callable[[Any], None] | None = None
@@ -115,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
                     stages.setdefault(stage, []).append(span)
             else:
                 show = show or _shown_by(arguments, skin, states, stack)
-                show(frame if arguments.region is None else _within(frame, subscription.region))
+                show(frame)
             if arguments.frames is not None and subscription.received >= arguments.frames:
                 break
             if arguments.seconds is not None and time.perf_counter() - first_s >= arguments.seconds:
@@ -142,13 +117,6 @@ def _shown_by(
     view = StreamView(sys.stdout, grid=grid)
     stack.callback(view.end)
     return view.show
-
-
-def _within(frame: Any, region: Any) -> Any:
-    """Return a frame whose map is 0 outside a region."""
-    part = 0.0 * frame.map
-    part[region.slices] = frame.map[region.slices]
-    return dataclasses.replace(frame, map=part)
 
 
 def _verified(arguments: argparse.Namespace, keys: Any) -> int:

@@ -23,9 +23,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--learning-rate", type=float, help="instead of the recipe's")
     parser.add_argument("--schedule", choices=["constant", "onecycle"], help="instead of the recipe's")
     parser.add_argument("--seed", type=int, default=0, help="seed of weights, order, noise and dropout (default 0)")
-    parser.add_argument(
-        "--start-from", metavar="RUN|BUNDLE", help="initial weights: the best of a run, or those of a bundle"
-    )
     parser.add_argument("--resume", action="store_true", help="continue after the run's last complete epoch")
     parser.add_argument("--threads", type=int, default=0, help="CPU threads (default: torch's choice)")
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
@@ -60,7 +57,6 @@ def run(arguments: argparse.Namespace) -> int:
     out = files.folder(arguments.out)
     for folder in arguments.data:
         files.find(folder, files.DATA_SET)
-    start = _start(arguments.start_from)
     data = load_all(arguments.data)
     chosen = fitted(chosen, data.skin)
     with ProgressBar("training", lines=False) as bar:
@@ -70,7 +66,6 @@ def run(arguments: argparse.Namespace) -> int:
             out,
             seed=arguments.seed,
             resume=arguments.resume,
-            start=start,
             sources=tuple(str(Path(folder).resolve()) for folder in arguments.data),
             progress=partial(_shown, bar),
         )
@@ -97,21 +92,6 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"best epoch {best.number}: validation loss {best.validation_loss:.5f}, CC {best.validation_cc:.4f}")
         print(f"next: eitskin export {out} --out {out}.eitskin")
     return 0
-
-
-def _start(path: str | None) -> Any:
-    if path is None:
-        return None
-    from eitskin_tools.command_line import files
-
-    found = files.find(path, files.START)
-    if found.is_file():
-        from eitskin_export.unfold import start_of_bundle
-
-        return start_of_bundle(found)
-    from eitskin_training.start import Start
-
-    return Start.of_run(found)
 
 
 def _shown(bar: ProgressBar, now: Any) -> None:

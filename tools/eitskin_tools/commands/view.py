@@ -49,7 +49,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="answer requests to this host name too, such as a proxy's; may be repeated",
     )
-    parser.add_argument("--token", action="store_true", help="the page always requires the token of its address")
     parser.add_argument(
         "--recordings", type=Path, metavar="DIR", help="folder for recordings made from the page (default: this one)"
     )

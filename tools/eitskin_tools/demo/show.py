@@ -27,7 +27,6 @@ import numpy.typing as npt
 
 import eitskin
 from eitskin_proto.errors import MismatchError, SkinError
-from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import to_toml
 from eitskin_proto.skin.touch_kind import TouchKind, knows
@@ -70,8 +69,6 @@ class Options:
     """"virtual" for eitskin virtual-skin, "qemu" for the firmware on an emulated board."""
     seed: int = 0
     draw: bool = False
-    record: Path | None = None
-    """Keep the record there."""
     talk: bool = False
     """Say on standard error how far it is."""
     clouds: bool = True
@@ -121,24 +118,10 @@ def stream(options: Options) -> Streamed:
             runtime.stop()
             skin.stop()
             spoken = _last_object(runtime)
-        if options.record:
-            write_bytes(options.record, record.read_bytes())
         found, wire_ns = Record.load(record), np.load(folder / "wire.npy")
         return Streamed(
             found, wire_ns, script_start(log)["device_us"], _told(log, "sent"), _told(log, "dropped"), spoken, start_s
         )
-
-
-def draw_picture(options: Options, streamed: Streamed, path: Path) -> None:
-    """Draw a frame of a stream that has ended.
-
-    Raises:
-        ValueError: No frame of it is worth drawing; the text says what to do.
-        OSError: The file cannot be written.
-    """
-    from eitskin_tools.demo.frame_picture import picture
-
-    picture(streamed.record, _script_of(options), streamed.start_us, path)
 
 
 def summarise(options: Options, streamed: Streamed) -> dict[str, Any]:
