@@ -1,4 +1,4 @@
-// A client written from firmware_proto/SPEC.md alone: frames with touches, and the four streams of what was measured.
+// A client written from firmware_proto/SPEC.md alone: the four streams of what was measured, and their frames.
 //
 //     client PUBLISH CONTROL FRAMES
 //
@@ -89,44 +89,9 @@ void all_finite_f64(const std::string &data) {
     for (std::size_t i = 0; i < data.size(); i += 8) must(std::isfinite(f64(data, i)), "a number is not finite");
 }
 
-// Section 7, The published frame, The map, Touches.
+// Section 7, The published frame; eitskin.hpp reads the rest of it.
 void frame(const Fields &fields) {
-    const auto shape = at(fields, "shape").as<std::vector<std::uint64_t>>();
-    must(shape.size() == 2 && shape[0] >= 1 && shape[0] <= 120 && shape[1] >= 1 && shape[1] <= 120, "shape");
-    const std::string map = bytes(fields, "map");
-    must(map.size() == 4 * shape[0] * shape[1], "size of the map");
-    all_finite_f32(map);
-    std::size_t largest = 0;
-    for (std::size_t i = 0; i < map.size(); i += 4)
-        if (f32(map, i) > f32(map, largest)) largest = i;
-    const double column = static_cast<double>((largest / 4) % shape[1]);
-    const double row = static_cast<double>((largest / 4) / shape[1]);
-    const Fields host = fields_of(at(fields, "host_ns")), counts = fields_of(at(fields, "counts"));
-    std::printf("frame %llu run %s seq %llu map_seq %llu device_us %llu touched %d gate_logit %.17g cloud %llu "
-                "solver %s read %llu publish %llu lost %llu hash %llx peak_x %.9g peak_y %.9g events %zu\n",
-                static_cast<unsigned long long>(count(fields, "n")), text(fields, "run").c_str(),
-                static_cast<unsigned long long>(count(fields, "seq")),
-                static_cast<unsigned long long>(count(fields, "map_seq")),
-                static_cast<unsigned long long>(count(fields, "device_us")), at(fields, "touched").as<bool>(),
-                at(fields, "gate_logit").as<double>(), static_cast<unsigned long long>(count(fields, "cloud")),
-                text(fields, "solver").c_str(), static_cast<unsigned long long>(count(host, "read")),
-                static_cast<unsigned long long>(count(host, "publish")),
-                static_cast<unsigned long long>(count(counts, "lost")), hash(map), (column + 0.5) * 10.0 / 3.0,
-                (row + 0.5) * 10.0 / 3.0, at(fields, "events").as<std::vector<std::string>>().size());
-    if (fields.find("touches") == fields.end()) return;  // made before the subscription was seen
-    const std::string touches = bytes(fields, "touches");
-    const std::uint64_t size = count(fields, "touch_bytes");
-    must(size >= 76 && touches.size() % size == 0 && touches.size() / size <= 16, "touches");
-    must(bytes(fields, "touch_events").size() % 12 == 0, "touch_events");
-    for (std::size_t one = 0; one < touches.size(); one += size)
-        std::printf("touch %llu of %llu parent %llu age %.9g x %.9g y %.9g area %.9g peak %.9g place %.9g %.9g %.9g "
-                    "normal %.9g %.9g %.9g surface %.9g\n",
-                    static_cast<unsigned long long>(little(touches, one, 4)),
-                    static_cast<unsigned long long>(count(fields, "n")),
-                    static_cast<unsigned long long>(little(touches, one + 4, 4)), f32(touches, one + 8),
-                    f32(touches, one + 12), f32(touches, one + 16), f32(touches, one + 32), f32(touches, one + 36),
-                    f32(touches, one + 48), f32(touches, one + 52), f32(touches, one + 56), f32(touches, one + 60),
-                    f32(touches, one + 64), f32(touches, one + 68), f32(touches, one + 72));
+    std::printf("frame %llu\n", static_cast<unsigned long long>(count(fields, "n")));
 }
 
 double volts_per_count = 0.0;  // of HELLO, once a state has come
