@@ -53,7 +53,7 @@ calibrate r.npz --out s.toml --guided --port /dev/none --json | --guided prints 
 bench | arguments are required
 bench frame --frames 5 | percentiles
 bench dataset --bends 0 | --bends must be at least 1
-card free --each 0 | expected at least 1 of each
+card free --each 0 | --each is 0, expected at least 1
 dataset --set paper --out d --workers 0 | --workers is 0, expected at least 1
 dataset --set paper --out d --scheduler here | tls://HOST:
 dataset --set mm --out d | --set is 'mm', expected one of
@@ -68,7 +68,7 @@ demo --noise n2 | --noise is 'n2', expected one of N1, N2, N3, none; did you mea
 evaluate --random 2-4 --solver tikhonv | did you mean 'tikhonov'?
 evaluate --random few | 2-4
 evaluate --single 10 --labels units | --labels
-evaluate --single 10 --shift-px 3 | from 0 to 1
+evaluate --single 10 --shift-px 3 | --shift-px is 3, expected 0 to 1
 evaluate --phantoms paper_mm --seed 5 | --seed does nothing with --phantoms: leave it out; it works with --single
 evaluate --untouched --each 4 | --each does nothing with --untouched
 evaluate --single 10 --solver sbl --prediction none | --prediction does nothing with --solver sbl

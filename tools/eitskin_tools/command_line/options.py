@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_tools.command_line import files
-from eitskin_tools.command_line.parser import expected_one_of
+from eitskin_tools.command_line.parser import expected_one_of, positive, whole, within
 from eitskin_tools.errors import UsageError
 
 if TYPE_CHECKING:
@@ -18,44 +18,10 @@ if TYPE_CHECKING:
 TOUCH_KINDS: Final[tuple[TouchKind, ...]] = ("lower", "raise")
 """What ``--touches`` takes."""
 
-SNR_DB: Final = (0.0, 200.0)
-"""Bounds of ``--snr-db``: as loud as the signal, and far below the last bit of any converter."""
-
-MAX_SEED: Final = 1_000_000_000
-"""Of ``--seed``: the largest from which every generator can draw."""
-
-MAX_SPAN_S: Final = 1e9
-"""Thirty years: nothing was recorded for longer."""
-
 
 def flag(name: str) -> str:
     """Return an argument's name as it is typed."""
     return f"--{name.replace('_', '-')}"
-
-
-def check_least(arguments: argparse.Namespace, **least: int) -> None:
-    """Refuse whole numbers below their bounds; what was left out is None.
-
-    Raises:
-        UsageError: One is too small.
-    """
-    for name, bound in least.items():
-        value = getattr(arguments, name)
-        if value is not None and value < bound:
-            raise UsageError(f"{flag(name)} is {value}, expected at least {bound}")
-
-
-def check_positive(arguments: argparse.Namespace, *names: str, most: float | None = None) -> None:
-    """Refuse numbers that are not above 0, and those above a bound; what was left out is None.
-
-    Raises:
-        UsageError: One is no such number.
-    """
-    for name in names:
-        value = getattr(arguments, name)
-        if value is not None and not 0 < value <= (float("inf") if most is None else most):
-            bound = "" if most is None else f" and at most {most:.0f}"
-            raise UsageError(f"{flag(name)} is {value:g}, expected more than 0{bound}")
 
 
 def check_solver(arguments: argparse.Namespace) -> None:
@@ -66,24 +32,14 @@ def check_solver(arguments: argparse.Namespace) -> None:
         raise UsageError(expected_one_of("--solver", arguments.solver, SOLVERS))
 
 
-def check_seed(seed: int) -> None:
-    """Refuse a ``--seed`` that no generator takes.
+SEED: Final = whole(0, 1_000_000_000)
+"""``--seed``: up to the largest from which every generator can draw."""
 
-    Raises:
-        UsageError: It is below 0 or too large.
-    """
-    if not 0 <= seed <= MAX_SEED:
-        raise UsageError(f"--seed is {seed}, expected 0 to {MAX_SEED}")
+SNR_DB: Final = within(0.0, 200.0)
+"""``--snr-db``: from as loud as the signal to far below the last bit of any converter."""
 
-
-def check_snr(value: float) -> None:
-    """Refuse a ``--snr-db`` that no instrument has: NaN would get into every voltage.
-
-    Raises:
-        UsageError: It is no number, or outside the bounds.
-    """
-    if not SNR_DB[0] <= value <= SNR_DB[1]:
-        raise UsageError(f"--snr-db is {value:g}, expected {SNR_DB[0]:g} to {SNR_DB[1]:g}")
+SPAN_S: Final = within(0.0, 1e9)
+"""``--from`` and ``--to``: nothing was recorded for longer than thirty years."""
 
 
 def add_bundle(parser: argparse.ArgumentParser, what: str) -> None:
@@ -99,7 +55,10 @@ def add_bundle(parser: argparse.ArgumentParser, what: str) -> None:
 def add_reconnect(parser: argparse.ArgumentParser) -> None:
     """Declare ``--reconnect``."""
     parser.add_argument(
-        "--reconnect", type=float, metavar="S", help="wait up to S s for a port that is gone or busy (default: end)"
+        "--reconnect",
+        type=positive(1e9),
+        metavar="S",
+        help="wait up to S s for a port that is gone or busy (default: end)",
     )
 
 
@@ -163,39 +122,32 @@ def add_client_keys(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--client-key", type=Path, metavar="FILE", help="CURVE: our own .key_secret")
 
 
-def check_client_keys(arguments: argparse.Namespace) -> None:
-    """Refuse one key without the other.
+def client_keys(arguments: argparse.Namespace) -> "ClientKeys | None":
+    """Return the keys that were named; None where none were.
 
     Raises:
         UsageError: One is missing.
     """
-    if (arguments.server_key is None) != (arguments.client_key is None):
-        raise UsageError("--server-key and --client-key need each other: give both")
-
-
-def client_keys(arguments: argparse.Namespace) -> "ClientKeys | None":
-    """Return the keys that were named; None where none were."""
     from eitskin.messaging.curve_keys import load_client_keys
 
+    if (arguments.server_key is None) != (arguments.client_key is None):
+        raise UsageError("--server-key and --client-key need each other: give both")
     return None if arguments.server_key is None else load_client_keys(arguments.server_key, arguments.client_key)
 
 
 def add_span(parser: argparse.ArgumentParser) -> None:
     """Declare ``--from`` and ``--to``, the part of a recording that a command takes."""
-    parser.add_argument("--from", type=float, dest="from_s", metavar="S", help="begin S seconds after the first frame")
-    parser.add_argument("--to", type=float, dest="to_s", metavar="S", help="end S seconds after the first frame")
+    parser.add_argument("--from", type=SPAN_S, dest="from_s", metavar="S", help="begin S seconds after the first frame")
+    parser.add_argument("--to", type=SPAN_S, dest="to_s", metavar="S", help="end S seconds after the first frame")
 
 
 def check_span(arguments: argparse.Namespace) -> None:
-    """Refuse a part that no recording has.
+    """Refuse a part that ends before it begins.
 
     Raises:
-        UsageError: A bound is no time after the first frame, or the part ends before it begins.
+        UsageError: It does.
     """
     begin_s, end_s = arguments.from_s, arguments.to_s
-    for option, value in (("--from", begin_s), ("--to", end_s)):
-        if value is not None and not 0 <= value < MAX_SPAN_S:
-            raise UsageError(f"{option} is {value:g}, expected 0 or more seconds after the first frame")
     if begin_s is not None and end_s is not None and begin_s >= end_s:
         raise UsageError(f"--from {begin_s:g} is not before --to {end_s:g}")
 

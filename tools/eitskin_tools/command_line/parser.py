@@ -4,7 +4,8 @@ Its subparsers are of the same class, so that ``eitskin bench skp`` and ``eitski
 """
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from eitskin_proto.fields import did_you_mean
@@ -15,6 +16,49 @@ def expected_one_of(what: str, word: str, names: Iterable[str]) -> str:
     """Return ``--solver is 'vd2'; expected one of vd2t, tikhonov; did you mean 'vd2t'?``."""
     listed = list(names)
     return f"{what} is {word!r}, expected one of {', '.join(listed)}{did_you_mean(word, listed)}"
+
+
+@dataclass(frozen=True)
+class Bounded:
+    """An argument's type: a number within bounds.
+
+    Args:
+        kind: int or float.
+        expected: What the parser says where a text is no such number.
+        holds: Whether a number is within the bounds.
+    """
+
+    kind: Callable[[str], Any]
+    expected: str
+    holds: Callable[[Any], bool]
+
+    def __call__(self, text: str) -> Any:
+        """Return the number.
+
+        Raises:
+            ValueError: It is none, or not within the bounds.
+        """
+        if not self.holds(value := self.kind(text)):
+            raise ValueError(self.expected)
+        return value
+
+
+def whole(least: int, most: int | None = None) -> Bounded:
+    """Return the type of whole numbers from a bound on, or within two."""
+    if most is None:
+        return Bounded(int, f"at least {least}", lambda value: value >= least)
+    return Bounded(int, f"{least} to {most}", lambda value: least <= value <= most)
+
+
+def positive(most: float = float("inf")) -> Bounded:
+    """Return the type of numbers above 0, up to a bound."""
+    bound = "" if most == float("inf") else f" and at most {most:.0f}"
+    return Bounded(float, f"more than 0{bound}", lambda value: 0.0 < value <= most)
+
+
+def within(low: float, high: float) -> Bounded:
+    """Return the type of numbers within two bounds."""
+    return Bounded(float, f"{low:g} to {high:g}", lambda value: low <= value <= high)
 
 
 class Parser(argparse.ArgumentParser):
@@ -70,6 +114,14 @@ class Parser(argparse.ArgumentParser):
 
     def _listed(self) -> str:
         return f"; '{self.prog} --help' lists them"
+
+    def _get_value(self, action: argparse.Action, text: str) -> Any:
+        try:
+            return super()._get_value(action, text)  # type: ignore[misc]  # not in the stubs
+        except argparse.ArgumentError:
+            if not isinstance(action.type, Bounded):
+                raise
+            self.error(f"{'/'.join(action.option_strings)} is {text}, expected {action.type.expected}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is None or value in action.choices:

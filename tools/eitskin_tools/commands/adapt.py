@@ -4,6 +4,9 @@ import argparse
 import json
 from pathlib import Path
 
+from eitskin_tools.command_line import files
+from eitskin_tools.command_line.options import SEED
+from eitskin_tools.command_line.parser import whole
 from eitskin_tools.console.terminal import note
 
 
@@ -18,8 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--steps", type=int, default=3000, metavar="N", help="training steps of imputation and network together"
     )
-    parser.add_argument("--seed", type=int, default=0, help="seed of every draw (default 0)")
-    parser.add_argument("--threads", type=int, default=0, help="CPU threads (default: torch's choice)")
+    parser.add_argument("--seed", type=SEED, default=0, help="seed of every draw (default 0)")
+    parser.add_argument("--threads", type=whole(0), default=0, help="CPU threads (default: torch's choice)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -27,15 +30,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Adapt and report."""
     import torch
 
-    from eitskin_tools.command_line import files
-    from eitskin_tools.command_line.options import check_least, check_seed
     from eitskin_tools.errors import UsageError
     from eitskin_training import adapt
     from eitskin_training.gate import stored
     from eitskin_training.run_files import data_of, trained
 
-    check_seed(arguments.seed)
-    check_least(arguments, threads=0)
     try:
         plan = adapt.Plan(fitting_steps=arguments.fitting_steps, steps=arguments.steps)
     except ValueError as error:

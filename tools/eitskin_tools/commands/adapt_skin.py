@@ -11,6 +11,8 @@ from typing import Any
 
 from eitskin_proto.errors import SkinError
 from eitskin_tools.command_line import files, options
+from eitskin_tools.command_line.options import SEED
+from eitskin_tools.command_line.parser import whole
 from eitskin_tools.commands.build import add_making, make
 from eitskin_tools.errors import UsageError
 
@@ -40,7 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ):
         default = getattr(usual, name)
         flag = f"--{name.replace('_', '-')}"
-        parser.add_argument(flag, type=int, metavar="N", default=default, help=f"{what} (default {default})")
+        kind = SEED if name == "seed" else whole(1)
+        parser.add_argument(flag, type=kind, metavar="N", default=default, help=f"{what} (default {default})")
     add_making(parser)
 
 
@@ -52,8 +55,6 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_tools.build import adaptation
 
     chosen = {name: getattr(arguments, name) for name in ("deformations", "per_deformation", "epochs", "seed")}
-    options.check_least(arguments, deformations=1, per_deformation=1, epochs=1)
-    options.check_seed(arguments.seed)
     bundle = load_bundle(files.find(arguments.bundle, files.BUNDLE), lazily=True)
     twin, work = options.read_skin(arguments.skin), replace(adaptation.Adaptation(), **chosen)
     check_touches(bundle, twin)

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from eitskin_proto.files.writing import held
+from eitskin_tools.command_line import files, kinds, options
+from eitskin_tools.command_line.parser import positive, whole
 from eitskin_tools.console.terminal import note
 
 if TYPE_CHECKING:
@@ -22,15 +24,13 @@ MANY_DEFORMATIONS: Final = 3000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from eitskin_tools.command_line import files
-
     shipped = ", ".join(dict.fromkeys((*files.RECIPE.names(), *files.SKIN.names())))
     parser.add_argument(
         "recipe", metavar="SKIN.toml", help=f"a skin's description, or a recipe: a file, or one of {shipped}"
     )
     parser.add_argument(
         "--hours",
-        type=float,
+        type=positive(1e4),
         metavar="H",
         help="scale data and epochs to H hours on this machine (default: full length)",
     )
@@ -48,18 +48,17 @@ def add_making(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--work", type=Path, metavar="DIR", help="folder for intermediate results (default: FILE.eitskin.build)"
     )
-    parser.add_argument("--workers", type=int, metavar="N", help="processes that make data (default: one per core)")
-    parser.add_argument("--threads", type=int, default=0, help="CPU threads of training (default: torch's choice)")
+    parser.add_argument(
+        "--workers", type=whole(1), metavar="N", help="processes that make data (default: one per core)"
+    )
+    parser.add_argument("--threads", type=whole(0), default=0, help="CPU threads of training (default: torch's choice)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Build, and report."""
     from eitskin_tools.build import recipe
-    from eitskin_tools.errors import UsageError
 
-    if arguments.hours is not None and not 0 < arguments.hours < 1e4:
-        raise UsageError(f"--hours is {arguments.hours:g}, expected more than 0")
     if arguments.physics:
         return _build_physics(arguments)
     return make(recipe.load(arguments.recipe), arguments, arguments.hours)
@@ -84,11 +83,10 @@ def make(
     from eitskin_tools.build import folder as half_made
     from eitskin_tools.build import steps
     from eitskin_tools.build.making import TRAINING_SHARES, Making, plan_lines
-    from eitskin_tools.command_line import files, kinds, options
+    from eitskin_tools.command_line import files, kinds
     from eitskin_tools.console.progress import Stages
     from eitskin_tools.evaluation import card
 
-    options.check_least(arguments, workers=1, threads=0)
     files.writable(arguments.out, kinds.BUNDLE)
     work = arguments.work or arguments.out.with_name(f"{arguments.out.name}.build")
     others, workers = asked.others(), steps.processes(arguments.workers)
@@ -148,7 +146,6 @@ def make(
 def _build_physics(arguments: argparse.Namespace) -> int:
     """Build without training, and report."""
     from eitskin_tools.build import physics, steps
-    from eitskin_tools.command_line import files, kinds, options
     from eitskin_tools.console.progress import Stages
     from eitskin_tools.errors import UsageError
     from eitskin_tools.evaluation import physics_card
@@ -156,7 +153,6 @@ def _build_physics(arguments: argparse.Namespace) -> int:
     given = [name for name in ("hours", "work", "threads") if getattr(arguments, name)]
     if given:
         raise UsageError(f"--{given[0]} does nothing with --physics: leave it out")
-    options.check_least(arguments, workers=1)
     files.writable(arguments.out, kinds.BUNDLE)
     skin = options.read_skin(arguments.recipe)
     with Stages() as tell:

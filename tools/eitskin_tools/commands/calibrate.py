@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from eitskin_tools.command_line import files, kinds, options
 from eitskin_tools.command_line.options import flag
+from eitskin_tools.command_line.parser import whole, within
 from eitskin_tools.errors import UsageError
 
 GUIDED: Final[dict[str, Any]] = {
@@ -34,7 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"{', '.join(files.SKIN.names())} (default: lab)",
     )
     parser.add_argument(
-        "--snr-db", type=float, metavar="DB", help="signal to noise ratio of a frame (default: the lowest stated)"
+        "--snr-db",
+        type=within(10.0, 120.0),
+        metavar="DB",
+        help="signal to noise ratio of a frame (default: the lowest stated)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     guided = parser.add_argument_group("guided")
@@ -47,12 +51,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="CLOUD.npz",
         help="cloud of the sheet during reference and presses, from 'eitskin surface' (default: it lies flat)",
     )
-    guided.add_argument("--bends", type=int, metavar="N", help="number of bends (default 3)")
-    guided.add_argument("--presses", type=int, metavar="N", help="number of presses (default 6)")
+    guided.add_argument("--bends", type=whole(0), metavar="N", help="number of bends (default 3)")
+    guided.add_argument("--presses", type=whole(0), metavar="N", help="number of presses (default 6)")
     guided.add_argument(
         "--stamp", metavar="MM", help="size of the stamp in mm: diameter, such as 16, or length x width, such as 20x10"
     )
-    guided.add_argument("--frames", type=int, metavar="N", help="frames of each bend and press (default 40)")
+    guided.add_argument("--frames", type=whole(4), metavar="N", help="frames of each bend and press (default 40)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -65,8 +69,6 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_sim.calibration.report import calibrate
     from eitskin_sim.devices.draws import check_outline
 
-    if arguments.snr_db is not None and not 10.0 <= arguments.snr_db <= 120.0:
-        raise UsageError(f"--snr-db is {arguments.snr_db:g}, expected 10 to 120")
     files.writable(arguments.out, kinds.SKIN)
     skin = options.read_skin(arguments.skin)
     check_outline(skin)
@@ -127,7 +129,6 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
     for name, usual in GUIDED.items():
         if getattr(arguments, name) is None:
             setattr(arguments, name, usual)
-    options.check_least(arguments, presses=0, bends=0, frames=4)
     plan = Plan(
         places_mm=places(skin.outline.size_mm, arguments.presses),
         stamp_mm=_stamp(arguments.stamp),

@@ -8,15 +8,19 @@ import json
 from pathlib import Path
 from typing import Any
 
+from eitskin_tools.command_line.parser import whole
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("bundle", metavar="BUNDLE", help="a file, or a shipped one's name")
     parser.add_argument(
-        "--deformations", type=int, default=8, metavar="N", help="deformations not trained on (default: 8)"
+        "--deformations", type=whole(1), default=8, metavar="N", help="deformations not trained on (default: 8)"
     )
-    parser.add_argument("--each", type=int, default=3, metavar="N", help="touches at each deformation (default: 3)")
-    parser.add_argument("--draws", type=int, default=2, metavar="N", help="devices of each mismatch (default: 2)")
+    parser.add_argument(
+        "--each", type=whole(1), default=3, metavar="N", help="touches at each deformation (default: 3)"
+    )
+    parser.add_argument("--draws", type=whole(1), default=2, metavar="N", help="devices of each mismatch (default: 2)")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the bundle with the card in its manifest")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -26,12 +30,9 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin.model.bundle import load_bundle
     from eitskin_tools.command_line import files, kinds
     from eitskin_tools.console.progress import Stages
-    from eitskin_tools.errors import UsageError
     from eitskin_tools.evaluation import card, physics_card
 
     sizes = (arguments.deformations, arguments.each, arguments.draws)
-    if min(sizes) < 1:
-        raise UsageError("--deformations {} --each {} --draws {}: expected at least 1 of each".format(*sizes))
     path = files.find(arguments.bundle, files.BUNDLE)
     if arguments.out is not None:
         files.writable(arguments.out, kinds.BUNDLE)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eitskin_tools.command_line import files, options
-from eitskin_tools.command_line.parser import Parser
+from eitskin_tools.command_line.parser import Parser, whole
 from eitskin_tools.console.progress import ProgressBar
 from eitskin_tools.errors import UsageError
 
@@ -62,7 +62,9 @@ def add_arguments(parser: Parser) -> None:
         help=f"skin.toml of the sheet and its uncertainties: a file, or one of {', '.join(files.SKIN.names())} "
         "(default: the paper's, for random devices lab)",
     )
-    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes on this machine (default 1)")
+    parser.add_argument(
+        "--workers", type=whole(1), default=1, metavar="N", help="processes on this machine (default 1)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     group = parser.add_more("cluster")
     group.add_argument("--scheduler", metavar="ADDRESS", help="use a Dask scheduler, such as tls://HOST:8786")
@@ -77,7 +79,6 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_sim.dataset.generate import generate
     from eitskin_sim.dataset.plan import make_plan
 
-    options.check_least(arguments, workers=1)
     certificates = Certificates(arguments.tls_ca, arguments.tls_cert, arguments.tls_key)
     _check_scheduler(arguments.scheduler, certificates)
     files.folder(arguments.out)

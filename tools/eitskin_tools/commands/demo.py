@@ -6,15 +6,17 @@ import signal
 import sys
 
 from eitskin_tools.command_line import files, options
+from eitskin_tools.command_line.options import SEED
+from eitskin_tools.command_line.parser import positive
 from eitskin_tools.processes.signals import endings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
-        "--seconds", type=float, metavar="S", help="run time after the first frame (20; with --view 3600)"
+        "--seconds", type=positive(), metavar="S", help="run time after the first frame (20; with --view 3600)"
     )
-    parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (default 200)")
+    parser.add_argument("--rate", type=positive(1e5), default=200.0, metavar="HZ", help="frames a second (default 200)")
     options.add_bundle(parser, "to run (default: a shipped one that knows the touches)")
     options.add_touches(parser, "those of the bundle, presses where it knows them or one that does is shipped")
     parser.add_argument(
@@ -31,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="qemu: the real firmware on an emulated board (needs qemu-system-arm and gcc-arm-none-eabi)",
     )  # fmt: skip
     parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="at 50 dB (default N2)")
-    parser.add_argument("--seed", type=int, default=0, help="of the noise (default 0)")
+    parser.add_argument("--seed", type=SEED, default=0, help="of the noise (default 0)")
     parser.add_argument("--view", action="store_true", help="show it in the browser, until Ctrl-C")
     parser.add_argument("--json", action="store_true", help="print the summary as one JSON object")
 
@@ -41,9 +43,6 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_tools.demo.show import Options, choose, print_summary, stream, summarise
 
     seconds = arguments.seconds if arguments.seconds is not None else 3600.0 if arguments.view else 20.0
-    options.check_positive(arguments, "seconds")
-    options.check_positive(arguments, "rate", most=1e5)
-    options.check_seed(arguments.seed)
     options.check_solver(arguments)
     scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
     bundle, kind = choose(arguments.bundle, options.chosen_touches(arguments))

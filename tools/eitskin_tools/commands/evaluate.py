@@ -8,7 +8,6 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from eitskin_tools.command_line import files, options
-from eitskin_tools.command_line.options import check_snr
 from eitskin_tools.command_line.parser import expected_one_of
 from eitskin_tools.console.progress import ProgressBar
 from eitskin_tools.console.terminal import say
@@ -25,19 +24,10 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_tools.evaluation.solvers import NAMES, Request, usual_solver
 
     way = way_of(arguments)
-    if arguments.seeds < 1:
-        raise UsageError(f"--seeds {arguments.seeds}: expected at least 1")
-    if arguments.seed < 0:
-        raise UsageError(f"--seed {arguments.seed}: expected at least 0")
     if arguments.solver is None:
         arguments.solver = "l1" if way == "tank" else usual_solver(arguments.bundle)
     if arguments.solver not in NAMES:
         raise UsageError(expected_one_of("--solver", arguments.solver, NAMES))
-    if not 0.0 <= arguments.shift_px <= 1.0:
-        raise UsageError(f"--shift-px {arguments.shift_px:g}: expected from 0 to 1")
-    check_snr(arguments.snr_db)
-    if arguments.at_rest < 0:
-        raise UsageError(f"--at-rest {arguments.at_rest}: expected a number of frames")
     skin = options.chosen_skin(arguments)
     conditions = Conditions(
         arguments.noise,
@@ -118,8 +108,6 @@ def _devices(arguments: argparse.Namespace, request: Any) -> int:
     from eitskin_sim.evaluation import device_runs as runs
     from eitskin_tools.evaluation.devices import KINDS, evaluate_devices, meant, rows_of, table, trials_of
 
-    if arguments.draws < 1:
-        raise UsageError(f"--draws {arguments.draws}: expected at least 1")
     kinds = arguments.trials.split(",")
     if unknown := [kind for kind in kinds if kind not in KINDS]:
         raise UsageError(expected_one_of("--trials", unknown[0], KINDS))

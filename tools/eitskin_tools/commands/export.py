@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from eitskin_tools.command_line.parser import whole
 from eitskin_tools.console.terminal import note
 
 
@@ -20,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="also score these and write the result to the card",
     )
-    parser.add_argument("--seeds", type=int, default=3, help="noise draws for each phantom (default 3)")
+    parser.add_argument("--seeds", type=whole(1), default=3, help="noise draws for each phantom (default 3)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -28,12 +29,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Export and report."""
     from eitskin_export import package
     from eitskin_export.bundle import amend
-    from eitskin_tools.command_line import files, kinds, options
+    from eitskin_tools.command_line import files, kinds
     from eitskin_tools.console.progress import Stages
     from eitskin_training.run_files import data_of, trained
 
     out = Path(arguments.out)
-    options.check_least(arguments, seeds=1)
     files.writable(out, kinds.BUNDLE)
     for path in arguments.phantoms:
         files.find(path, files.PHANTOMS)

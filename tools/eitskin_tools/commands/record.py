@@ -15,7 +15,7 @@ from typing import Any
 
 from eitskin.errors import NoFrame
 from eitskin_tools.command_line import files
-from eitskin_tools.command_line.options import add_client_keys, check_client_keys, client_keys
+from eitskin_tools.command_line.options import add_client_keys, client_keys
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import endings
 
@@ -193,7 +193,6 @@ def _summary(recorder: Any, intake: Any) -> dict[str, Any]:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    check_client_keys(arguments)
     if arguments.wire_only and (arguments.maps or arguments.pictures_hz):
         raise UsageError("--wire-only records neither maps nor pictures: leave out --maps and --pictures-hz")
     if arguments.every is not None and not arguments.maps:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line import files, kinds, options
+from eitskin_tools.command_line.parser import whole
 from eitskin_tools.console.terminal import say
 from eitskin_tools.errors import UsageError
 
@@ -23,7 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--show", type=Path, metavar="FILE", help="show a captured reference")
     parser.add_argument("--out", type=Path, metavar="FILE", help="capture: file to write")
     options.add_reconnect(parser)
-    parser.add_argument("--frames", type=int, default=100, metavar="N", help="capture: number of frames (default 100)")
+    parser.add_argument(
+        "--frames", type=whole(2), default=100, metavar="N", help="capture: number of frames (default 100)"
+    )
     parser.add_argument("--baud", type=int, help="bits per second of a UART (default 2000000)")
     options.add_bundle(
         parser,
@@ -37,9 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="older reference to compare it with (default: the one that --out replaces)",
     )
     parser.add_argument(
-        "--surface",
-        metavar="CLOUD",
-        help="cloud of the sheet now, from 'eitskin surface --predict' (default: flat)",
+        "--surface", metavar="CLOUD", help="cloud of the sheet now, from 'eitskin surface --predict' (default: flat)"
     )
     parser.add_argument("--force", action="store_true", help="store it even if the sheet seems bent, touched or moving")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -54,8 +55,6 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         if arguments.out is None:
             raise UsageError("--port captures a reference; name the file that it goes to with --out")
-        options.check_least(arguments, frames=2)
-        options.check_positive(arguments, "reconnect", most=1e9)
         files.writable(arguments.out, kinds.REFERENCE)
         found = _capture(arguments)
         references.save(found, arguments.out)

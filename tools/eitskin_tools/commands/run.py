@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from eitskin.pipeline.latency_budget import MOST_MS
 from eitskin_tools.command_line import options
 from eitskin_tools.command_line.options import flag
-from eitskin_tools.command_line.parser import Parser
+from eitskin_tools.command_line.parser import Parser, positive, whole
 from eitskin_tools.console.run_log import FORMATS, RunLog, end_unread
 from eitskin_tools.console.run_status import closing, report
 from eitskin_tools.errors import UsageError
@@ -42,8 +42,8 @@ def add_arguments(parser: Parser) -> None:
     )
     parser.add_argument("--skin", type=Path, metavar="FILE", help="description of the sheet, which the bundle must fit")
     options.add_reconnect(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
-    parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
+    parser.add_argument("--seconds", type=positive(1e9), metavar="S", help="end after S seconds")
+    parser.add_argument("--frames", type=whole(1), metavar="N", help="end after N frames")
     parser.add_argument("--quiet", action="store_true", help="log only 'ready' and problems")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
 
@@ -53,17 +53,17 @@ def add_arguments(parser: Parser) -> None:
     group.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, which TCP needs")
 
     group = parser.add_more("device and reference")
-    group.add_argument("--baud", type=int, help="bits per second of a UART (default 2000000)")
+    group.add_argument("--baud", type=whole(300), help="bits per second of a UART (default 2000000)")
     group.add_argument("--check", action="store_true", help="with --config: check the file and what it names, and end")
     group.add_argument(
-        "--reference-frames", type=int, metavar="N", help="frames of a reference captured now (default 100)"
+        "--reference-frames", type=whole(2), metavar="N", help="frames of a reference captured now (default 100)"
     )
     group.add_argument(
         "--force-reference", action="store_true", help="capture it even if the sheet seems bent, touched or moving"
     )
     group.add_argument(
         "--exclude-electrode",
-        type=int,
+        type=whole(0, 15),
         action="append",
         default=[],
         metavar="N",
@@ -78,13 +78,16 @@ def add_arguments(parser: Parser) -> None:
         "the bundle's card reports equal accuracy and no budget is set)",
     )
     group.add_argument(
-        "--budget-ms", type=float, metavar="B", help="latency budget in ms, from read to publish (default: none)"
+        "--budget-ms",
+        type=positive(MOST_MS),
+        metavar="B",
+        help="latency budget in ms, from read to publish (default: none)",
     )
     group.add_argument(
         "--every-map", action="store_true", help="compute every touched frame, even if only noise changed"
     )
     group.add_argument(
-        "--idle-after", type=float, metavar="S", help="scan only a few drives after S seconds without a touch"
+        "--idle-after", type=positive(1e9), metavar="S", help="scan only a few drives after S seconds without a touch"
     )
     group.add_argument(
         "--compensate-drift",
@@ -245,12 +248,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError("expected either --port PORT for one skin, or --config FILE.toml for several")
     if arguments.check and arguments.config is None:
         raise UsageError("--check needs --config: it checks a robot.toml")
-    options.check_least(arguments, frames=1, reference_frames=2, baud=300)
-    options.check_positive(arguments, "seconds", "reconnect", "idle_after", most=1e9)
-    options.check_positive(arguments, "budget_ms", most=MOST_MS)
     options.check_solver(arguments)
-    if any(not 0 <= number < 16 for number in arguments.exclude_electrode):
-        raise UsageError(f"--exclude-electrode is {arguments.exclude_electrode}, expected numbers from 0 to 15")
     if arguments.affinity and not all(part.isdecimal() for part in arguments.affinity.split(",")):
         raise UsageError(f"--affinity is {arguments.affinity!r}, expected CPU numbers such as 2 or 2,3")
     for name in ("reference_frames", "force_reference"):

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 from eitskin_tools.command_line import options
+from eitskin_tools.command_line.parser import positive
 from eitskin_tools.console.terminal import say
 
 if TYPE_CHECKING:
@@ -29,15 +30,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "'eitskin run --config' (default: its default one)",
     )
     parser.add_argument("--all", action="store_true", help="all skins of a robot")
-    parser.add_argument("--timeout-s", type=float, default=3.0, metavar="T", help="wait T s for answers (default 3)")
+    parser.add_argument(
+        "--timeout-s", type=positive(), default=3.0, metavar="T", help="wait T s for answers (default 3)"
+    )
     options.add_client_keys(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Ask, say, and return 0 if all are well."""
-    options.check_positive(arguments, "timeout_s")
-    options.check_client_keys(arguments)
     from eitskin.messaging.endpoints import default_control
     from eitskin.robot.config import RobotSkin
     from eitskin.robot.described import ProcessState, states_of

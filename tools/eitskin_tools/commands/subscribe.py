@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eitskin_tools.command_line import options
+from eitskin_tools.command_line.parser import positive, whole
 from eitskin_tools.console.terminal import say
 from eitskin_tools.errors import UsageError
 
@@ -35,9 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mode", choices=("latest", "all"), default="latest", help="the newest frame (default), or every frame"
     )
-    parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
-    parser.add_argument("--timeout-s", type=float, default=5.0, metavar="T", help="fail after T s without a frame")
+    parser.add_argument("--frames", type=whole(1), metavar="N", help="end after N frames")
+    parser.add_argument("--seconds", type=positive(), metavar="S", help="end after S seconds")
+    parser.add_argument("--timeout-s", type=positive(), default=5.0, metavar="T", help="fail after T s without a frame")
     options.add_skin(parser, "the sheet's size, so that places are in mm")
     parser.add_argument("--touches", action="store_true", help="print touches instead of maps")
     parser.add_argument("--verified", action="store_true", help="print the verifier's results instead of frames")
@@ -50,12 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print what comes (or, with ``--json``, one object at the end) and return 0."""
-    options.check_client_keys(arguments)
     if arguments.verified and arguments.touches:
         raise UsageError("--verified receives no frames: leave out --touches")
     if arguments.force_table is not None and not arguments.verified:
         raise UsageError("--force-table needs --verified: only the verifier estimates a touch's strength")
-    options.check_positive(arguments, "frames", "seconds", "timeout_s")
     from eitskin.messaging.streams.subscription import subscribe_streams
     from eitskin.messaging.subscription import subscribe
 

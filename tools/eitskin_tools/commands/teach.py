@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from eitskin_tools.command_line import files, kinds, options
 from eitskin_tools.command_line.options import flag
+from eitskin_tools.command_line.parser import whole, within
 from eitskin_tools.console.terminal import say
 from eitskin_tools.errors import UsageError
 
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="B.eitskin", help="the bundle to write")
     parser.add_argument("--skin", metavar="SKIN.toml", help="description of the sheet (default: its size alone)")
     parser.add_argument(
-        "--false-alarms", type=float, default=0.01, metavar="SHARE",
+        "--false-alarms", type=within(1e-4, 0.5), default=0.01, metavar="SHARE",
         help="share of untouched frames that may look touched (default: 0.01)",
     )  # fmt: skip
     parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw where presses are placed well and badly")
@@ -43,20 +44,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     guided = parser.add_argument_group("record the presses")
     guided.add_argument("--port", help="lead through presses now: serial port, usb:SERIAL or NAME:REST of the device")
     guided.add_argument("--baud", type=int, metavar="N", help="bits per second of a UART (default: 2000000)")
-    guided.add_argument("--presses", type=int, metavar="N", help="places of the grid, about (default: 60)")
+    guided.add_argument("--presses", type=whole(6), metavar="N", help="places of the grid, about (default: 60)")
     guided.add_argument(
         "--grid", type=Path, metavar="FILE.svg", help="write the grid, to be printed at 100 %%, and stop"
     )
     guided.add_argument("--page", type=int, metavar="PORT", help="show the next place on a page at this port")
     guided.add_argument("--recording", type=Path, metavar="FILE.mcap", help="take the presses out of a recording")
     guided.add_argument("--places", type=Path, metavar="LIST", help="--recording: x and y of each press, a line each")
-    guided.add_argument("--frames", type=int, metavar="N", help="frames of each press and before it (default: 20)")
+    guided.add_argument("--frames", type=whole(2), metavar="N", help="frames of each press and before it (default: 20)")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Teach, write the bundle and report."""
-    if not 1e-4 <= arguments.false_alarms <= 0.5:
-        raise UsageError(f"--false-alarms is {arguments.false_alarms:g}, expected 0.0001 to 0.5")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy is first imported, below
     files.writable(arguments.out, kinds.BUNDLE)
     if arguments.picture is not None:
@@ -109,7 +108,6 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
         raise UsageError(f"{' and '.join(map(flag, given))} do not go together: leave one out")
     if (arguments.recording is None) != (arguments.places is None):
         raise UsageError("--recording needs --places, a list of x and y of each press in mm")
-    options.check_least(arguments, presses=6, frames=2)
     if arguments.grid is not None:
         return
     files.writable(arguments.files[0], kinds.PRESSES)

@@ -7,6 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from eitskin_tools.command_line import files
+from eitskin_tools.command_line.options import SEED
+from eitskin_tools.command_line.parser import whole
 from eitskin_tools.console.progress import ProgressBar
 
 
@@ -22,9 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--epochs", type=int, help="epochs (default: the recipe's)")
     parser.add_argument("--learning-rate", type=float, help="instead of the recipe's")
     parser.add_argument("--schedule", choices=["constant", "onecycle"], help="instead of the recipe's")
-    parser.add_argument("--seed", type=int, default=0, help="seed of weights, order, noise and dropout (default 0)")
+    parser.add_argument("--seed", type=SEED, default=0, help="seed of weights, order, noise and dropout (default 0)")
     parser.add_argument("--resume", action="store_true", help="continue after the run's last complete epoch")
-    parser.add_argument("--threads", type=int, default=0, help="CPU threads (default: torch's choice)")
+    parser.add_argument("--threads", type=whole(0), default=0, help="CPU threads (default: torch's choice)")
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
 
 
@@ -32,8 +35,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Train and report."""
     import torch
 
-    from eitskin_tools.command_line import files
-    from eitskin_tools.command_line.options import check_least, check_seed
     from eitskin_tools.console.progress import Stages
     from eitskin_tools.errors import UsageError
     from eitskin_training import curves, train
@@ -50,8 +51,6 @@ def run(arguments: argparse.Namespace) -> int:
         chosen = replace(recipe(arguments.recipe), **changes)
     except ValueError as error:
         raise UsageError(str(error)) from error
-    check_seed(arguments.seed)
-    check_least(arguments, threads=0)
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     out = files.folder(arguments.out)

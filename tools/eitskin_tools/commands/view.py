@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line import options
+from eitskin_tools.command_line.parser import whole
 from eitskin_tools.console.terminal import has_display, say
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import endings
@@ -35,13 +36,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="show all skins of a robot.toml, or of a running 'eitskin run --config' by its folder",
     )
     options.add_bundle(parser, "that computes a recording's maps (default: the one that was running)")
-    parser.add_argument("--port", type=int, default=PORT, metavar="N", help=f"port of the page, 0 for any ({PORT})")
     parser.add_argument(
-        "--host",
-        default="127.0.0.1",
-        metavar="A",
-        help="address to serve on (127.0.0.1)",
+        "--port", type=whole(0, 65535), default=PORT, metavar="N", help=f"port of the page, 0 for any ({PORT})"
     )
+    parser.add_argument("--host", default="127.0.0.1", metavar="A", help="address to serve on (127.0.0.1)")
     parser.add_argument(
         "--allow-host",
         action="append",
@@ -80,9 +78,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    options.check_client_keys(arguments)
-    if not 0 <= arguments.port <= 65535:
-        raise UsageError(f"--port is {arguments.port}, expected 0 to 65535")
     live = {"--endpoint": arguments.endpoint, "--config": arguments.config, "--server-key": arguments.server_key}
     stated = [name for name, value in live.items() if value is not None]
     if arguments.file is not None and stated:

@@ -5,12 +5,14 @@ import os
 from pathlib import Path
 
 from eitskin_tools.command_line import files, kinds, options
+from eitskin_tools.command_line.options import SEED, SNR_DB
+from eitskin_tools.command_line.parser import positive
 from eitskin_tools.errors import UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (default 200)")
+    parser.add_argument("--rate", type=positive(1e5), default=200.0, metavar="HZ", help="frames a second (default 200)")
     parser.add_argument(
         "--config",
         default="paper",
@@ -22,10 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     options.add_skin(parser, "sheet, electrodes, map and which way touches change conductance")
     options.add_touches(parser, "those of the skin, else raise", "how the script's touches change conductance")
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
-    parser.add_argument("--seed", type=int, default=0, help="seed of noise and faults (default 0)")
+    parser.add_argument("--seconds", type=positive(), metavar="S", help="end after S seconds")
+    parser.add_argument("--seed", type=SEED, default=0, help="seed of noise and faults (default 0)")
     parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="kind of noise (default N2)")
-    parser.add_argument("--snr-db", type=float, default=50.0, metavar="DB", help="signal to noise ratio (default 50)")
+    parser.add_argument("--snr-db", type=SNR_DB, default=50.0, metavar="DB", help="signal to noise ratio (default 50)")
     parser.add_argument(
         "--fault", action="append", default=[], metavar="KIND[@START][/EVERY][:AMOUNT]",
         help="repeatable; KIND: flip drop garbage stall unplug reset saturate foreign mute late twice "
@@ -45,14 +47,10 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_tools.virtual_skin.faults import parse
     from eitskin_tools.virtual_skin.process import Options, serve
 
-    options.check_positive(arguments, "rate", most=1e5)
-    options.check_positive(arguments, "seconds")
     if arguments.scene is not None and arguments.touches is not None:
         raise UsageError(
             "--touches does nothing with --scene, which sets how its touches change conductance: leave it out"
         )
-    options.check_snr(arguments.snr_db)
-    options.check_seed(arguments.seed)
     files.find(arguments.config, files.CONFIGURATION)
     scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
     for path, written in ((arguments.wire_times, kinds.ARRAY), (arguments.log, kinds.LOG)):

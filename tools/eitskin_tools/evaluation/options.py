@@ -4,8 +4,8 @@ import argparse
 from typing import Final
 
 from eitskin_tools.command_line import options
-from eitskin_tools.command_line.options import ModeOption, settle
-from eitskin_tools.command_line.parser import Parser
+from eitskin_tools.command_line.options import SNR_DB, ModeOption, settle
+from eitskin_tools.command_line.parser import Parser, whole, within
 
 TOUCHED_TRIALS: Final = ("single", "pair", "random")
 TRIALS: Final = (*TOUCHED_TRIALS, "untouched")
@@ -85,11 +85,11 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
     group = parser.add_more("trials")
-    group.add_argument("--deformations", type=int, metavar="N", help="number of deformations (default: 20)")
-    group.add_argument("--each", type=int, metavar="N", help="touch sets at each deformation (default: 5)")
+    group.add_argument("--deformations", type=whole(1), metavar="N", help="number of deformations (default: 20)")
+    group.add_argument("--each", type=whole(1), metavar="N", help="touch sets at each deformation (default: 5)")
     group.add_argument(
         "--seed",
-        type=int,
+        type=whole(0),
         metavar="S",
         help="which draw of deformations, touches and noise, or of devices (default: 0)",
     )
@@ -106,9 +106,11 @@ def add_arguments(parser: Parser) -> None:
     group.add_argument("--disc", action="store_true", default=None, help="--single: a disc instead of a square")
 
     group = parser.add_more("noise and reference")
-    group.add_argument("--snr-db", type=float, metavar="S", help="signal to noise ratio in dB (default: 50)")
-    group.add_argument("--seeds", type=int, metavar="K", help="noise draws for each phantom (default: 1)")
-    group.add_argument("--shift-px", type=float, metavar="P", help="move every touch by up to P pixels, at random")
+    group.add_argument("--snr-db", type=SNR_DB, metavar="S", help="signal to noise ratio in dB (default: 50)")
+    group.add_argument("--seeds", type=whole(1), metavar="K", help="noise draws for each phantom (default: 1)")
+    group.add_argument(
+        "--shift-px", type=within(0.0, 1.0), metavar="P", help="move every touch by up to P pixels, at random"
+    )
     group.add_argument(
         "--reference",
         choices=("pre", "post", "predicted"),
@@ -116,7 +118,7 @@ def add_arguments(parser: Parser) -> None:
         "default: post for classical solvers, pre for networks, which also have V_pred",
     )
     group.add_argument(
-        "--at-rest", type=int, metavar="N", help="verified: first show N untouched frames of each deformation (0)"
+        "--at-rest", type=whole(0), metavar="N", help="verified: first show N untouched frames of each deformation (0)"
     )
 
     group = parser.add_more("ablations")
@@ -132,7 +134,7 @@ def add_arguments(parser: Parser) -> None:
     )
 
     group = parser.add_more("devices")
-    group.add_argument("--draws", type=int, metavar="N", help="devices of each mismatch (default: 3)")
+    group.add_argument("--draws", type=whole(1), metavar="N", help="devices of each mismatch (default: 3)")
     group.add_argument("--trials", metavar="A,B", help="mm, units, single, press04, press06 (default: all)")
     group.add_argument(
         "--drift",
