@@ -2,7 +2,7 @@
 
 A piece is made of the pixels that are at least ``HALF``, neighbours along rows and columns. It is split where every
 path from one peak to the other leads at least ``SADDLE`` below the lower one: this separates two touches that merge in
-the map, while noise on the flat top of one makes no second touch. ``tools/studies/touches.py`` counts both.
+the map, while noise on the flat top of one makes no second touch.
 
 The time is bounded: a map of more than ``MOST_RUNS`` runs is not analysed, and a piece of more than ``MOST_DIVIDED``
 pixels is not searched for saddles.

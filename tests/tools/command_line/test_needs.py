@@ -11,9 +11,6 @@ from eitskin_tools.command_line import needs
 
 ROOT = Path(__file__).parents[3]
 
-MODULES = {"scikit-fem": "skfem"}
-"""Name of a package -> the module that it brings, where they differ or only some of an extra's are imported."""
-
 TOOLS_OF_DEV = {"pytest", "pytest-xdist", "hypothesis", "mypy", "ruff", "scipy-stubs", "build", "coverage"}
 
 
@@ -22,7 +19,7 @@ def test_every_extra_brings_the_modules_that_the_table_says():
     brought = {}
     for extra in extras.keys() - {"docs", "notebook", "release"}:
         names = {re.split(r"[^A-Za-z0-9_-]", text)[0] for text in extras[extra]} - {"eitskin"} - TOOLS_OF_DEV
-        brought |= {MODULES.get(name, name): extra for name in names}
+        brought |= dict.fromkeys(names, extra)
     assert brought == needs.EXTRAS
 
 

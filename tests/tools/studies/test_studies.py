@@ -20,9 +20,8 @@ def test_a_study_says_what_it_takes(name, capsys):
 
 @pytest.mark.parametrize(
     ("name", "wrong"),
-    [("memory", "--seconds=0"), ("skins", "--counts=x"), ("touches", "--frames=5"),
-     ("taught_shapes", "--presses=5"), ("verified_stream", "--frames=5")],
-)  # fmt: skip
+    [("memory", "--seconds=0"), ("skins", "--counts=x"), ("taught_shapes", "--presses=5")],
+)
 def test_a_wrong_option_is_one_line_and_bad_usage(name, wrong, capsys):
     module = study(name)
     assert program(module.__doc__, module.add_arguments, module.run, [wrong]) == 2

@@ -2,8 +2,7 @@
 
 The rows are the convergence of untouched voltages with the element size, for both contacts and both contact laws; the
 size of a touch whose border cuts elements; reciprocity; a bend that must change no voltage; and the coarse Jacobian.
-A test compares the voltages with independent triangles; ``tools/studies/solid_slab.py`` compares them with an
-independent solid, which takes minutes.
+A test compares the voltages with independent triangles.
 
 The size error of a 10 mm square whose border cuts elements is fitted to the exact change of the voltages with the size,
 on a mesh that follows the square.

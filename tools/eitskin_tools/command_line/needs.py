@@ -9,7 +9,7 @@ from eitskin_proto.errors import SkinError
 
 EXTRAS: Final[dict[str, str]] = {
     "scipy": "sim", "torch": "train", "onnx": "train", "onnxscript": "train", "matplotlib": "plot",
-    "distributed": "cluster", "skfem": "dev", "mcap": "record", "zstandard": "record", "lz4": "record",
+    "distributed": "cluster", "mcap": "record", "zstandard": "record", "lz4": "record",
     "pyarrow": "parquet", "rosbags": "ros",
 }  # fmt: skip
 """Extra of ``pip install 'eitskin[EXTRA]'`` by the module that it brings, as in pyproject.toml."""
