@@ -50,6 +50,9 @@ calibrate r.npz --out s.toml --snr-db 3 | --snr-db is 3, expected 10 to 120
 calibrate r.npz --out s.toml --guided | --guided needs --port
 calibrate r.npz --out s.toml --guided --port /dev/none --stamp x | --stamp is 'x', expected a diameter
 calibrate r.npz --out s.toml --guided --port /dev/none --json | --guided prints its instructions on standard output
+teach p.npz --out b.eitskin --port /dev/null --presses 5 | --presses is 5, expected at least 6
+teach p.npz --out b.eitskin --false-alarms 0 | --false-alarms is 0, expected 0.0001 to 0.5
+evaluate --single 10 --solver verified --at-rest -1 | --at-rest is -1, expected at least 0
 bench | arguments are required
 bench frame --frames 5 | percentiles
 bench dataset --bends 0 | --bends must be at least 1

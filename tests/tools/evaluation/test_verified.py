@@ -65,7 +65,6 @@ def test_bad_options_of_the_benchmark_are_one_line(
 @pytest.mark.parametrize(
     ("arguments", "status", "says"),
     [
-        (["--single", "10", "--solver", "verified", "--at-rest", "-1"], 2, "--at-rest -1: expected a number of frames"),
         (["--single", "10", "--at-rest", "5"], 1, "--at-rest needs --solver verified"),
         (["--devices", "lab", "--solver", "verified", "--at-rest", "5"], 2, "--at-rest"),
     ],
