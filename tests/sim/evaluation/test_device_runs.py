@@ -64,33 +64,6 @@ def test_drift_is_in_the_voltages_and_not_in_the_reference():
     assert drifted.reference is drifted.flat_reference
 
 
-def test_a_follower_sees_each_sheet_untouched_before_its_touch_and_corrects_it():
-    class Halves:
-        seen = ()
-
-        def begin(self, reference, drifted, noisy):
-            self.seen += ("begin", np.median(drifted / reference), noisy(reference, 3).shape)
-
-        def meet(self, untouched, predicted_log, noisy):
-            self.seen += ("meet", np.abs(predicted_log).max() < 0.05, untouched.shape)
-
-        def correct(self, volts):
-            return volts / 2.0
-
-    solved, follower = [], Halves()
-
-    def solve(case):
-        solved.append(case.voltages)
-        return truth_map(SQUARE)
-
-    rows, names = [("drift", Mismatch(drift_percent=10.0))], {"hard": Run(solve, "pre")}
-    judges = {"hard": lambda volts, reference: True}
-    runs.run_rows(rows, [HARD], names, judges, QUIET, followers={"hard": follower})
-    runs.run_rows(rows, [HARD], names, judges, QUIET)
-    assert follower.seen == ("begin", pytest.approx(1 / 1.1, rel=1e-3), (3, 104), "meet", True, (104,))
-    np.testing.assert_array_equal(solved[0], solved[1] / 2.0)
-
-
 def test_a_press_keeps_its_contrast_and_tells_the_solver_that_it_lowers():
     (hard, press), _ = seen([("contrast", Mismatch(contrast=10.0, border_mm=2.0))], [HARD, PRESS])
     (_, plain), _ = seen([("none", IDEAL)], [HARD, PRESS])

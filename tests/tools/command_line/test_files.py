@@ -37,7 +37,6 @@ TAKING_A_FILE = {
     "subscribe --server-key": ["subscribe", "--server-key", ABSENT, "--client-key", ABSENT],
     "calibrate --surface": ["calibrate", "r.npz", "--guided", "--port=/dev/null", "--out=s.toml", "--surface", ABSENT],
     "bench tradeoff": ["bench", "tradeoff", "--phantoms", ABSENT],
-    "bench electrodes": ["bench", "electrodes", "--phantoms", ABSENT, "--only", "accuracy"],
 }
 """Every way to give a command a file, without torch."""
 

@@ -1,60 +1,42 @@
-"""``eitskin bench electrodes``: how soon failing electrodes are named, and the accuracy that is left without them.
+"""``eitskin bench electrodes``: how soon failing electrodes are named.
 
-The detection rows run through moving deformations and touches. The circuit around a sheet
+The rows run through moving deformations and touches. The circuit around a sheet
 (:mod:`eitskin_sim.measurement.faults`) reads any failure at any moment of a stream, frame by frame. A stream runs from
 one deformation to the next, of family A or B, while touches come and move over the sheet; in every second stream a
 touch lies on an electrode. Its 16 x 16 response is solved at a few moments and interpolated between them.
-
-The accuracy rows need ``--phantoms``. The network sees the same noisy voltages each time, with the rows of one, two or
-three lost electrodes at zero or filled in from the others (:mod:`eitskin.health.imputation`). The noise of the
-reference weighs the other rows, as in the runtime.
 """
 
 import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations, product
+from dataclasses import dataclass
+from itertools import product
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError
-from eitskin.health.electrodes import NOT_RECIPROCAL, ElectrodeWatch
+from eitskin.health.electrodes import NOT_RECIPROCAL
 from eitskin.health.explanation import Finding
 from eitskin.health.imputation import MISSING, UNPREDICTED, Consistency
 from eitskin.health.monitor import Health
-from eitskin.model.bundle import Bundle, default_path, load_bundle
-from eitskin.reference.predicted import log_ratio
+from eitskin.model.bundle import default_path, load_bundle
 from eitskin_proto.sensor.normalise import relative_change
-from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import FULL_TABLE, N_ELECTRODES, N_FULL_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL, TABLE
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.evaluation.harness import Case, Conditions, Run, Solver, evaluate_all
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.measurement.faults import Detached, Fault, Noisy, Shorted, Swapped, measure, response_of
-from eitskin_sim.measurement.noise import NOISES, Kind, add_noise, spread_of
+from eitskin_sim.measurement.noise import NOISES, Kind, add_noise
 from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.family import Family, draw
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
-from eitskin_sim.scene.parts import Bend, Phantom, Scene, Touch
-from eitskin_sim.scene.scene import load_phantoms
+from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Disc, Rect, Shape
-from eitskin_sim.surface.predict import flat_voltages
 from eitskin_tools.bench.harness import Row, report, say
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
-from eitskin_tools.evaluation.solvers import Request, named
-
-PARTS: Final = ("detection", "accuracy")
-"""What ``--only`` takes."""
 
 Array = npt.NDArray[np.float64]
-
-Lost = tuple[int, ...]
-
-LOST_SETS: Final = 12
-"""Sets of two, and of three, electrodes that are tried, drawn once; of one, all 16."""
 
 REFERENCE_FRAMES: Final = 100
 """Noisy frames whose mean is the reference."""
@@ -100,12 +82,8 @@ STEP_FRAMES: Final = 60
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--bundle", type=files.bundle, help="bundle to use (default: the shipped one of unit labels)")
-    parser.add_argument(
-        "--phantoms", metavar="FILE", help="measure the accuracy left on these too: a file, paper_units or paper_mm"
-    )
     parser.add_argument("--streams", type=int, default=4, metavar="N", help="streams of each kind (default 4)")
     parser.add_argument("--noise", choices=NOISES, default="N2", help="default: N2")
-    parser.add_argument("--only", choices=PARTS, help="one of the two")
     parser.add_argument("--quick", action="store_true", help="a thinned form")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -118,24 +96,16 @@ def run(arguments: argparse.Namespace) -> int:
     """
     if arguments.streams < 1:
         raise UsageError("--streams must be at least 1")
-    if arguments.only == "accuracy" and arguments.phantoms is None:
-        raise UsageError("--only accuracy needs --phantoms FILE")
     bundle = load_bundle(arguments.bundle or default_path("units"))
     arrays = bundle.consistency_arrays()
     if arrays is None:
         raise BundleError(f"{bundle.path}: telling failed electrodes is {MISSING}")
     consistency = Consistency.of(arrays)
-    rows: list[Row] = []
-    if arguments.only != "accuracy":
-        rows += _detection(consistency, arguments.noise, arguments.streams, quick=arguments.quick)
-    if arguments.only != "detection" and arguments.phantoms is not None:
-        phantoms = load_phantoms(files.find(arguments.phantoms, files.PHANTOMS))
-        found = accuracy(phantoms, bundle, consistency, arguments.noise, 2 if arguments.quick else LOST_SETS)
-        rows += [{"noise": arguments.noise, **row} for row in found]
+    rows = _measured(consistency, arguments.noise, arguments.streams, quick=arguments.quick)
     return report(arguments, rows, _summary(rows))
 
 
-def _detection(consistency: Consistency, noise: Kind, count: int, *, quick: bool) -> list[Row]:
+def _measured(consistency: Consistency, noise: Kind, count: int, *, quick: bool) -> list[Row]:
     flat = flat_response()
     count, moments = (1, 3) if quick else (count, MOMENTS)
     streams = [
@@ -152,14 +122,11 @@ def _detection(consistency: Consistency, noise: Kind, count: int, *, quick: bool
 def _summary(rows: list[Row]) -> Row:
     alarms = [row for row in rows if row["what"] == "false alarms"]
     named = [row for row in rows if "named_in_time" in row]
-    left = [row for row in rows if row["what"] == "accuracy" and row["remedy"] == "imputed" and row["lost"] == 1]
     return {
         "healthy_frames": sum(row["frames"] for row in alarms),
         "named_while_healthy": sum(row["named"] for row in alarms),
         "named_in_time": {f"{row['what']}, {row['noise']}": row["named_in_time"] for row in named},
         "frames_max": max((row["frames_max"] or 0 for row in named), default=None),
-        "cc_of_intact_one_electrode_lost": {row["noise"]: row["of_intact"] for row in left},
-        "cc_of_intact_worst_electrode_lost": {row["noise"]: row["worst_of_intact"] for row in left},
     }
 
 
@@ -370,70 +337,3 @@ def expected(fault: Fault, *, reciprocal: bool = False) -> set[tuple[int, str]]:
             return {(first, "shorted"), (second, "shorted")}
         case Swapped(first, second):
             return {(first, "swapped"), (second, "swapped")}
-
-
-def lost_sets(count: int, most: int = LOST_SETS) -> list[Lost]:
-    """Return sets of ``count`` electrodes: the empty one, all 16 single ones, or ``most`` drawn ones."""
-    every = list(combinations(range(N_ELECTRODES), count))
-    if count <= 1:
-        return every
-    rng = np.random.default_rng(count)
-    return [every[index] for index in sorted(rng.choice(len(every), min(most, len(every)), replace=False))]
-
-
-def accuracy(
-    phantoms: Sequence[Phantom],
-    bundle: Bundle,
-    consistency: Consistency,
-    noise: Kind,
-    most_sets: int = LOST_SETS,
-) -> list[Row]:
-    """Return mean CC by remedy and number of lost electrodes; the worst set's beside it.
-
-    Args:
-        phantoms: All with the labels of the bundle.
-        bundle: The network.
-        consistency: Of the bundle.
-        noise: Of the voltages.
-        most_sets: Sets of two and of three electrodes.
-    """
-    network = named(Request("vd2t", bundle=bundle.path), bundle.labels).run
-    spread = spread_of(consistency.reference, noise, SNR_DB)
-    plan: list[tuple[str, Lost, Run]] = [("intact", (), network)]
-    for count in (1, 2, 3):
-        for lost in lost_sets(count, most_sets):
-            plan.append(("zeros", lost, Run(_zeroed(network.solver, lost), "pre")))
-            plan.append(("imputed", lost, Run(_imputed(network.solver, lost, consistency, spread), "pre")))
-    results = evaluate_all(phantoms, [run for *_, run in plan], Conditions(noise, SNR_DB))
-    scores = [float(np.mean([one.cc for _, scores in result for one in scores])) for result in results]
-    intact = scores[0]
-    rows = []
-    for remedy, count in dict.fromkeys((remedy, len(lost)) for remedy, lost, _ in plan):
-        group = [
-            (score, lost)
-            for (name, lost, _), score in zip(plan, scores, strict=True)
-            if (name, len(lost)) == (remedy, count)
-        ]
-        worst, mean = min(group), float(np.mean([score for score, _ in group]))
-        rows.append(
-            {"what": "accuracy", "solver": "vd2t", "remedy": remedy, "lost": count, "sets": len(group),
-             "cc": round(mean, 4), "of_intact": round(mean / intact, 4), "worst_cc": round(worst[0], 4),
-             "worst_of_intact": round(worst[0] / intact, 4), "worst_set": list(worst[1])}
-        )  # fmt: skip
-    return rows
-
-
-def _zeroed(solver: Solver, lost: Lost) -> Solver:
-    rows = rows_of(lost)
-    return lambda case: solver(replace(case, voltages=np.where(rows, case.flat_reference, case.voltages)))
-
-
-def _imputed(solver: Solver, lost: Lost, consistency: Consistency, spread: Array) -> Solver:
-    watch = ElectrodeWatch(consistency, consistency.reference, spread, lost)
-
-    def solve(case: Case) -> Array:
-        change = relative_change(case.voltages, case.flat_reference).astype(np.float32)
-        watch.correct(change, log_ratio(case.sheet.predicted(), flat_voltages()))
-        return solver(replace(case, voltages=case.flat_reference * (1.0 + change.astype(np.float64))))
-
-    return solve

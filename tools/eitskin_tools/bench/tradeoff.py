@@ -1,9 +1,8 @@
 """``eitskin bench tradeoff``: run time against error for every solver and variant, as rows and a picture.
 
-The error is 1 - CC: the mean over the phantoms of each file and the noise draws, or over the touches of each trial on
-devices unlike the nominal one (``--devices``), which no solver knows of. The run time is that of one call every 5 ms,
-the variants taking turns on one thread, as on a robot. Classical solvers have their operators of the sheet ready, as
-the network has its geometry, and V_pred as reference, which a robot can have. A variant is on the Pareto front
+The error is 1 - CC, the mean over the phantoms of each file and the noise draws. The run time is that of one call every
+5 ms, the variants taking turns on one thread, as on a robot. Classical solvers have their operators of the sheet ready,
+as the network has its geometry, and V_pred as reference, which a robot can have. A variant is on the Pareto front
 (``pareto``) if no other one beats it in both.
 
 ::
@@ -26,8 +25,6 @@ import numpy.typing as npt
 from eitskin.model.bundle import load_bundle
 from eitskin.model.engine import solvers as solvers_of
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.evaluation.device import Device
-from eitskin_sim.evaluation.device_runs import Plan, Trial, cases, devices
 from eitskin_sim.evaluation.harness import (
     Case,
     Conditions,
@@ -47,7 +44,6 @@ from eitskin_tools.bench.harness import Row, machine, paced, report, say
 from eitskin_tools.command_line import files
 from eitskin_tools.demo.score import percentiles_us
 from eitskin_tools.errors import UsageError
-from eitskin_tools.evaluation.devices import rows_of, trials_of
 from eitskin_tools.evaluation.solvers import NETWORKS, VERIFIED, Request, bundle_for, named
 from eitskin_tools.pictures import save
 
@@ -83,20 +79,13 @@ class Panel:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
-        "--phantoms", action="append", default=[], metavar="FILE", help="a file, paper_units or paper_mm; repeatable"
+        "--phantoms", action="append", required=True, metavar="FILE", help="a file, paper_units or paper_mm; repeatable"
     )
-    parser.add_argument(
-        "--devices", metavar="NAME", help="trials on devices unlike the nominal one: lab, random, single, drift or FILE"
-    )
-    parser.add_argument("--trials", default="single,press04", metavar="A,B", help="which (default: single,press04)")
-    parser.add_argument("--draws", type=int, default=2, metavar="N", help="devices of each mismatch (default: 2)")
-    parser.add_argument("--deformations", type=int, default=4, metavar="N", help="of drawn trials (default: 4)")
-    parser.add_argument("--each", type=int, default=2, metavar="N", help="touches at each of them (default: 2)")
     parser.add_argument(
         "--bundle", type=files.bundle, action="append", default=[], metavar="FILE", help="another network; repeatable"
     )
     parser.add_argument("--noise", choices=["N1", "N2", "N3", "none"], default="N2", help="default: N2")
-    parser.add_argument("--seeds", type=int, default=1, metavar="K", help="noise draws of phantoms (default 1)")
+    parser.add_argument("--seeds", type=int, default=1, metavar="K", help="noise draws (default 1)")
     parser.add_argument("--calls", type=int, default=60, metavar="N", help="timed calls of each variant (default 60)")
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the picture")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -104,33 +93,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
-    if not arguments.phantoms and arguments.devices is None:
-        raise UsageError(
-            "--phantoms FILE is missing: the error is measured on phantoms, such as the paper's eight, or on --devices"
-        )
     if arguments.calls < 10:
         raise UsageError("--calls must be at least 10")
-    if min(arguments.seeds, arguments.draws, arguments.deformations, arguments.each) < 1:
-        raise UsageError("--seeds, --draws, --deformations and --each must be at least 1")
+    if arguments.seeds < 1:
+        raise UsageError("--seeds must be at least 1")
     if arguments.plot is not None:
         files.picture(arguments.plot)
     found: dict[str, list[Row]] = {}
-    for panel in _panels(arguments):
+    for panel in (one for path in arguments.phantoms for one in of_phantoms(path, arguments.noise, arguments.seeds)):
         say("tradeoff", f"{panel.name}, {len(panel.cases)} maps")
         found[panel.name] = measure(panel, arguments.bundle, arguments.noise, arguments.calls)
     if arguments.plot is not None:
         plot(found, arguments.plot)
     more = {"noise": arguments.noise, "seeds": arguments.seeds, "machine": machine()}
     return report(arguments, flat_rows(found), summary(found), **more)
-
-
-def _panels(arguments: argparse.Namespace) -> Iterator[Panel]:
-    for path in arguments.phantoms:
-        yield from of_phantoms(path, arguments.noise, arguments.seeds)
-    if arguments.devices is not None:
-        plan = Plan(arguments.draws, noise=arguments.noise)
-        kinds = arguments.trials.split(",")
-        yield from of_devices(arguments.devices, kinds, arguments.deformations, arguments.each, plan)
 
 
 def measure(panel: Panel, bundles: Sequence[Path], noise: Any, calls: int) -> list[Row]:
@@ -182,33 +158,6 @@ def _ideal(phantoms: Sequence[Phantom], noise: Kind, seeds: int) -> list[tuple[C
     evaluate_all(phantoms, [Run(keep, "predicted")], Conditions(noise=noise, seeds=seeds))
     truths = [truth_map(phantom) for phantom in phantoms for _ in range(seeds)]
     return list(zip(seen, truths, strict=True))
-
-
-def of_devices(name: str, kinds: Sequence[str], deformations: int, each: int, plan: Plan) -> Iterator[Panel]:
-    """Yield a panel for each mismatch and trial that go together.
-
-    Args:
-        name: As ``--devices`` takes it.
-        kinds: Trials by name.
-        deformations: Of drawn trials.
-        each: Touches at each of them.
-        plan: Devices a mismatch, seed, noise.
-
-    Raises:
-        ValueError, OSError: There is no such list or trial.
-    """
-    for row, mismatch in rows_of(name):
-        drawn = list(devices(mismatch, plan))
-        for kind in trials_of(kinds, deformations, each):
-            if kind.labels == "units" and any(device.mismatch.alters_touches for _, device in drawn):
-                continue  # the grid's truth has neither soft borders nor other contrasts
-            touches: TouchKind = "lower" if kind.lowering else "raise"
-            found = [pair for number, device in drawn for pair in _of_device(number, device, kind, plan)]
-            yield Panel(f"{row}, {kind.name}", kind.labels, touches, found)
-
-
-def _of_device(number: int, device: Device, kind: Trial, plan: Plan) -> list[tuple[Case, npt.NDArray[np.float64]]]:
-    return [(case, truth_map(phantom)) for case, phantom in cases(device, kind, "predicted", plan, number)]
 
 
 def variants(labels: str, touches: TouchKind, more: Sequence[Path], conditions: Conditions) -> dict[str, Solver]:

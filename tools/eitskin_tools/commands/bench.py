@@ -22,7 +22,7 @@ BENCHMARKS: Final[dict[str, str]] = {
     "physics": "the sheet model against convergence and what must not change",
     "dataset": "samples a second of the data generators, beside one solve a sample",
     "stability": "the noise at which each solver breaks, and the same input twice",
-    "electrodes": "failing electrodes: named from the frames, and what is left without them",
+    "electrodes": "how soon failing electrodes are named from the frames",
     "peer": "another tactile library beside ours: age of frames, damaged frames accepted",
 }
 """Benchmarks, each with what it measures."""

@@ -117,7 +117,7 @@ def _devices(arguments: argparse.Namespace, request: Any) -> int:
     trials = trials_of(kinds, arguments.deformations, arguments.each, drawn)
     plan = runs.Plan(arguments.draws, 0, arguments.seed, arguments.noise, arguments.snr_db, skin, drawn)
     _tell_unknown(request, [(one.labels, "lower" if one.lowering else "raise") for one in trials])
-    found = evaluate_devices(rows, trials, request, plan, arguments.progress, arguments.drift)
+    found = evaluate_devices(rows, trials, request, plan, arguments.progress)
     print(json.dumps(found) if arguments.json else table(found))
     return 0
 

@@ -4,12 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from eitskin.errors import BundleError
-from eitskin.health.drift import Drift
-from eitskin.health.imputation import MISSING, Consistency
-from eitskin.model.bundle import Bundle
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
@@ -19,66 +14,6 @@ from eitskin_sim.evaluation.mismatch import Row, lab_rows, load_rows, random_row
 from eitskin_sim.scene.scene import SceneError, load_phantoms
 from eitskin_tools.command_line import files
 from eitskin_tools.evaluation.solvers import Named, Progress, Request, bundle_on, is_deployed, judge_of, named
-
-Array = npt.NDArray[np.float64]
-
-MODES: Final = ("met", "followed")
-
-CHECKS: Final = 26
-FRAMES_PER_CHECK: Final = 24
-REFERENCE_FRAMES: Final = 100
-
-SLOW_CHECKS: Final = 3500
-SLOW_FRAMES_PER_CHECK: Final = 120
-"""The drift takes 35 minutes at 200 frames/s."""
-
-
-class DriftRemoved:
-    """The runtime's drift, on trials.
-
-    Args:
-        bundle: Its consistency.npz and its gate are used.
-        mode: One of ``MODES``.
-
-    Raises:
-        BundleError: The bundle knows nothing of drift.
-    """
-
-    def __init__(self, bundle: Bundle, mode: str) -> None:
-        arrays = bundle.consistency_arrays()
-        if arrays is None:
-            raise BundleError(f"{bundle.path}: telling drift is {MISSING}")
-        self._drift = Drift(Consistency.of(arrays))
-        self._judge, self._mode = judge_of(bundle), mode
-        self._reference = np.ones(0)
-
-    def begin(self, reference: Array, drifted: Array, noisy: Callable[[Array, int], Array]) -> None:
-        """Take a device over; see :class:`eitskin_sim.evaluation.device_runs.Follower`."""
-        self._reference = reference
-        spread = noisy(reference, REFERENCE_FRAMES).std(axis=0, ddof=1) / np.abs(reference)
-        self._drift.restart(spread, REFERENCE_FRAMES, fresh=self._mode == "followed")
-        if self._mode == "followed":
-            moved = np.log(drifted / reference)
-            for part in np.linspace(0.0, 1.0, SLOW_CHECKS) if moved.any() else (0.0,):
-                self._show(noisy(reference * np.exp(part * moved), SLOW_FRAMES_PER_CHECK), None)
-
-    def meet(self, untouched: Array, predicted_log: Array | None, noisy: Callable[[Array, int], Array]) -> None:
-        """See a deformation, untouched."""
-        for _ in range(CHECKS):
-            self._show(noisy(untouched, FRAMES_PER_CHECK), predicted_log)
-
-    def correct(self, volts: Array) -> Array:
-        """Return (104,) V without drift."""
-        change = np.asarray(volts / self._reference - 1.0, dtype=np.float32)
-        self._drift.correct(change)
-        return np.asarray((change.astype(np.float64) + 1.0) * self._reference)
-
-    def _show(self, volts: Array, predicted_log: Array | None) -> None:
-        change = np.asarray(volts / self._reference - 1.0, dtype=np.float32)
-        scan: Any = np.zeros(len(self._reference)) if predicted_log is None else predicted_log
-        touched = self._judge(self.correct(volts[-1]), self._reference)
-        self._drift.update(change, scan.astype(np.float32), touched=touched)
-
 
 KINDS: Final = {
     "mm": "paper_mm, mean / worst",
@@ -138,7 +73,6 @@ def evaluate_devices(
     request: Request,
     plan: Plan,
     progress: Progress | None = None,
-    drift: str = "left",
 ) -> dict[str, Any]:
     """Return the object that ``eitskin evaluate --devices --json`` prints.
 
@@ -148,7 +82,6 @@ def evaluate_devices(
         request: Solver, reference ("pre" or "predicted"), bundle; a bundle serves the trials of its labels alone.
         plan: Draws, seed, noise.
         progress: Called with devices done and all devices.
-        drift: "left" in, or how the runtime meets it (:mod:`eitskin_tools.evaluation.devices`).
 
     Raises:
         ValueError: The request needs the untouched voltages at every shape, or a row is of another sheet.
@@ -164,7 +97,6 @@ def evaluate_devices(
     reference = request.reference or ("pre" if is_deployed(request) else "predicted")
     solvers: dict[str, Named] = {}
     judges, bundles = {}, {}
-    followers: dict[str, DriftRemoved] = {}
     for kind in kinds:
         touches: TouchKind = "lower" if kind.lowering else "raise"
         bundle = bundle_on(request, kind.labels, touches, plan.skin)
@@ -173,10 +105,8 @@ def evaluate_devices(
         told = Conditions(plan.noise, plan.snr_db)
         solvers[kind.name] = named(one, kind.labels, plan.skin, touches, told)
         judges[kind.name] = judge_of(bundle)
-        if drift != "left":
-            followers[kind.name] = DriftRemoved(_known(bundle, drift), drift)
     runs = {name: one.run for name, one in solvers.items()}
-    found = run_rows(rows, kinds, runs, judges, plan, progress, followers or None)
+    found = run_rows(rows, kinds, runs, judges, plan, progress)
     return {
         "solver": request.name,
         "noise": plan.noise,
@@ -184,18 +114,11 @@ def evaluate_devices(
         "draws": plan.draws,
         "seed": plan.seed,
         "reference": reference,
-        "drift": drift,
         "bundles": bundles,
         "skin": plan.meant.name,
         "phantoms": "paper" if plan.meant.grid_id == PAPER.grid_id else "drawn",
         "rows": found,
     }
-
-
-def _known(bundle: Bundle | None, drift: str) -> Bundle:
-    if bundle is None:
-        raise ValueError(f"--drift {drift} goes by a bundle of this skin; name one with --bundle")
-    return bundle
 
 
 def table(found: dict[str, Any]) -> str:

@@ -37,7 +37,6 @@ MODE_OPTIONS: Final = {
     "draws": ModeOption(3, ("devices",)),
     "seed": ModeOption(0, (*TRIALS, "devices")),
     "trials": ModeOption("mm,units,single,press04,press06", ("devices",)),
-    "drift": ModeOption("left", ("devices",)),
 }
 """Every option that does something in some ways only."""
 
@@ -136,8 +135,3 @@ def add_arguments(parser: Parser) -> None:
     group = parser.add_more("devices")
     group.add_argument("--draws", type=whole(1), metavar="N", help="devices of each mismatch (default: 3)")
     group.add_argument("--trials", metavar="A,B", help="mm, units, single, press04, press06 (default: all)")
-    group.add_argument(
-        "--drift",
-        choices=("left", "met", "followed"),
-        help="leave drift in, or correct it as the runtime does after a start or since the reference (default: left)",
-    )

@@ -14,7 +14,7 @@ device has the same directions in each of them, so that rows differ by the misma
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -32,7 +32,6 @@ from eitskin_sim.fem.solve import factorise_scene, solve_scene
 from eitskin_sim.measurement.faults import response_of
 from eitskin_sim.measurement.front_end import IDEAL, FrontEnd
 from eitskin_sim.measurement.noise import Kind, add_noise
-from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.parts import Phantom, Scene
 from eitskin_sim.surface.predict import flat_voltages, predict
 
@@ -47,22 +46,6 @@ Judge = Callable[[Array, Array], bool]
 """Voltages and reference (104,) -> whether the gate calls the sheet touched."""
 
 Progress = Callable[[int, int], None]
-
-Noisy = Callable[[Array, int], Array]
-"""Voltages (104,) and a number n of frames -> what a device reads of them (n, 104)."""
-
-
-class Follower(Protocol):
-    """Takes out of a device's frames what it has drifted, by what was seen of it while it was untouched."""
-
-    def begin(self, reference: Array, drifted: Array, noisy: Noisy) -> None:
-        """Take a device over, flat and untouched: (104,) V when its reference was taken, and once it has drifted."""
-
-    def meet(self, untouched: Array, predicted_log: Array | None, noisy: Noisy) -> None:
-        """See the next deformation (104,) V, untouched, and log V_pred (104,) of its scan against the flat sheet."""
-
-    def correct(self, volts: Array) -> Array:
-        """Return (104,) V without drift."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,7 +121,6 @@ def run_rows(
     judges: Mapping[str, Judge],
     plan: Plan,
     progress: Progress | None = None,
-    followers: Mapping[str, Follower] | None = None,
 ) -> list[dict[str, Any]]:
     """Return a row of figures for every mismatch.
 
@@ -149,7 +131,6 @@ def run_rows(
         judges: Gate by trial.
         plan: Draws, seed, noise.
         progress: Called with devices done and all devices.
-        followers: Drift corrections, by trial; None for none.
     """
     found = []
     for index, (name, mismatch) in enumerate(rows):
@@ -159,10 +140,7 @@ def run_rows(
             drawn.append(deviations(device.mismatch))
             for kind in kinds:
                 if not (kind.labels == "units" and device.mismatch.alters_touches):
-                    follower = None if followers is None else followers[kind.name]
-                    outcomes[kind.name] += _run(
-                        device, kind, runs[kind.name], judges[kind.name], plan, number, follower
-                    )
+                    outcomes[kind.name] += _run(device, kind, runs[kind.name], judges[kind.name], plan, number)
             if progress is not None:
                 progress(index * plan.draws + number - plan.first + 1, len(rows) * plan.draws)
         found.append(
@@ -193,11 +171,9 @@ def _random(plan: Plan, number: int) -> Mismatch:
     return random_mismatch(np.random.default_rng([DRAW_SEED + 1, plan.seed, number]), plan.meant)
 
 
-def _run(
-    device: Device, kind: Trial, run: Run, judge: Judge, plan: Plan, number: int, follower: Follower | None
-) -> list[Outcome]:
+def _run(device: Device, kind: Trial, run: Run, judge: Judge, plan: Plan, number: int) -> list[Outcome]:
     found = []
-    for case, phantom in cases(device, kind, run.reference, plan, number, follower):
+    for case, phantom in cases(device, kind, run.reference, plan, number):
         image, truth = run.solver(case), truth_map(phantom, plan.skin.grid)
         touched = judge(case.voltages, case.flat_reference)
         found.append(Outcome(correlation(image, truth), distances_mm(image, truth, plan.skin.grid), touched))
@@ -210,7 +186,6 @@ def cases(
     reference: Reference,
     plan: Plan,
     number: int,
-    follower: Follower | None = None,
 ) -> Iterator[tuple[Case, Phantom]]:
     """Yield what a solver may see of every phantom of a trial on a device, and the phantom.
 
@@ -220,7 +195,6 @@ def cases(
         reference: "pre" or "predicted".
         plan: Seed and noise.
         number: Of the device.
-        follower: The drift correction; None for none.
     """
     taken, flat = voltages_of(device.reference(), device.front_end), flat_voltages(plan.skin)
     seeds = [DRAW_SEED, plan.seed, number]
@@ -229,23 +203,11 @@ def cases(
     if device.mismatch.reference_scan:
         scan = device.cloud(device.reference().bend, np.random.default_rng([*seeds, 2]))
         taken = taken if scan is None else taken * flat / predict(scan, plan.skin)
-    read = np.random.default_rng([*seeds, 2])
-
-    def reads(volts: Array, frames: int) -> Array:
-        return add_noise(np.tile(volts, (frames, 1)), taken, plan.noise, plan.snr_db, read)
-
-    if follower is not None:
-        flat_now = device.scene(nominal_scene(plan.meant), as_it_is=True)
-        follower.begin(taken, voltages_of(flat_now, device.front_end), reads)
     for index, phantom in enumerate(kind.phantoms):
         scene = device.scene(phantom.scene, as_it_is=kind.lowering)
         rng = np.random.default_rng([*seeds, 1, index])
         noisy = add_noise(voltages_of(scene, device.front_end), taken, plan.noise, plan.snr_db, rng)
         sheet = _sheet(device, phantom, rng, plan.skin)
-        if follower is not None:
-            predicted = np.log(sheet.predicted() / flat) if device.mismatch.scan else None
-            follower.meet(voltages_of(replace(scene, touches=()), device.front_end), predicted, reads)
-            noisy = follower.correct(noisy)
         held = sheet.predicted() * taken / flat if reference == "predicted" else taken
         yield Case(noisy, held, taken, sheet, kind.labels, lowering=kind.lowering), phantom
 
