@@ -97,6 +97,8 @@ AS_WRITTEN = {
         PLY.format(form="ascii", first="") + "end_header\n\n1.5 2.5 3.5\n4.5 5.5 6.5\n7.5 8.5 9.5\n"
     ).encode(),
     "same_lists.ply": ply_with_lists([2, 2, 2]),
+    "blank_line.ply": (PLY.format(form="binary_little_endian", first="") + "end_header\n\n").encode()
+    + np.array(POINTS, "<f4").tobytes(),
     "lists.ply": ply_with_lists([0, 2, 1]),
     "faces_first.ply": ply_with_lists([0, 2, 1], faces_first=True),
     "old_mac.ply": (PLY.format(form="binary_little_endian", first="") + "end_header\n").replace("\n", "\r").encode()
@@ -106,6 +108,10 @@ AS_WRITTEN = {
     "header.xyz": b"X Y Z\n1.5 2.5 3.5\n4.5 5.5 6.5\n7.5 8.5 9.5\n",
     "remark.asc": b"//Z X Y\n3.5 1.5 2.5\n6.5 4.5 5.5\n9.5 7.5 8.5\n",
     "latin.txt": "# von Jörg\n1.5 2.5 3.5\n4.5 5.5 6.5\n\n7.5 8.5 9.5\n".encode("latin-1"),
+    "semicolons.txt": b"; by hand\n1.5;2.5;3.5;\n4.5;5.5;6.5;\n;\n7.5;8.5;9.5;\n",
+    "behind.txt": b"sep=;\n1.5 2.5 3.5 # first\n4.5 5.5 6.5\n7.5 8.5 9.5 // last\n",
+    "atoms.xyz": b"3\nframe 0\nC 1.5 2.5 3.5\nC 4.5 5.5 6.5\nH 7.5 8.5 9.5\n",
+    "index.csv": b",x,y,z\n0,1.5,2.5,3.5\n1,4.5,5.5,6.5\n2,7.5,8.5,9.5\n",
     "count.pts": b"3\r\n1.5 2.5 3.5 200\r\n4.5 5.5 6.5 100\r\n7.5 8.5 9.5 90\r\n",
     "mark.csv": b"\xef\xbb\xbfid,x [mm],y [mm],z [mm]\n1,1.5,2.5,3.5\n2,4.5,5.5,6.5\n3,7.5,8.5,9.5\n",
     "wide.txt": "x\ty\tz\n1.5\t2.5\t3.5\n4.5\t5.5\t6.5\n7.5\t8.5\t9.5\n".encode("utf-16"),
@@ -165,6 +171,8 @@ BROKEN = {
     "numbered.txt": b"1 10.5 20 30\n2 11.5 20 30\n3 12.5 20 30\n",
     "miscounted.pts": b"3\n1 2 3\n4 5 6\n",
     "gap.csv": b"1.0,,2.0,3.0\n",
+    "gap_of_semicolons.csv": b"1.0;;2.0;3.0\n",
+    "some_labels.xyz": b"C 1.5 2.5 3.5\n4.5 5.5 6.5 1\n",
     "lists.ply": b"ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty float x\nproperty float y\n"
     b"property float z\nproperty list uchar int rays\nend_header\n" + struct.pack("<fffBi", 1, 2, 3, 1, 0) + b"\0\0",
     "mis_sized.ply": b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"

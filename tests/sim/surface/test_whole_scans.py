@@ -17,7 +17,7 @@ CORNER = (7.5, 0.0, 28.0)
 
 
 def scan(ends_mm=0.0, along_mm=0.0, seed=0):
-    """Points of a sheet bent by a quarter turn, and of what surrounds it."""
+    """Points of a sheet bent by a quarter turn, and of what surrounds it; of a part where that is negative."""
     rng = np.random.default_rng(seed)
     xy = rng.uniform((-ends_mm, -along_mm), (150 + ends_mm, 100 + along_mm), (9_000, 2))
     return np.asarray(surface(Bend(angle_deg=90), Sheet(), xy)) + rng.normal(0, 0.05, (len(xy), 3))
@@ -61,9 +61,21 @@ def test_a_rim_or_clamps_are_said_and_doubted_and_cut_off_where_their_width_is_s
 
 
 def test_a_stated_rim_that_leaves_less_than_the_skin_is_said():
-    exchanged, none = (organise(scan(7.0, 3.0), CORNER, rim_mm=rim) for rim in ((3.0, 7.0), (0.0, 0.0)))
+    rims = (3.0, 7.0), (0.0, 0.0), (1.0, 1.0)
+    exchanged, none, thin = (organise(scan(7.0, 3.0), CORNER, rim_mm=rim) for rim in rims)
     assert "without its rim the scan is 158" in exchanged.doubts[0]
+    assert "without its rim the scan is 162" in thin.doubts[0]
     assert none.doubts == ()
+
+
+@pytest.mark.parametrize("less", [scan(-7.5, 0.0), scan(0.0, -6.0), 0.9 * scan(), 0.96 * scan()])
+def test_a_part_of_the_sheet_or_a_smaller_one_is_said_unless_it_is_stated_to_be_compressed(less, tmp_path, capsys):
+    np.save(tmp_path / "scan.npy", less)
+    command = ["surface", str(tmp_path / "scan.npy"), "--out", str(tmp_path / "cloud.npz")]
+    for stated, said in (([], "a part of the sheet or in another scale"), (["--rim", "0"], "")):
+        assert cli.main([*command, *stated]) == 0
+        first, *rest = capsys.readouterr().err.splitlines()
+        assert (said in first, len(rest)) == (True, bool(said))
 
 
 def test_a_box_depths_and_a_plane_cut_the_second_sheet_off(tmp_path, capsys):

@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="MM",
         help="width of what the scan shows beyond the conductive layer: one number, or two, at both ends of the longer "
-        "sides and along them; 0 says that there is none, so that a longer sheet is a stretched one",
+        "sides and along them; 0 says that there is none: a sheet of another size is stretched or compressed",
     )
     parser.add_argument(
         "--crop", nargs=6, type=float, metavar=("X0", "X1", "Y0", "Y1", "Z0", "Z1"), help="use only points in this box"
@@ -102,13 +102,13 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         result = organise(points, corner, skin.grid, rim_mm)
         elapsed_ms = 1e3 * (time.perf_counter() - start)
-        check_sheet(result.cloud_mm, skin)
+        doubts = (*result.doubts, *check_sheet(result.cloud_mm, skin)[1])
     except (PointCloudError, ValueError) as error:
         raise PointCloudError(f"{arguments.file}: {error}") from error
     old_s = time.time() - source.stat().st_mtime
     if arguments.send is not None and old_s > STALE_S and arguments.file != "sample":
         say(f"eitskin surface: {source} is {old_s / 3600:.1f} h old; scan again if the sheet has moved", error=True)
-    for doubt in result.doubts:
+    for doubt in doubts:
         say(f"eitskin surface: {doubt}", error=True)
     predicted, predict_ms = None, None
     if arguments.predict:
@@ -127,7 +127,7 @@ def run(arguments: argparse.Namespace) -> int:
     save_cloud(arguments.out, result, predicted, skin)
     sent = None if arguments.send is None else _sent(arguments.send, arguments.out)
     if arguments.json:
-        print(json.dumps(_report(arguments, result, len(points), elapsed_ms, predict_ms, sent)))
+        print(json.dumps(_report(arguments, result, len(points), elapsed_ms, predict_ms, sent) | {"doubts": doubts}))
         return 0
     print(
         f"{Path(arguments.out).name}: {result.points} points, {result.outliers} outliers, "
@@ -165,29 +165,21 @@ def _cut(points: Any, arguments: argparse.Namespace) -> Any:
 
 
 def _sent(endpoint: str, path: str) -> int:
-    """Return the cloud's revision in the runtime.
+    """Give the cloud's file to the runtime and return the cloud's revision there.
 
     Raises:
         SkinError: The runtime does not take it; the text says that its file is there all the same.
     """
-    try:
-        return _send(endpoint, path)
-    except (SkinError, ValueError) as error:
-        raise SkinError(f"{path} was written, but not sent: {error}") from error
-
-
-def _send(endpoint: str, path: str) -> int:
-    """Give the cloud's file to the runtime and return the cloud's revision; what is doubtful goes to stderr."""
     import warnings
 
     import eitskin
 
-    with warnings.catch_warnings(record=True) as doubts:
-        warnings.simplefilter("always")
-        revision = eitskin.send_cloud(path) if endpoint == DEFAULT else eitskin.send_cloud(endpoint, path)
-    for doubt in doubts:
-        say(f"eitskin surface: {doubt.message}", error=True)
-    return revision
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", eitskin.CloudWarning)  # the same check is done here
+        try:
+            return eitskin.send_cloud(path) if endpoint == DEFAULT else eitskin.send_cloud(endpoint, path)
+        except (SkinError, ValueError) as error:
+            raise SkinError(f"{path} was written, but not sent: {error}") from error
 
 
 def _report(
@@ -209,7 +201,6 @@ def _report(
         "outline_sigma_mm": result.outline_sigma_mm,
         "prediction_rms": result.prediction_rms,
         "largest_hole_mm": result.largest_hole_mm,
-        "doubts": list(result.doubts),
         "corner": result.corner,
         "rotation": result.rotation.tolist(),
         "translation_mm": result.translation_mm.tolist(),

@@ -61,8 +61,8 @@ DOUBTFUL_RMS: Final = 0.02
 the sample scene's maps worse than none."""
 
 
-LARGER: Final = 1.03
-"""Sides longer than this multiple of the flat sheet's may end in a rim or in clamps."""
+OTHER_LENGTH: Final = 1.03
+"""A side longer or shorter than the flat sheet's by this factor may not be that of the whole sheet alone."""
 
 RMS_PER_EXCESS_MM: Final = 0.02
 """Error of V_pred for each millimetre that the sides are off the flat sheet's, where that may be no stretch."""
@@ -194,21 +194,28 @@ def _doubts(
     size_mm: tuple[float, float], flat_mm: tuple[float, float], rim_mm: tuple[float, float] | None
 ) -> tuple[str, ...]:
     share = np.divide(size_mm, flat_mm)
+    low, high = float(share.min()), float(share.max())
+    found = f"{size_mm[0]:.1f} x {size_mm[1]:.1f} mm, the skin {flat_mm[0]:g} x {flat_mm[1]:g} mm"
     if rim_mm is not None:
-        if not any(rim_mm) or share.min() >= 1.0 / LARGER:
+        if not any(rim_mm) or 1.0 / OTHER_LENGTH <= low <= OTHER_LENGTH:
             return ()
         return (
-            f"without its rim the scan is {size_mm[0]:.1f} x {size_mm[1]:.1f} mm, the skin {flat_mm[0]:g} x "
-            f"{flat_mm[1]:g} mm: expected a rim that leaves the whole skin; check --rim, whose first width is that at "
-            "the ends of the longer sides",
+            f"without its rim the scan is {found}: expected a rim that leaves the whole skin; check --rim, whose first "
+            "width is that at the ends of the longer sides",
         )
-    if share.max() <= LARGER:
+    if high > OTHER_LENGTH:
+        why = (
+            "it may show a rim or clamps, or the sheet is stretched; cut a rim off with --rim MM or clamps with "
+            "--crop, or say --rim 0 if it is stretched"
+        )
+    elif low < 1.0 / OTHER_LENGTH:
+        why = (
+            "it may show only a part of the sheet or in another scale, or the sheet is compressed; scan all of it in "
+            "true millimetres, or say --rim 0 if it is compressed"
+        )
+    else:
         return ()
-    return (
-        f"the scan is {size_mm[0]:.1f} x {size_mm[1]:.1f} mm, the skin {flat_mm[0]:g} x {flat_mm[1]:g} mm: it may show "
-        "a rim or clamps, or the sheet is stretched; cut a rim off with --rim MM or clamps with --crop, or say --rim 0 "
-        "if it is stretched",
-    )
+    return (f"the scan is {found}: {why}",)
 
 
 def save_cloud(

@@ -8,6 +8,7 @@ import io
 import re
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
 from typing import Final
@@ -59,12 +60,27 @@ def read_ply(data: bytes) -> Array:
     if not data.startswith(b"ply") or end is None:
         raise ValueError("no PLY header ('ply' ... 'end_header')")
     order, elements = _header(data[: end.start()].decode("latin-1"))
-    place = end.end()
+    start = end.end()
     if order == "":
-        return _ascii(data[place:], elements)
+        return _ascii(data[start:], elements)
+    check_count(elements[-1].count)
+    found = []
+    for place in (start, start + 1, start + 2):
+        if not data[start:place].strip(b"\r\n"):  # some programs write a blank line before the numbers
+            with suppress(ValueError, struct.error):
+                found.append(_binary(data, place, elements, order))
+    return max(found, key=_usual) if found else _binary(data, start, elements, order)
+
+
+def _usual(points: Array) -> float:
+    """The share of numbers of a usual size: those of bytes that are shifted have any."""
+    size = np.abs(points)
+    return float(np.mean((size == 0.0) | (size > 1e-6) & (size < 1e7)))
+
+
+def _binary(data: bytes, place: int, elements: list[_Element], order: str) -> Array:
     for element in elements[:-1]:
         place, _ = _entries(data, place, element, order)
-    check_count(elements[-1].count)
     return _entries(data, place, elements[-1], order)[1]
 
 

@@ -20,8 +20,9 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy import linalg, sparse
+from scipy import sparse
 from scipy.sparse import csgraph
+from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from eitskin_sim.arrays import Array
@@ -152,33 +153,13 @@ def _frames(nodes: Array, first: npt.NDArray[np.intp], second: npt.NDArray[np.in
     moments = np.stack(
         [np.bincount(both, weights=step[:, a] * step[:, b], minlength=n) for a in range(3) for b in range(3)], axis=-1
     ).reshape(n, 3, 3)
-    normal = _least_axis(np.asarray(moments, dtype=np.float64))
+    normal = np.linalg.eigh(moments)[1][:, :, 0]
     root = int(np.argmin(np.sum((nodes - nodes.mean(axis=0)) ** 2, axis=1)))
     tangent = _transport(normal, root, sparse.csr_matrix((np.ones(len(both)), (both, other)), shape=(n, n)))
     frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
     along = np.einsum("eij,ej->ei", frame[both, :2], step)  # the neighbour's place in the tangent plane
     turn = -np.einsum("eij,ej->ei", frame[both, :2], normal[other] - normal[both])
     return frame, _curvature(both, along, turn, n)
-
-
-def _least_axis(moments: Array) -> Array:
-    """(n, 3) unit eigenvectors of the least eigenvalues of (n, 3, 3) moments, in closed form: ten times LAPACK's speed.
-
-    The eigenvalue is the least root of the characteristic cubic by angles; the vector is the longest of the products of
-    two rows of what is left.
-    """
-    scaled = moments / np.maximum(np.trace(moments, axis1=1, axis2=2), 1e-300)[:, None, None]
-    spread = scaled - np.eye(3) / 3.0
-    radius = np.sqrt(np.sum(spread**2, axis=(1, 2)) / 6.0)
-    cosine = np.linalg.det(spread) / np.maximum(2.0 * radius**3, 1e-300)
-    angle = np.arccos(np.clip(cosine, -1.0, 1.0)) / 3.0
-    least = 1.0 / 3.0 + 2.0 * radius * np.cos(angle + 2.0 * np.pi / 3.0)
-    rows = scaled - least[:, None, None] * np.eye(3)
-    products = np.stack([np.cross(rows[:, a], rows[:, b]) for a, b in ((0, 1), (1, 2), (2, 0))], axis=1)
-    length = np.linalg.norm(products, axis=2)
-    best = np.argmax(length, axis=1)
-    number = np.arange(len(best))
-    return np.asarray(products[number, best] / np.maximum(length[number, best], 1e-300)[:, None])
 
 
 def _curvature(both: npt.NDArray[np.intp], along: Array, turn: Array, n: int) -> Array:
@@ -228,22 +209,7 @@ def _integrate(nodes: Array, frame: Array, first: npt.NDArray[np.intp], second: 
         shape=(len(first), n),
     )
     pinned = incidence.T @ incidence + sparse.csr_matrix(([1.0], ([0], [0])), shape=(n, n))
-    return _solve_banded(pinned.tocsr(), np.asarray(incidence.T @ arc))
-
-
-def _solve_banded(matrix: sparse.csr_matrix, values: Array) -> Array:
-    """(n, k) solution; a sheet's graph is narrow, so that numbered from end to end it is a band of 100 or less."""
-    order = csgraph.reverse_cuthill_mckee(matrix, symmetric_mode=True)
-    place = np.empty(len(order), dtype=np.intp)
-    place[order] = np.arange(len(order))
-    entries = matrix.tocoo()
-    row, column = place[entries.row], place[entries.col]
-    lower = row >= column
-    below = row[lower] - column[lower]
-    band = np.zeros((int(below.max()) + 1, len(order)))
-    band[below, column[lower]] = entries.data[lower]
-    solved = linalg.solveh_banded(band, values[order], lower=True, overwrite_ab=True, check_finite=False)
-    return np.asarray(solved[place])
+    return np.asarray(splu(pinned.tocsc(), permc_spec="MMD_AT_PLUS_A").solve(np.asarray(incidence.T @ arc)))
 
 
 def _node_of_cube(centroid: Array, keep: npt.NDArray[np.intp], reach_mm: float) -> npt.NDArray[np.intp]:
