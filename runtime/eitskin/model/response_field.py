@@ -7,9 +7,10 @@ noise of a press is the identity. A press of amplitude s at the place x then rea
     chi2(x) = sum w (z - s f)^2 + ((s - 1) / amplitude_sd)^2                    w = 1 / (1 + v), s the best
     log p(z | x) = -(freedom + q) / 2 log(freedom + chi2) - 1/2 log det         Student's t: an odd frame says less
 
-The *gate* compares the mean of p(z | x) over the sheet with the probability of an untouched frame, whose covariance was
-measured. The *map* is the posterior of the place. For several touches the strongest is subtracted, and the rest is
-searched again.
+All factors that depend on the place alone are part of two matrices, one for z and one for its squares. The *gate*
+compares the mean of p(z | x) over the sheet with the probability of an untouched frame, whose covariance was measured.
+The *map* is the posterior of the place. For several touches the strongest is subtracted, and the rest is searched
+again.
 """
 
 import math
@@ -34,7 +35,10 @@ MOST_TOUCHES: Final = 8
 """Touches that are searched for in a frame."""
 
 ROUNDS: Final = 3
-"""How often each touch is placed again after another one was found."""
+"""How often each touch is placed again after another one was found, at most: until no touch moves."""
+
+OFF_SHEET: Final = 1e18
+"""Of chi2 off the sheet."""
 
 FINE: Final = 5
 """Points along each axis of a pixel, between which the likelihood is interpolated round its peak."""
@@ -67,6 +71,79 @@ class TaughtTouch:
     """Logarithm of its likelihood over that of no further touch."""
 
 
+class Judged:
+    """Where a touch may be by what was judged last.
+
+    Args:
+        pixels: Of the map.
+    """
+
+    __slots__ = ("likelihood", "posterior", "strength")
+
+    def __init__(self, pixels: int) -> None:
+        self.likelihood, self.strength, self.posterior = np.zeros((3, pixels), np.float32)
+        """Logarithm over its peak, cut off; the strength of a touch there; the posterior over its peak."""
+
+
+class Peak:
+    """Places the peak of a likelihood, between pixels.
+
+    Round the peak the likelihood is interpolated by a paraboloid through 3 x 3 pixels, because the posterior can be
+    narrower than a pixel.
+
+    Args:
+        grid: Of the map.
+    """
+
+    def __init__(self, grid: Grid) -> None:
+        self._shape = grid.shape
+        self.pixel = 0
+        """The likeliest one."""
+        self.block = np.zeros(9, dtype=np.intp)
+        """The pixels round it."""
+        self._around = np.add.outer([-grid.shape[1], 0, grid.shape[1]], [-1, 0, 1]).ravel()
+        self._logs = np.zeros(9, dtype=np.float32)
+        steps = (np.arange(3 * FINE) + 0.5) / FINE - 1.5
+        self._lagrange = _single(np.kron(_quadratic(steps), _quadratic(steps)))
+        self.weights = self._lagrange[0]
+        """(9,) of the block, for values at the peak."""
+        beyond = np.abs(steps) > 1.0
+        self._most = np.where(beyond | beyond[:, None], 0.0, np.inf).ravel()
+        self._fine = np.zeros(len(self._lagrange))
+        """Posterior of points that take the place of the block."""
+        fine_mm = np.stack([one.ravel() for one in np.meshgrid(steps, steps)], axis=1) * grid.pixel_mm
+        self._fine_powers = _powers(fine_mm) / FINE**2
+        self._centres_mm = grid.pixel_centres_mm().reshape(-1, 2)
+        self._powers = _powers(self._centres_mm)
+        self._p, self._moments = np.zeros(grid.n_pixels), np.zeros(5)
+
+    def find(self, judged: Judged) -> tuple[float, float, float, float]:
+        """Return x and y of the posterior's mean, and its standard deviations along both, in mm.
+
+        Args:
+            judged: Its posterior.
+        """
+        columns = self._shape[1]
+        self.pixel = int(judged.likelihood.argmax())
+        row, column = (min(max(at, 1), n - 2) for at, n in zip(divmod(self.pixel, columns), self._shape, strict=True))
+        centre = row * columns + column
+        np.add(self._around, centre, out=self.block)
+        np.take(judged.likelihood, self.block, out=self._logs)
+        fine = np.matmul(self._lagrange, self._logs, out=self._fine)
+        np.minimum(fine, self._most, out=fine)  # a parabola may run away beyond its points
+        self.weights = self._lagrange[int(fine.argmax())]
+        np.exp(fine, out=fine)
+        np.copyto(self._p, judged.posterior)
+        self._p[self.block] = 0.0
+        x0, y0 = self._centres_mm[centre].tolist()
+        p, x, y, xx, yy = np.matmul(self._p, self._powers, out=self._moments).tolist()
+        far = p, x - p * x0, y - p * y0, xx - x0 * (2.0 * x - p * x0), yy - y0 * (2.0 * y - p * y0)  # about the centre
+        near = np.matmul(fine, self._fine_powers, out=self._moments).tolist()
+        p, x, y, xx, yy = (one + other for one, other in zip(far, near, strict=True))
+        x, y = x / p, y / p
+        return x0 + x, y0 + y, math.sqrt(max(0.0, xx / p - x * x)), math.sqrt(max(0.0, yy / p - y * y))
+
+
 class ResponseField:
     """The field of one shape of the sheet: judge projected readings, then ask for the map or the touches.
 
@@ -96,42 +173,36 @@ class ResponseField:
             raise BundleError(f"taught.npz: untouched is no covariance; {HINT}")
         weight, prior = 1.0 / (1.0 + variance), sd**-2
         norm = (field * field * weight).sum(axis=1) + prior
-        self._q, self._freedom, self._spread, self._grid = q, freedom, spread, grid
-        self._project, self._field = _single(project), _single(field)
-        self._weight, self._tilt = _single(weight.T), _single((field * weight).T)  # (q, pixels)
-        self._norm, self._prior = _single(norm), prior
+        self._q, self._spread, self._grid = q, spread, grid
+        self.project, self._field = _single(project), _single(field)
+        """(rows, q)"""
+        self.noise = float(np.trace(untouched))
+        """Mean squared length of an untouched reading, as it was taught."""
+        self._freedom, self._exponent = freedom, -0.5 * (freedom + q)
         self._inside = inside != 0
-        offset = 0.5 * np.log(weight).sum(axis=1) - 0.5 * np.log(norm / prior) - math.log(np.count_nonzero(inside))
-        self._offset = np.where(self._inside, offset, -1e30).astype(np.float32)
+        log_factor = 0.5 * np.log(weight).sum(axis=1) - 0.5 * np.log(norm / prior) - math.log(self._inside.sum())
+        factor = np.where(self._inside, np.exp(log_factor / self._exponent), 0.0)  # of chi2
+        root = np.sqrt(factor / norm)
+        self._tilt = _single(root * np.vstack([(field * weight).T, np.full(pixels, prior)]))  # (q + 1, pixels)
+        self._weight = _single(factor * np.vstack([weight.T, np.full(pixels, prior + freedom)]))
+        self._weight[-1, ~self._inside] = OFF_SHEET
+        self._least = _single(SMALLEST_AMPLITUDE * root * norm)
+        self._strength = np.where(self._inside, root * norm, 1.0)
+        """(pixels,) of a touch of amplitude 1, in the unit of ``_tilt``."""
         self._precision = _single(np.linalg.inv(untouched))
         self._untouched = -0.5 * float(np.log(sizes).sum())
         self.logarithmic = bool(_one(arrays, "logarithm"))
         """Whether it was taught logarithms of V / V_untouched, not changes of another unit."""
-        columns = grid.shape[1]
-        self._around = np.add.outer([-columns, 0, columns], [-1, 0, 1]).ravel()
-        self._block = np.zeros(9, dtype=np.intp)
+        self._peaks = np.zeros(MOST_TOUCHES, dtype=np.intp)
         self._found = np.zeros((MOST_TOUCHES, q), dtype=np.float32)
-        self._logs, self._responses = np.zeros(9, dtype=np.float32), np.zeros((9, q), dtype=np.float32)
-        steps = (np.arange(3 * FINE) + 0.5) / FINE - 1.5
-        self._lagrange = _single(np.kron(_quadratic(steps), _quadratic(steps)))
-        beyond = np.abs(steps) > 1.0
-        self._most = np.where(beyond | beyond[:, None], 0.0, np.inf).ravel()
-        self._fine_mm = np.stack([one.ravel() for one in np.meshgrid(steps, steps)]) * np.array(grid.pixel_mm)[:, None]
-        self._places_mm = np.concatenate([grid.pixel_centres_mm().reshape(-1, 2).T, self._fine_mm], axis=1)
-        self._squared_mm, self._moment = np.zeros_like(self._places_mm), np.zeros(2)
-        self._p = np.zeros(pixels + len(self._lagrange))
-        """Posterior of the pixels, and of the points round the peak that take the place of 3 x 3 of them."""
-        self._squares, self._rest = np.zeros((2, q), np.float32)
-        self.z = np.zeros(q, np.float32)
-        """(q,) the frame, to be filled by :meth:`load`."""
-        self._likelihood, self._amplitude, self._chi2, self._posterior = np.zeros((4, pixels), dtype=np.float32)
+        self._responses = np.zeros((9, q), dtype=np.float32)
+        self._peak = Peak(grid)
+        self._one, self._squares = np.ones((2, q + 1), np.float32)
+        self._white, self._rest, self.z = np.zeros((3, q), np.float32)
+        """(q,) of the frame, projected; z is to be filled before :meth:`judge`."""
+        self._whole, self._left = Judged(pixels), Judged(pixels)
         self.threshold = _one(arrays, "threshold")
         """The logit above which a frame counts as touched."""
-
-    def load(self, logarithms: npt.NDArray[np.float32]) -> float:
-        """Project (rows,) into ``z``, and return its squared length."""
-        np.matmul(logarithms, self._project, out=self.z)
-        return float(self.z.dot(self.z))
 
     def judge(self, z: npt.NDArray[np.float32]) -> float:
         """Fill the likelihood of a touch at each place, and return the log of its mean over that of none.
@@ -139,31 +210,29 @@ class ResponseField:
         Args:
             z: (q,)
         """
-        likelihood, chi2, amplitude, work = self._likelihood, self._chi2, self._amplitude, self._posterior
-        np.multiply(z, z, out=self._squares)
-        np.matmul(z, self._tilt, out=chi2)
-        np.add(chi2, np.float32(self._prior), out=chi2)  # normal equations of s: chi2 = norm s
-        np.divide(chi2, self._norm, out=amplitude)
-        np.maximum(amplitude, np.float32(SMALLEST_AMPLITUDE), out=amplitude)
-        np.multiply(chi2, np.float32(-2.0), out=chi2)
-        np.multiply(self._norm, amplitude, out=work)
-        np.add(chi2, work, out=chi2)
-        np.multiply(chi2, amplitude, out=chi2)
-        np.matmul(self._squares, self._weight, out=work)
-        np.add(chi2, work, out=chi2)
-        np.add(chi2, np.float32(self._prior + self._freedom), out=chi2)
-        np.log(chi2, out=likelihood)
-        exponent = -0.5 * (self._freedom + self._q)
-        np.multiply(likelihood, np.float32(exponent), out=likelihood)
-        np.add(likelihood, self._offset, out=likelihood)
-        best = float(likelihood.max())
-        np.subtract(likelihood, np.float32(best), out=self._posterior)
-        np.maximum(self._posterior, np.float32(LOG_SMALLEST), out=self._posterior)
-        np.exp(self._posterior, out=self._posterior)
-        touched = best + math.log(float(np.add.reduce(self._posterior)))
-        np.matmul(self._precision, z, out=self._squares)
-        size = max(0.0, float(self._squares.dot(z)))
-        return float(touched - exponent * math.log(self._freedom + size) - self._untouched)
+        return self._judge(z, self._whole)
+
+    def _judge(self, z: npt.NDArray[np.float32], into: Judged) -> float:
+        likelihood, strength, posterior = into.likelihood, into.strength, into.posterior
+        self._one[:-1] = z
+        np.multiply(self._one, self._one, out=self._squares)
+        np.matmul(self._one, self._tilt, out=posterior)  # normal equations of the strength
+        np.matmul(self._squares, self._weight, out=likelihood)
+        np.maximum(posterior, self._least, out=strength)
+        np.add(posterior, posterior, out=posterior)
+        np.subtract(posterior, strength, out=posterior)
+        np.multiply(posterior, strength, out=posterior)
+        np.subtract(likelihood, posterior, out=likelihood)  # chi2
+        np.log(likelihood, out=likelihood)
+        np.multiply(likelihood, np.float32(self._exponent), out=likelihood)
+        best = likelihood.max()
+        np.subtract(likelihood, best, out=likelihood)
+        np.maximum(likelihood, np.float32(LOG_SMALLEST), out=likelihood)
+        np.exp(likelihood, out=posterior)
+        touched = float(best) + math.log(float(np.add.reduce(posterior)))
+        np.matmul(self._precision, z, out=self._white)
+        size = max(0.0, float(self._white.dot(z)))
+        return float(touched - self._exponent * math.log(self._freedom + size) - self._untouched)
 
     def fill_map(self, out: npt.NDArray[np.float32]) -> None:
         """Fill the posterior of the place by the last frame that was judged, with the peak 1 and 0 off the sheet.
@@ -171,28 +240,35 @@ class ResponseField:
         Args:
             out: (pixels,)
         """
-        np.subtract(self._posterior, np.float32(SMALLEST_POSTERIOR), out=out)
+        np.subtract(self._whole.posterior, np.float32(SMALLEST_POSTERIOR), out=out)
         np.maximum(out, np.float32(0.0), out=out)
 
     def touches(self, logit: float, threshold: float) -> list[TaughtTouch]:
         """Return the touches of ``z``, the strongest first; empty if it is untouched.
 
-        When a touch is added, each of them is placed again in what the others leave.
+        When a touch is added, each of them is placed again in what the others leave. It is not added if one of them is
+        not needed then, or if two are at one place, since a hard press looks like two.
 
         Args:
             logit: Of ``z``, which was judged last.
-            threshold: Of a touch's logit.
+            threshold: Of the strongest one's logit.
         """
         found: list[TaughtTouch] = []
         np.copyto(self._rest, self.z)
+        judged = self._whole
         while logit > threshold and len(found) < MOST_TOUCHES:
-            found.append(self._subtract(len(found), logit))
-            for number in [*range(len(found))] * (ROUNDS if len(found) > 1 else 0):
-                np.add(self._rest, self._found[number], out=self._rest)
-                found[number] = self._subtract(number, self.judge(self._rest))
-            logit = self.judge(self._rest)
-        if found:
-            self.judge(self.z)  # the map is that of the whole frame
+            more = [*found, self._subtract(len(found), logit, judged)]
+            judged = self._left
+            for _ in range(ROUNDS if found else 0):
+                before = self._peaks[: len(more)].tolist()
+                for number in range(len(more)):
+                    np.add(self._rest, self._found[number], out=self._rest)
+                    more[number] = self._subtract(number, self._judge(self._rest, judged), judged)
+                if self._peaks[: len(more)].tolist() == before:
+                    break
+            if min(one.log_likelihood_ratio for one in more) <= threshold or (found and self._at_one_place(len(more))):
+                break
+            found, logit, threshold = more, self._judge(self._rest, judged), max(threshold, 0.0)
         return found
 
     def strongest(self, logit: float) -> TaughtTouch:
@@ -202,45 +278,30 @@ class ResponseField:
             logit: Of ``z``, which was judged last.
         """
         np.copyto(self._rest, self.z)
-        return self._subtract(0, logit)
+        return self._subtract(0, logit, self._whole)
 
-    def _subtract(self, number: int, logit: float) -> TaughtTouch:
-        """Return the likeliest touch in ``rest``, which was judged last, and subtract it there as the touch ``number``.
+    def _at_one_place(self, count: int) -> bool:
+        """Return whether some of the touches are within a pixel of another one."""
+        pixels = np.stack(np.divmod(self._peaks[:count], self._grid.shape[1]))
+        near = (np.abs(pixels[:, :, None] - pixels[:, None]) <= 1).all(axis=0)
+        return int(near.sum()) > count
 
-        Round the peak the likelihood is interpolated by a paraboloid through 3 x 3 pixels, because the posterior can
-        be narrower than a pixel.
-        """
-        rows, columns = self._grid.shape
-        peak = int(self._likelihood.argmax())
-        row, column = (min(max(at, 1), n - 2) for at, n in zip(divmod(peak, columns), (rows, columns), strict=True))
-        centre = row * columns + column
-        np.add(self._around, centre, out=self._block)
-        np.take(self._likelihood, self._block, out=self._logs)
-        np.subtract(self._logs, self._likelihood[peak], out=self._logs)
-        np.maximum(self._logs, np.float32(LOG_SMALLEST), out=self._logs)  # off the sheet, or as good as
-        fine, pixels = self._p[-len(self._lagrange) :], self._p[: -len(self._lagrange)]
-        np.matmul(self._lagrange, self._logs, out=fine)
-        np.minimum(fine, self._most, out=fine)  # a parabola may run away beyond its points
-        best = int(fine.argmax())
-        np.exp(fine, out=fine)
-        np.multiply(fine, 1.0 / FINE**2, out=fine)
-        np.copyto(pixels, self._posterior)
-        pixels[self._block] = 0.0
-        np.add(self._fine_mm, self._places_mm[:, centre, None], out=self._places_mm[:, -len(fine) :])
-        total = float(np.add.reduce(self._p))
-        mean = np.matmul(self._places_mm, self._p, out=self._moment) / total
-        x_mm, y_mm = (float(one) for one in mean)
-        np.subtract(self._places_mm, mean[:, None], out=self._squared_mm)
-        np.multiply(self._squared_mm, self._squared_mm, out=self._squared_mm)
-        np.matmul(self._squared_mm, self._p, out=self._moment)
-        sd_x, sd_y = (self._spread * math.sqrt(float(one) / total) for one in self._moment)
-        amplitude = float(self._amplitude[peak])
-        np.take(self._field, self._block, axis=0, out=self._responses)
+    def _subtract(self, number: int, logit: float, judged: Judged) -> TaughtTouch:
+        """Return the likeliest touch in ``rest``, which was judged, and subtract it there as the touch ``number``."""
+        x_mm, y_mm, sd_x_mm, sd_y_mm = self._peak.find(judged)
+        pixel = self._peaks[number] = self._peak.pixel
+        amplitude = float(judged.strength[pixel] / self._strength[pixel])
+        np.take(self._field, self._peak.block, axis=0, out=self._responses)
         response = self._found[number]
-        np.matmul(self._lagrange[best], self._responses, out=response)
+        np.matmul(self._peak.weights, self._responses, out=response)
         np.multiply(response, np.float32(amplitude), out=response)
         np.subtract(self._rest, response, out=self._rest)
-        return TaughtTouch(x_mm, y_mm, sd_x, sd_y, amplitude, logit)
+        return TaughtTouch(x_mm, y_mm, self._spread * sd_x_mm, self._spread * sd_y_mm, amplitude, logit)
+
+
+def _powers(places_mm: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return (n, 5) 1, x, y and their squares, which turn a posterior into its moments."""
+    return np.concatenate([np.ones((len(places_mm), 1)), places_mm, places_mm**2], axis=1)
 
 
 def _quadratic(steps: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -35,8 +35,8 @@ RESTART: Final = 4.0
 NOISE_STEP: Final = 0.05
 """Share by which the estimate of the frames' noise moves with each frame, towards the median of what is seen."""
 
-FIRST_STEPS: Final = 4
-"""Steps between frames of which the smallest is the first estimate: one of them may be a press."""
+NOISIEST: Final = 4.0
+"""Largest estimate, over the reference's: presses that change with every frame are no noise."""
 
 FOLLOW_FRAMES: Final = 32
 """The baseline follows after so many untouched frames."""
@@ -89,20 +89,29 @@ class TaughtField:
             raise BundleError(f"manifest.json names {len(names)} shapes, expected {len(shapes)}; {HINT}")
         blank = {"level": np.zeros(rows), "white": np.zeros((rows, 0)), "reach": np.array(LARGEST)}
         self._levels = np.stack([finite({**blank, **one}, "level", (rows,)) for one in shapes])
-        self._white = finite({**blank, **shapes[0]}, "white", (rows, None)).astype(np.float32)
+        white = finite({**blank, **shapes[0]}, "white", (rows, None)).astype(np.float32)
         self._reach = float(finite({**blank, **shapes[0]}, "reach", ()))
-        self._offsets = np.zeros((len(shapes) + 1, rows), np.float32)
-        """Levels against the reference's; the last one is predicted."""
-        self._centres, self._apart = np.zeros((2, len(shapes) + 1, self._white.shape[1]), np.float32)
-        self._at, self._distances = self._centres[0].copy(), np.zeros(len(shapes) + 1, np.float32)
-        self.change = np.zeros(rows, np.float32)
+        parts = [*(one.project for one in self._fields), white]
+        ends = np.cumsum([0, *(part.shape[1] for part in parts)])
+        self._parts = [slice(*ends[at : at + 2]) for at in range(len(parts))]
+        """Where each shape's projection is in a projected frame, and at last the one that tells shapes apart."""
+        self._project = np.ascontiguousarray(np.concatenate(parts, axis=1))
+        """One matrix for all of them."""
+        size = self._project.shape[1]
+        self._offsets = np.zeros((len(shapes) + 1, size), np.float32)
+        """Projected levels against the reference's; the last one is predicted."""
+        self._centres, self._apart = self._offsets[:, self._parts[-1]], np.zeros_like(self._offsets[:, self._parts[-1]])
+        self._distances = np.zeros(len(shapes) + 1, np.float32)
+        self.change, self._values = np.zeros((2, rows), np.float32)
         """(rows,) dV against the reference, to be filled before :meth:`touched`."""
-        self._values, self._last, self._mean, self._rest, self._baseline = np.zeros((5, rows), np.float32)
+        self._now, self._last, self._mean, self._rest, self._baseline = np.zeros((5, size), np.float32)
         self.logit = 0.0
         """Log of how much likelier than untouched the last frame is."""
         self.threshold = 0.0
         """The logit above which a frame counts as touched."""
         self._home = 0
+        self._usual = 0.0
+        """Mean squared length of a frame's noise, by the reference."""
         self.use_reference(np.zeros(rows))
         self.reset()
 
@@ -111,31 +120,44 @@ class TaughtField:
         """The name of the shape in which the sheet is, or ``predicted``, or ``unknown``."""
         return UNKNOWN if self._unlike else self._names[self._shape]
 
-    def use_reference(self, voltages_V: npt.NDArray[np.float64]) -> None:
+    def use_reference(
+        self,
+        voltages_V: npt.NDArray[np.float64],
+        spread_V: npt.NDArray[np.float64] | None = None,
+        shared_V: npt.NDArray[np.float64] | None = None,
+    ) -> None:
         """Find the shape in which the reference was taken, from which the levels of the others are counted.
 
         Args:
             voltages_V: (rows,), 0 where a row carries no information.
+            spread_V: (rows,) standard deviation of a frame; None where only taught readings say it.
+            shared_V: (rows, k) the part of it that rows share.
         """
-        known = (voltages_V != 0.0) & (self._levels != 0.0).all(axis=0)
+        carries = voltages_V != 0.0
+        known = carries & (self._levels != 0.0).all(axis=0)
         if known.any():
             apart = np.where(known, self._levels - np.log(np.abs(np.where(known, voltages_V, 1.0))), 0.0)
             apart -= np.where(known, np.median(apart[:, known], axis=1, keepdims=True), 0.0)  # another current
-            self._home = int(((apart @ self._white) ** 2).sum(axis=1).argmin())
-        self._offsets[:-1] = np.where(known, self._levels - self._levels[self._home], 0.0)
-        self.use_prediction(self._offsets[self._home])
+            self._home = int(((apart @ self._project[:, self._parts[-1]]) ** 2).sum(axis=1).argmin())
+        levels = np.where(known, self._levels - self._levels[self._home], 0.0)
+        np.matmul(levels, self._project, out=self._offsets[:-1], casting="same_kind")
+        self.use_prediction(levels[self._home])
         self._use(self._home)
+        project = self._field.project * np.where(carries, 1.0 / np.where(carries, voltages_V, 1.0), 0.0)[:, None]
+        shared = np.zeros((len(carries), 0)) if shared_V is None else shared_V
+        own = np.zeros(len(carries)) if spread_V is None else np.maximum(spread_V**2 - (shared**2).sum(axis=1), 0.0)
+        noise = float((own @ project**2).sum() + ((shared.T @ project) ** 2).sum())
+        self._usual = noise or self._field.noise
 
-    def use_prediction(self, log_predicted: npt.NDArray[np.float32]) -> None:
+    def use_prediction(self, log_predicted: npt.NDArray[np.floating]) -> None:
         """Take the level that the forward model predicts, (rows,) log(V_pred / V_reference); zeros for none."""
-        self._offsets[-1] = log_predicted
-        np.matmul(self._offsets, self._white, out=self._centres)
+        np.matmul(log_predicted, self._project, out=self._offsets[-1], casting="same_kind")
 
     def reset(self) -> None:
         """Restart: the reference is the untouched sheet."""
         self._baseline[:] = 0.0
-        self._averaged = self._steps = 0
-        self._noise = math.inf
+        self._averaged = 0
+        self._noise = self._usual
         self._peak = 0.0
         self._held = 0
         self._use(self._home)
@@ -162,7 +184,7 @@ class TaughtField:
         """Judge ``change`` by itself against the reference, with no frame before it, and return the logit."""
         self._baseline[:] = 0.0
         self._read()
-        self._mean[:] = self._values
+        self._mean[:] = self._now
         self._averaged = FOLLOW_FRAMES
         self._judge()
         return self.logit
@@ -185,43 +207,40 @@ class TaughtField:
 
     def _use(self, shape: int) -> None:
         self._shape, self._unlike = shape, False
-        self._field = self._fields[self._home if shape == len(self._fields) else shape]
+        self._part = self._home if shape == len(self._fields) else shape
+        self._field = self._fields[self._part]
         self.threshold = self._field.threshold
 
     def _read(self) -> None:
-        """Take the rows of a frame."""
+        """Project the rows of a frame."""
+        values = self.change
         if self.logarithmic:
-            np.maximum(self.change, np.float32(SMALLEST_RATIO - 1.0), out=self._values)
-            np.log1p(self._values, out=self._values)
-        else:
-            np.copyto(self._values, self.change)
+            values = np.maximum(values, np.float32(SMALLEST_RATIO - 1.0), out=self._values)
+            np.log1p(values, out=values)
+        np.matmul(values, self._project, out=self._now)
 
     def _average(self) -> None:
         """Take the frame into the mean, or begin another one where it differs by more than noise."""
+        rest, seen = self._rest, self._rest[self._parts[self._part]]
         if self._averaged:
-            np.subtract(self._values, self._last, out=self._rest)
-            step = 0.5 * self._field.load(self._rest)
-            if self._steps >= FIRST_STEPS:
-                self._noise *= 1.0 + NOISE_STEP if step > self._noise else 1.0 - NOISE_STEP
-            elif step > 0.0:
-                self._steps += 1
-                self._noise = min(self._noise, step)
-        np.copyto(self._last, self._values)
-        np.subtract(self._values, self._mean, out=self._rest)
-        usual = self._noise * (1.0 + 1.0 / max(self._averaged, 1))
-        if self._averaged == 0 or self._field.load(self._rest) > RESTART * usual:
-            self._mean[:] = self._values
+            np.subtract(self._now, self._last, out=rest)
+            self._noise *= 1.0 + NOISE_STEP if 0.5 * seen.dot(seen) > self._noise else 1.0 - NOISE_STEP
+            self._noise = min(self._noise, NOISIEST * self._usual)
+        np.copyto(self._last, self._now)
+        np.subtract(self._now, self._mean, out=rest)
+        if not self._averaged or seen.dot(seen) > RESTART * self._noise * (1.0 + 1.0 / self._averaged):
+            np.copyto(self._mean, self._now)
             self._averaged = 1
             return
         self._averaged = min(self._averaged + 1, MOST_AVERAGED)
-        np.multiply(self._rest, np.float32(1.0 / self._averaged), out=self._rest)
-        np.add(self._mean, self._rest, out=self._mean)
+        np.multiply(rest, np.float32(1.0 / self._averaged), out=rest)
+        np.add(self._mean, rest, out=self._mean)
 
     def _judge(self) -> float:
         """Choose the shape, judge the mean in it, and return the squared length of what is left of the mean."""
-        np.subtract(self._mean, self._baseline, out=self._rest)
-        np.matmul(self._rest, self._white, out=self._at)
-        np.subtract(self._centres, self._at, out=self._apart)
+        rest = self._rest
+        np.subtract(self._mean, self._baseline, out=rest)
+        np.subtract(self._centres, rest[self._parts[-1]], out=self._apart)
         np.einsum("ij,ij->i", self._apart, self._apart, out=self._distances)
         shape = int(self._distances.argmin())
         if self._distances[shape] < self._distances[self._shape] - NEARER:
@@ -229,10 +248,11 @@ class TaughtField:
             self._peak = 0.0
         if self._averaged >= FOLLOW_FRAMES:  # the noise of a few frames is larger than that of a reading
             self._unlike = float(self._distances[self._shape]) > self._reach
-        np.subtract(self._rest, self._offsets[self._shape], out=self._rest)
-        size = self._field.load(self._rest)
-        self.logit = self._field.judge(self._field.z)
-        return size
+        np.subtract(rest, self._offsets[self._shape], out=rest)
+        field = self._field
+        np.copyto(field.z, rest[self._parts[self._part]])
+        self.logit = field.judge(field.z)
+        return float(field.z.dot(field.z))
 
     def _follow(self, share: float) -> None:
         """Let the baseline go a part of the way to the mean of untouched frames, which is in ``rest``."""

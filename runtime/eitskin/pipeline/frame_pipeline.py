@@ -390,7 +390,7 @@ class Pipeline:
         if self.field is not None:
             known_V = flat.voltages_V.copy()
             known_V[flat.weak] = 0.0
-            self.field.use_reference(known_V)
+            self.field.use_reference(known_V, with_rounding(flat.spread_V, step_V), flat.shared_V)
         self._reset_gates()
         self.front_end.use_reference(reference, step_V)
         if self.health is not None:

@@ -110,6 +110,23 @@ def test_a_press_in_the_second_frame_is_felt_at_once():
     assert field.strongest().amplitude == pytest.approx(1.0, abs=0.15), "the untouched frame is in no average"
 
 
+def test_presses_that_change_with_every_frame_are_not_averaged():
+    field = TaughtField([arrays()], GRID)
+    for place in RANDOM.uniform((20, 20), (50, 80), (100, 2)) + np.tile([(0, 0), (75, 0)], (50, 1)):
+        frame(field, place)
+        assert field.touched()
+        (touch,) = field.touches()
+        assert np.hypot(touch.x_mm - place[0], touch.y_mm - place[1]) < 5.0 * max(touch.sd_x_mm, touch.sd_y_mm)
+
+
+def test_a_hard_press_is_one_touch():
+    field = TaughtField([arrays()], GRID)
+    frame(field, (75.0, 50.0), amplitude=3.0)
+    assert field.touched()
+    (touch,) = field.touches()
+    assert touch.amplitude > 2.0
+
+
 @pytest.mark.parametrize(
     "changed",
     [
