@@ -33,10 +33,8 @@ RESTART: Final = 4.0
 """A frame starts a new average if its squared distance from it exceeds the usual by this factor."""
 
 NOISE_STEP: Final = 0.05
-"""Share by which the estimate of the frames' noise moves with each frame, towards the median of what is seen."""
-
-NOISIEST: Final = 4.0
-"""Largest estimate, over the reference's: presses that change with every frame are no noise."""
+"""Share by which the estimate of the frames' noise moves with each untouched frame, towards the median of what is
+seen. Presses that change with every frame are no noise."""
 
 FOLLOW_FRAMES: Final = 32
 """The baseline follows after so many untouched frames."""
@@ -157,7 +155,7 @@ class TaughtField:
         """Restart: the reference is the untouched sheet."""
         self._baseline[:] = 0.0
         self._averaged = 0
-        self._noise = self._usual
+        self._noise = self._step = self._usual
         self._peak = 0.0
         self._held = 0
         self._use(self._home)
@@ -175,6 +173,7 @@ class TaughtField:
                 return True
             self._follow(1.0)  # what is left of it is the sheet's from now on
         self._peak = 0.0
+        self._noise *= 1.0 + NOISE_STEP if self._step > self._noise else 1.0 - NOISE_STEP
         self._held += 1
         if self._held >= FOLLOW_FRAMES:
             self._follow(FOLLOW_SHARE)
@@ -224,8 +223,7 @@ class TaughtField:
         rest, seen = self._rest, self._rest[self._parts[self._part]]
         if self._averaged:
             np.subtract(self._now, self._last, out=rest)
-            self._noise *= 1.0 + NOISE_STEP if 0.5 * seen.dot(seen) > self._noise else 1.0 - NOISE_STEP
-            self._noise = min(self._noise, NOISIEST * self._usual)
+            self._step = 0.5 * float(seen.dot(seen))
         np.copyto(self._last, self._now)
         np.subtract(self._now, self._mean, out=rest)
         if not self._averaged or seen.dot(seen) > RESTART * self._noise * (1.0 + 1.0 / self._averaged):
