@@ -107,7 +107,6 @@ WRITING = {
     "reference": ["reference", "--port", "/dev/null", "--out"],
     "record": ["record", "--out"],
     "reinfer --out": ["reinfer", ABSENT, "--out"],
-    "reinfer --plot": ["reinfer", ABSENT, "--plot"],
     "plot": ["plot", ABSENT, "--out"],
     "convert": ["convert", ABSENT, "--format", "npz", "--out"],
     "calibrate": ["calibrate", ABSENT, "--out"],

@@ -10,7 +10,6 @@ MINE = "mine"
 """Name of a file that is read, and must stay as it is."""
 
 OVER = {
-    "reinfer --plot": ["reinfer", MINE, "--plot", MINE],
     "surface": ["surface", MINE, "--out", MINE],
     "simulate --skin": ["simulate", "sample", "--skin", MINE, "--out", MINE],
     "calibrate --surface": ["calibrate", MINE, "--guided", "--port", "/dev/null", "--surface", MINE, "--out", "s.toml"],
@@ -37,7 +36,6 @@ def test_what_is_read_is_not_written_over(command, how, tmp_path, monkeypatch, c
 @pytest.mark.parametrize(
     "words",
     [
-        ["reinfer", "day.mcap", "--out", "x.png", "--plot", "x.png"],
         ["virtual-skin", "--wire-times", "x.npy", "--log", "./x.npy"],
         ["calibrate", "x.npz", "--guided", "--port", "/dev/null", "--out", "x.npz"],
     ],

@@ -14,9 +14,6 @@ from eitskin_tools.errors import UsageError
 MAX_MAPS = 200_000
 """Maps in a file: a gigabyte of memory."""
 
-PICTURES = 6
-"""Frames that a picture shows."""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
@@ -38,7 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_span(parser)
     parser.add_argument("--out", type=Path, metavar="MAPS.npz", help="write the maps")
-    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw some frames (extra: plot)")
     parser.add_argument("--quiet", action="store_true", help="show no progress")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -74,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
         from_s=arguments.from_s,
         to_s=arguments.to_s,
         every=arguments.every,
-        keep=MAX_MAPS if arguments.out or arguments.plot else 0,
+        keep=MAX_MAPS if arguments.out else 0,
         progress=progress,
     )
     line.end()
@@ -84,10 +80,6 @@ def run(arguments: argparse.Namespace) -> int:
         from eitskin_tools.recording.reinfer import write
 
         write(arguments.out, found)
-    if arguments.plot is not None:
-        from eitskin_tools.recording.reinfer import draw
-
-        draw(arguments.plot, found, PICTURES)
     fields = {"file": str(script.path), "bundle": recorded.id, "solver": arguments.solver, **found.fields()}
     fields["as_recorded"] = recorded.id == script.head_text("bundle")
     if other is not None:
@@ -175,5 +167,3 @@ def _check(arguments: argparse.Namespace) -> None:
     check_span(arguments)
     if arguments.out is not None:
         files.writable(arguments.out, kinds.COMPUTED)
-    if arguments.plot is not None:
-        files.picture(arguments.plot)

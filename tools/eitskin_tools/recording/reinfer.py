@@ -32,52 +32,9 @@ from eitskin.pipeline.recorded import RecordedHealth
 from eitskin.touches.surface import Surface
 from eitskin_proto.files.arrays import save_arrays
 from eitskin_proto.files.writing import replacing
-from eitskin_tools.pictures import draw_map, save
 from eitskin_tools.recording.codec import digest_of
 from eitskin_tools.recording.layout import RecordingError
 from eitskin_tools.recording.script import Script, Step, bundle_of, reference_of
-
-
-@dataclass(frozen=True, slots=True)
-class FrameVerdict:
-    """One frame's verdict."""
-
-    p_value: float
-    """Chance of so large a residual if the touches are right."""
-    flagged: bool
-    """Physics cannot explain the frame by them."""
-    ms: float
-    """What it took, by the clock."""
-
-
-@dataclass(slots=True)
-class Verdicts:
-    """Counts verdicts, and frames of which there is none."""
-
-    p_values: list[float] = field(default_factory=list)
-    flagged: int = 0
-    ms: list[float] = field(default_factory=list)
-    not_verified: Counter[str] = field(default_factory=Counter)
-    """Touched frames without a verdict, by why."""
-
-    def add(self, judged: FrameVerdict) -> None:
-        """Take one frame's."""
-        self.p_values.append(judged.p_value)
-        self.flagged += judged.flagged
-        self.ms.append(judged.ms)
-
-    def fields(self) -> dict[str, Any]:
-        """Return plain values; None where no frame was verified."""
-        count = len(self.p_values)
-        return {
-            "frames": count,
-            "flagged_share": self.flagged / count if count else None,
-            "p_value_median": float(np.median(self.p_values)) if count else None,
-            "ms_median": round(float(np.median(self.ms)), 3) if count else None,
-            "ms_p95": round(float(np.percentile(self.ms, 95)), 3) if count else None,
-            "not_verified": dict(self.not_verified),
-        }
-
 
 NO_SOLVER: Final = "none"
 """The solver of a map that is 0."""
@@ -99,8 +56,8 @@ class ComputedFrame:
     solver: str
     gate_logit: float | None = None
     """As it came out now; None where there is no gate."""
-    judged: FrameVerdict | None = None
-    """What physics says of it; None of solvers that ask for none, and of frames that nothing touches."""
+    judged: Any = None
+    """A :class:`~eitskin_tools.evaluation.verified.solver.MapVerdict`; None where physics is not asked."""
     is_whole: bool = True
     """The runtime computed the whole map then; earlier releases could compute some rectangles alone."""
 
@@ -432,7 +389,7 @@ Progress = Callable[[float, float], None]
 
 
 Kept = list[tuple[Step, ComputedFrame]]
-"""Frames whose maps are kept, for a file or a picture."""
+"""Frames whose maps are kept."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -452,8 +409,8 @@ class Reinferred:
     kept: Kept
     others: Kept
     """The same frames by what was running, beside another solver's."""
-    verdicts: Verdicts | None = None
-    """Of a solver that asks physics."""
+    verified: dict[str, Any] | None = None
+    """What the verifier's results come to; None of other solvers."""
 
     def fields(self) -> dict[str, Any]:
         """Return plain values for ``--json``."""
@@ -471,8 +428,8 @@ class Reinferred:
             found |= self.equality.fields()
         if self.agreement is not None:
             found["against_recorded"] = self.agreement.fields()
-        if self.verdicts is not None:
-            found["verified"] = self.verdicts.fields()
+        if self.verified is not None:
+            found["verified"] = self.verified
         return found
 
 
@@ -534,9 +491,9 @@ def reinfer(
             if solver is not None and found is not None:
                 others.append((step, found))
     elapsed_s, cpu_s = time.perf_counter() - start_s, time.process_time() - start_cpu_s
-    recorded_s, verdicts = (last_ns - first_ns) * 1e-9, getattr(solver, "verdicts", None)
+    recorded_s, verified = (last_ns - first_ns) * 1e-9, getattr(solver, "verified", None)
     equality = equality if equality is not None and equality.published else None
-    return Reinferred(count, elapsed_s, cpu_s, recorded_s, withheld, equality, agreement, kept, others, verdicts)
+    return Reinferred(count, elapsed_s, cpu_s, recorded_s, withheld, equality, agreement, kept, others, verified)
 
 
 def _merged(before: Step | None, step: Step) -> Step:
@@ -561,7 +518,9 @@ def write(path: Path, found: Reinferred) -> None:
         RecordingError: No maps were kept.
         OSError: The file cannot be written.
     """
-    kept = _kept_of(found)
+    kept = found.kept
+    if not kept:
+        raise RecordingError("this part of the recording has no map")
     arrays = {
         "seq": np.array([step.frame.seq or 0 for step, _ in kept], dtype=np.int64),
         "touched": np.array([one.touched for _, one in kept], dtype=np.bool_),
@@ -571,46 +530,9 @@ def write(path: Path, found: Reinferred) -> None:
     }
     if found.others:
         arrays["recorded_map"] = np.array([one.map for _, one in found.others], dtype=np.float32)
-    if found.verdicts is not None:
-        verdicts = [one.judged for _, one in kept]
+    if found.verified is not None:
+        verdicts = [None if one.judged is None else one.judged.verdict for _, one in kept]
         arrays["p_value"] = np.array([np.nan if one is None else one.p_value for one in verdicts])
         arrays["flagged"] = np.array([one is not None and one.flagged for one in verdicts], dtype=np.bool_)
     with replacing(path) as stream:
         save_arrays(stream, arrays, compressed=True)
-
-
-def draw(path: Path, found: Reinferred, most: int) -> None:
-    """Draw the frames with the strongest touches, spread over the recording; beside another solver both maps.
-
-    Args:
-        path: Of the picture.
-        found: With maps.
-        most: How many frames.
-
-    Raises:
-        RecordingError: No maps were kept, or nothing was touched.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    kept = _kept_of(found)
-    touched = [index for index, (_, one) in enumerate(kept) if one.map.any()]
-    if not touched:
-        raise RecordingError("no frame in this part of the recording is touched: there is nothing to draw")
-    parts = [part for part in np.array_split(touched, most) if len(part)]
-    chosen = [max(part, key=lambda index: float(kept[index][1].map.sum())) for part in parts]
-    rows = [("recorded", found.others), ("computed now", kept)] if found.others else [("maps", kept)]
-    figure = Figure(figsize=(2.4 * len(chosen), 2.0 * len(rows)), layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(len(rows), len(chosen), squeeze=False)
-    for axes_of_row, (title, some) in zip(grid, rows, strict=True):
-        for axes, index in zip(axes_of_row, chosen, strict=True):
-            step, one = some[index]
-            draw_map(axes, one.map, f"{title}, frame {step.frame.seq}")
-    save(figure, path, dpi=120)
-
-
-def _kept_of(found: Reinferred) -> Kept:
-    if not found.kept:
-        raise RecordingError("this part of the recording has no map")
-    return found.kept

@@ -6,6 +6,7 @@ is that of the reference's frames, as for ``eitskin run --verify``.
 """
 
 import math
+from collections import Counter
 from typing import Any, Final
 
 import numpy as np
@@ -16,9 +17,9 @@ from eitskin.reference.captured import Reference
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.volts import step_of
 from eitskin_sim.evaluation.harness import Case, Run, Sheet
-from eitskin_tools.evaluation.verified.solver import VerifiedNetwork, noise_shown
+from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork, noise_shown
 from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES, UntouchedBaseline
-from eitskin_tools.recording.reinfer import NO_SOLVER, ComputedFrame, FrameVerdict, Rerun, Verdicts
+from eitskin_tools.recording.reinfer import NO_SOLVER, ComputedFrame, Rerun
 from eitskin_tools.recording.script import Script, Step, reference_of
 
 NETWORK: Final = "vd2t"
@@ -43,8 +44,8 @@ class VerifiedSolver:
         self._script, self._bundle = script, bundle
         self._rerun = Rerun(script, bundle, NETWORK if bundle.has_network else WITHOUT_NETWORK)
         self.bundle_id = bundle.id
-        self.verdicts = Verdicts()
-        """On the frames so far."""
+        self._judged: list[MapVerdict] = []
+        self._not_verified = Counter[str]()
         self._reference: Reference | None = None
         self._sheet: Sheet | None = None
         self._verified: VerifiedNetwork | None = None
@@ -53,6 +54,19 @@ class VerifiedSolver:
         self._unfit = ""
         self._baseline = UntouchedBaseline()
         self._at_rest_V: npt.NDArray[np.float64] | None = None
+
+    @property
+    def verified(self) -> dict[str, Any]:
+        """What the verdicts so far come to; None where no frame was verified."""
+        some, ms = bool(self._judged), np.array([one.extra_ms for one in self._judged])
+        return {
+            "frames": len(self._judged),
+            "flagged_share": float(np.mean([one.verdict.flagged for one in self._judged])) if some else None,
+            "p_value_median": float(np.median([one.verdict.p_value for one in self._judged])) if some else None,
+            "ms_median": round(float(np.median(ms)), 3) if some else None,
+            "ms_p95": round(float(np.percentile(ms, 95)), 3) if some else None,
+            "not_verified": dict(self._not_verified),
+        }
 
     def compute(self, step: Step) -> ComputedFrame | None:
         """Compute a frame; None if the recording lacks its reference, or nothing verifies it."""
@@ -105,7 +119,7 @@ class VerifiedSolver:
             self._tell_rest()
         missing = self._missing(reference)
         if self._unfit:
-            self._left_out(self._unfit)
+            self._not_verified[self._unfit] += 1
             return None
         flat_V = np.where(missing, 0.0, reference.voltages_V)  # a row of 0 V is not looked at
         volts = flat_V * (1.0 + self._rerun.change.astype(np.float64))
@@ -117,19 +131,15 @@ class VerifiedSolver:
         except (ValueError, ArithmeticError) as error:
             if not self._fits:  # not one frame of this shape: it is the shape's own fault
                 self._unfit = f"no model can be made of cloud and reference: {error}"
-            self._left_out(self._unfit or str(error))
+            self._not_verified[self._unfit or str(error)] += 1
             return None
         self._fits = True
         checked = self._verified.checked.pop()
         if checked.not_verified:
-            self._left_out(checked.not_verified)
+            self._not_verified[checked.not_verified] += 1
             return None
-        judged = FrameVerdict(checked.verdict.p_value, bool(checked.verdict.flagged), checked.extra_ms)
-        self.verdicts.add(judged)
-        return ComputedFrame(np.asarray(image, dtype=np.float32), True, "verified", found.gate_logit, judged)
-
-    def _left_out(self, why: str) -> None:
-        self.verdicts.not_verified[why] += 1
+        self._judged.append(checked)
+        return ComputedFrame(np.asarray(image, dtype=np.float32), True, "verified", found.gate_logit, checked)
 
     def _of(self, reference: Reference) -> VerifiedNetwork:
         """Return the solver of a reference's frames."""
