@@ -17,13 +17,6 @@ from .conftest import TINY, recorded_off
 Capture = pytest.CaptureFixture[str]
 
 
-@pytest.mark.parametrize("words", [["replay"], ["reinfer"], ["convert", "--out", "a.npz"]])
-@pytest.mark.parametrize(("option", "found"), [("--from", "nan"), ("--from", "-1"), ("--to", "1e+300")])
-def test_a_part_that_no_recording_has_is_refused(words: list[str], option: str, found: str, capsys: Capture) -> None:
-    assert cli.main([*words, "a.mcap", f"{option}={found}"]) == 2
-    assert f"{option} is {found}, expected 0 or more seconds after the first frame\n" in capsys.readouterr().err
-
-
 @pytest.mark.process
 @pytest.mark.parametrize("pace", [["--as-fast-as-possible"], ["--speed", "1000"]])
 def test_a_part_is_played_to_its_end_and_the_program_ends(file: Path, tmp_path: Path, pace: list[str]) -> None:

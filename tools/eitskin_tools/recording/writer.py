@@ -74,12 +74,21 @@ class Reserve:
             found.close()
 
 
-class Sink:
-    """A new file, written without a buffer of its own; has what :class:`mcap.writer.Writer` needs of a stream.
+FLUSH_S: Final = 0.25
+"""Data of so long waits in memory, and is lost with the process."""
+
+CHUNK_BYTES: Final = 1 << 20
+"""A chunk may be smaller, for ``FLUSH_S``; more is written at once."""
+
+
+class RecordingFile:
+    """A new file, and the stream without a buffer that :class:`mcap.writer.Writer` writes into; end it with ``close``.
 
     Args:
         path: Of the file, which must not be there.
-        reserve: See above; its maker removes it in the end.
+        head: Of the metadata: ids, host, clock offset.
+        reserve: See :mod:`eitskin_tools.recording.writer`; its maker removes it.
+        now_s: The clock of ``FLUSH_S``.
 
     Raises:
         RecordingError: It is there.
@@ -87,18 +96,38 @@ class Sink:
         OSError: It cannot be made.
     """
 
-    def __init__(self, path: Path, reserve: Reserve) -> None:
+    def __init__(self, path: Path, head: Mapping[str, str], reserve: Reserve, now_s: Callable[[], float]) -> None:
         self.path = check_target(path)
         self.full = False
         """The reserve is being used: end the file now."""
         self.bytes = 0
         """Written so far."""
-        self._reserve = reserve
+        self._reserve, self._now_s = reserve, now_s
         try:
             self._handle = self._with_room(lambda: os.open(self.path, CREATE_FLAGS, 0o666))
         except FileExistsError:
             raise RecordingError(f"{self.path} already exists: name another file, or move it away") from None
         _sync_folder(self.path.parent)
+        self._writer = Writer(self, chunk_size=CHUNK_BYTES, enable_data_crcs=False)  # type: ignore[arg-type]
+        try:
+            self._writer.start(profile="", library="eitskin")
+            self._writer.add_metadata(HEAD, {"format": FORMAT, "version": str(VERSION), **head})
+        except OSError:
+            os.close(self._handle)
+            self.path.unlink()
+            raise
+        self._ids = {channel.topic: self._register(channel) for channel in CHANNELS}
+        self._begun_s = self._flushed_s = now_s()
+
+    @property
+    def age_s(self) -> float:
+        """Since it was made."""
+        return self._now_s() - self._begun_s
+
+    @property
+    def due_s(self) -> float:
+        """How long what is in memory may stay there yet; 0 where it is late."""
+        return max(self._flushed_s + FLUSH_S - self._now_s(), 0.0)
 
     def _with_room(self, write: Callable[[], int]) -> int:
         """Write, if need be into the room of the reserve, and return what came of it."""
@@ -131,111 +160,10 @@ class Sink:
     def flush(self) -> None:
         """Do nothing: nothing is held back."""
 
-    def sync(self) -> None:
-        """Force everything written onto the disk.
-
-        Raises:
-            OSError: It cannot be.
-        """
-        os.fdatasync(self._handle)
-
-    def discard(self) -> None:
-        """Leave nothing of the file."""
-        os.close(self._handle)
-        self._handle = -1
-        self.path.unlink()
-
-    def close(self) -> None:
-        """End the file once it is on the disk; closing twice is fine.
-
-        Raises:
-            OSError: It could not be forced onto the disk.
-        """
-        if self._handle < 0:
-            return
-        handle, self._handle = self._handle, -1
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Force the names in a folder onto the disk, where the system can."""
-    with suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-
-FLUSH_S: Final = 0.25
-"""Data of so long waits in memory, and is lost with the process."""
-
-CHUNK_BYTES: Final = 1 << 20
-"""A chunk may be smaller, for ``FLUSH_S``; more is written at once."""
-
-
-class RecordingWriter:
-    """Writes a new file; end it with ``close``.
-
-    Args:
-        path: Of the file, which must not be there.
-        head: Of the metadata: ids, host, clock offset.
-        reserve: See :mod:`eitskin_tools.recording.writer`; its maker removes it.
-        now_s: The clock of ``FLUSH_S``.
-
-    Raises:
-        RecordingError: It is there.
-        OSError: It cannot be made.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        head: Mapping[str, str],
-        reserve: Reserve,
-        now_s: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._sink = Sink(path, reserve)
-        self._now_s = now_s
-        self._open = True
-        self._writer = Writer(self._sink, chunk_size=CHUNK_BYTES, enable_data_crcs=False)  # type: ignore[arg-type]
-        try:
-            self._writer.start(profile="", library="eitskin")
-            self._writer.add_metadata(HEAD, {"format": FORMAT, "version": str(VERSION), **head})
-        except OSError:
-            self._sink.discard()
-            raise
-        self._ids = {channel.topic: self._register(channel) for channel in CHANNELS}
-        self._flushed_s = now_s()
-        self._begun_s = self._flushed_s
-
-    @property
-    def path(self) -> Path:
-        """Of the file."""
-        return self._sink.path
-
-    @property
-    def size(self) -> int:
-        """On the way to the disk so far."""
-        return self._sink.bytes
-
-    @property
-    def age_s(self) -> float:
-        """Since it was made."""
-        return self._now_s() - self._begun_s
-
-    @property
-    def full(self) -> bool:
-        """Whether the disk is full: the file must be ended now."""
-        return self._sink.full
-
-    @property
-    def due_s(self) -> float:
-        """How long what is in memory may stay there yet; 0 where it is late."""
-        return max(self._flushed_s + FLUSH_S - self._now_s(), 0.0)
+    def _register(self, channel: Channel) -> int:
+        encoding = "jsonschema" if channel.schema else ""  # an empty schema is one: Rerun wants one of each channel
+        schema = self._writer.register_schema(channel.schema_name, encoding, channel.schema.encode())
+        return self._writer.register_channel(channel.topic, channel.encoding, schema)
 
     def attach(self, name: str, media_type: str, content: bytes, log_ns: int) -> None:
         """Write a file within the file."""
@@ -255,13 +183,8 @@ class RecordingWriter:
             OSError: It cannot be written, for another reason than a full disk.
         """
         self._writer.add_message(self._ids[channel.topic], log_ns, data, log_ns, sequence & 0xFFFFFFFF)
-        if self._now_s() - self._flushed_s >= FLUSH_S:
+        if self.due_s == 0.0:
             self.sync()
-
-    def _register(self, channel: Channel) -> int:
-        encoding = "jsonschema" if channel.schema else ""  # an empty schema is one: Rerun wants one of each channel
-        schema = self._writer.register_schema(channel.schema_name, encoding, channel.schema.encode())
-        return self._writer.register_channel(channel.topic, channel.encoding, schema)
 
     def sync(self) -> None:
         """End the chunk, and force it onto the disk.
@@ -270,21 +193,33 @@ class RecordingWriter:
             OSError: It cannot be written, for another reason than a full disk.
         """
         self._writer.flush()  # type: ignore[no-untyped-call]
-        self._sink.sync()
+        os.fdatasync(self._handle)
         self._flushed_s = self._now_s()
 
     def close(self) -> None:
-        """Write the summary and end the file; closing twice is fine.
+        """Write the summary and end the file, once it is on the disk; closing twice is fine.
 
         Raises:
             OSError: It cannot be written, or not forced onto the disk; what came before can be read all the same.
         """
+        if self._handle < 0:
+            return
         try:
-            if self._open:
-                self._open = False
-                self._writer.finish()  # type: ignore[no-untyped-call]
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            os.fsync(self._handle)
         finally:
-            self._sink.close()
+            handle, self._handle = self._handle, -1
+            os.close(handle)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Force the names in a folder onto the disk, where the system can."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def path_of(first: Path, number: int) -> Path:
@@ -328,7 +263,7 @@ class Series:
         self._number = 1
         self._reserve = Reserve(first.parent)
         try:
-            self._writer = self._begin(first)
+            self._file = self._begin(first)
         except BaseException:
             self._reserve.release()
             raise
@@ -336,24 +271,24 @@ class Series:
     @property
     def size(self) -> int:
         """Of all files."""
-        return self._before + self._writer.size
+        return self._before + self._file.bytes
 
     @property
     def full(self) -> bool:
         """Whether the disk is full."""
-        return self._writer.full
+        return self._file.full
 
     @property
     def due_s(self) -> float:
         """How long what is in memory may stay there yet; 0 where it is late."""
-        return self._writer.due_s
+        return self._file.due_s
 
     @property
     def path(self) -> Path:
         """Of the file in hand."""
-        return self._writer.path
+        return self._file.path
 
-    def _begin_next(self) -> RecordingWriter:
+    def _begin_next(self) -> RecordingFile:
         while True:
             self._number += 1
             path = path_of(self._first, self._number)
@@ -365,17 +300,17 @@ class Series:
                 if not os.path.lexists(path):  # else another process made it just now
                     raise
 
-    def _begin(self, path: Path) -> RecordingWriter:
+    def _begin(self, path: Path) -> RecordingFile:
         head = {**self._head, "file": str(len(self.files) + 1)}
-        writer = RecordingWriter(path, head, self._reserve, self._now_s)
+        file = RecordingFile(path, head, self._reserve, self._now_s)
         self.files.append(path)
         self._holds_frames = False
-        return writer
+        return file
 
     def attach(self, name: str, media_type: str, content: bytes, log_ns: int) -> None:
         """Write a file within the file; the last one is in each file that follows."""
         self._attached = name, media_type, content
-        self._writer.attach(name, media_type, content, log_ns)
+        self._file.attach(name, media_type, content, log_ns)
 
     def add(self, channel: Channel, data: bytes, log_ns: int, sequence: int = 0) -> None:
         """Write a message, a frame of the wire into a new file if it is time for one; nothing more on a full disk.
@@ -391,7 +326,7 @@ class Series:
             if self._holds_frames and self._is_time() and not self._next(log_ns):
                 return
             self._holds_frames = True
-        self._writer.add(channel, data, log_ns, sequence)
+        self._file.add(channel, data, log_ns, sequence)
 
     def begin_anew(self, head: Mapping[str, str]) -> None:
         """Continue in a new file with another head, of a restarted runtime, without the earlier state."""
@@ -400,10 +335,10 @@ class Series:
         self._next(0)
 
     def _is_time(self) -> bool:
-        writer = self._writer
-        if self._most_bytes is not None and writer.size >= self._most_bytes:
+        file = self._file
+        if self._most_bytes is not None and file.bytes >= self._most_bytes:
             return True
-        return self._most_s is not None and writer.age_s >= self._most_s
+        return self._most_s is not None and file.age_s >= self._most_s
 
     def _next(self, log_ns: int) -> bool:
         """End the file in hand and begin the next with whatever still holds.
@@ -411,21 +346,21 @@ class Series:
         Returns:
             Whether there is a next one: not where the disk was full before.
         """
-        before = self._writer
+        before = self._file
         before.close()
         if before.full:
             return False
-        self._before += before.size
-        self._writer = self._begin_next()
+        self._before += before.bytes
+        self._file = self._begin_next()
         if self._attached is not None:
-            self._writer.attach(*self._attached, log_ns)
+            self._file.attach(*self._attached, log_ns)
         for channel, data, sequence in self._lasting.values():
-            self._writer.add(channel, data, log_ns, sequence)
+            self._file.add(channel, data, log_ns, sequence)
         return True
 
     def sync(self) -> None:
         """Force everything onto the disk."""
-        self._writer.sync()
+        self._file.sync()
 
     def close(self) -> None:
         """End the file in hand; closing twice is fine.
@@ -434,6 +369,6 @@ class Series:
             OSError: It could not be written, or not forced onto the disk.
         """
         try:
-            self._writer.close()
+            self._file.close()
         finally:
             self._reserve.release()
