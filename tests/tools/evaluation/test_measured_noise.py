@@ -51,6 +51,7 @@ def test_noise_is_about_the_mean_of_each_shape_and_a_sample_alone_in_its_shape_h
     assert np.median(found.noise.measured) == pytest.approx(0.003, rel=0.3)
     assert found.verdict(60) is None
     assert UntouchedSamples.of(changes[:7], shapes[:7], np.ones(7, dtype=bool)) is None
+    assert UntouchedSamples.of(changes[np.arange(61) % 7], shapes, np.ones(61, dtype=bool)) is None
 
 
 @pytest.mark.slow

@@ -78,8 +78,7 @@ def contacts_of(
     """
     pieces = place(sheet, electrodes) if pieces is None else pieces
     if electrodes.contact == "patch":
-        sizes = electrodes.sizes_mm()
-        parts = [_patch(mesh, sheet, one, float(sizes[one.electrode]), metric) for one in pieces]
+        parts = [_patches(mesh, sheet, pieces, electrodes.sizes_mm(), metric)]
     else:
         parts = [_edge(mesh, sheet, one, metric) for one in pieces]
     element, electrode, mass, load, fringe = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -139,13 +138,16 @@ def _covered(lines: Array, low: float, high: float) -> tuple[Index, Array, Array
     )
 
 
-def _patch(mesh: TensorMesh, sheet: Sheet, piece: Piece, size_mm: float, metric: Metric) -> Part:
-    x0, y0, x1, y1 = piece.patch_mm(sheet, size_mm)
-    columns, left, right = _covered(mesh.x_lines_mm, x0, x1)
-    rows, bottom, top = _covered(mesh.y_lines_mm, y0, y1)
-    element = (rows[:, None] * mesh.shape[1] + columns).ravel()
-    low = np.stack([a.ravel() for a in np.meshgrid(left, bottom)], axis=-1)
-    high = np.stack([a.ravel() for a in np.meshgrid(right, top)], axis=-1)
+def _patches(mesh: TensorMesh, sheet: Sheet, pieces: Sequence[Piece], sizes_mm: Array, metric: Metric) -> Part:
+    """Return what :func:`_edge` does, of square contacts; of all at once, since each call of a metric is slow."""
+    found = []
+    for piece in pieces:
+        x0, y0, x1, y1 = piece.patch_mm(sheet, float(sizes_mm[piece.electrode]))
+        columns, left, right = _covered(mesh.x_lines_mm, x0, x1)
+        rows, bottom, top = _covered(mesh.y_lines_mm, y0, y1)
+        low, high = (np.stack(np.meshgrid(*ends), axis=-1).reshape(-1, 2) for ends in ((left, bottom), (right, top)))
+        found.append(((rows[:, None] * mesh.shape[1] + columns).ravel(), low, high, np.full(len(low), piece.electrode)))
+    element, low, high, electrode = (np.concatenate(column) for column in zip(*found, strict=True))
     unit = low[:, None, :] + GAUSS * (high - low)[:, None, :]  # (e, 9, 2)
     sizes = mesh.sizes_mm[element]
     where = mesh.corners_mm[element][:, None, :] + unit * sizes[:, None, :]
@@ -159,11 +161,11 @@ def _patch(mesh: TensorMesh, sheet: Sheet, piece: Piece, size_mm: float, metric:
     fringe = FRINGE_SHARE * sheet.thickness_mm * MM / (area @ WEIGHTS)
     if is_uneven(sheet):  # current crosses a layer that conducts so much better or worse
         fringe = fringe / (relative_conductivity(sheet, where, first) @ WEIGHTS)
-    return element, np.full(len(element), piece.electrode), mass, load, fringe
+    return element, electrode, mass, load, fringe
 
 
 def _edge(mesh: TensorMesh, sheet: Sheet, piece: Piece, metric: Metric) -> Part:
-    """Return what :func:`_patch` does, of a straight piece of the border."""
+    """Return a straight piece of the border."""
     along_x, far = piece.side in (0, 2), piece.side in (1, 2)
     steps, low, high = _covered(mesh.x_lines_mm if along_x else mesh.y_lines_mm, piece.start_mm, piece.stop_mm)
     element = _elements_along(mesh, piece.side, steps)

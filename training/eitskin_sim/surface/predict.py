@@ -80,8 +80,7 @@ class FittedSurface:
         count_x, count_y, _ = self.coefficients.shape
         in_x = _basis(x, self.size_mm[0], count_x, derivative[0])
         in_y = _basis(y, self.size_mm[1], count_y, derivative[1])
-        grid = np.einsum("ai,ijk,bj->abk", in_x, self.coefficients, in_y, optimize=True)
-        return np.asarray(grid[at_x, at_y])
+        return np.asarray((in_y @ np.tensordot(in_x, self.coefficients, 1))[at_x, at_y])
 
 
 def fit_cloud(cloud_mm: npt.ArrayLike, grid: Grid = PAPER.grid) -> FittedSurface:

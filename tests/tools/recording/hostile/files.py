@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import msgpack
+import numpy as np
 import zstandard
 
 from eitskin_tools.recording.layout import TOPICS
@@ -122,8 +123,11 @@ def changing(honest: Honest, rng: random.Random) -> bytes:
     """
     clouds, conditions = msgpack.unpackb(honest.of(CLOUD)), msgpack.unpackb(honest.of(CONDITIONS))
     many, known = rng.choice((2, 50, 300)), rng.random() < 0.5
+    noisy = np.random.default_rng(many).normal(np.frombuffer(clouds["cloud"], "<f4"), 0.05, (many, 3 * 30 * 45))
     lasting = [
-        message(CLOUD, honest.first_ns, msgpack.packb({**clouds, "revision": k, "why": "given"})) for k in range(many)
+        message(CLOUD, honest.first_ns, msgpack.packb(
+            {**clouds, "revision": k, "why": "given", "cloud": own.astype("<f4").tobytes()}))
+        for k, own in enumerate(noisy)
     ] + [
         message(CONDITIONS, honest.first_ns, msgpack.packb(
             {**conditions, "revision": k, "cloud": k, "electrodes": [[k % 16, "excluded", None]]}))
@@ -132,7 +136,8 @@ def changing(honest: Honest, rng: random.Random) -> bytes:
     other = (lambda k: k % many) if known else (lambda k: 1000 + k)
     empty = chunk(message(99, 0, bytes(200)) * 2000) + index(CONDITIONS) + index(CLOUD)
     frames = honest.frames(800, 5_000_000, seq=lambda k: k, conditions=other, touched=lambda k: True)
-    return honest.file(*chunks(lasting), *[empty] * 40, *chunks(frames, 1 << 18))
+    found = [one + index(WIRE) for one in chunks(frames, 1 << 18)]
+    return honest.file(*[one + index(CLOUD) for one in chunks(lasting)], *[empty] * 40, *found)
 
 
 def disordered(honest: Honest, rng: random.Random) -> bytes:

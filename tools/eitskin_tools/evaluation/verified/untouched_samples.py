@@ -56,10 +56,10 @@ class UntouchedSamples:
 
     @classmethod
     def of(cls, changes: Array, shapes: Index, untouched: npt.NDArray[np.bool_]) -> "UntouchedSamples | None":
-        """Return the samples (n, 104) of shapes (n,), by which are untouched (n,); None if those are too few."""
+        """Return the samples (n, 104) of shapes (n,), by which are untouched (n,); None if too few differ."""
         _, shape, count = np.unique(shapes[untouched], return_inverse=True, return_counts=True)
         known = np.flatnonzero(untouched)[count[shape] > 1]
-        return cls(changes, shapes, known) if len(known) >= MIN_SAMPLES else None
+        return cls(changes, shapes, known) if len(np.unique(changes[known], axis=0)) >= MIN_SAMPLES else None
 
     def verdict(self, number: int) -> Verdict[None] | None:
         """Return whether noise explains a sample; None where no other untouched sample has its shape."""
