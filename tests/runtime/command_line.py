@@ -27,8 +27,6 @@ def finished(*words):
     with redirect_stdout(out), redirect_stderr(err):
         try:
             status = main([str(word) for word in words])
-        except SystemExit as ended:
-            status = ended.code
         finally:  # what a frame loop asks of its process
             sys.setswitchinterval(interval_s)
             gc.unfreeze()

@@ -99,6 +99,9 @@ COMMANDS: Final[dict[str, Command]] = {
 }
 """All subcommands in the order of the help; the module of each is called like it, below ``eitskin_tools.commands``."""
 
+NOT_AS_JSON: Final = ("bench", "view")
+"""Commands that do not print what they found: each benchmark declares ``--json`` itself."""
+
 FIRST_STEPS: Final = {
     "eitskin demo": "everything at once, with the map drawn live",
     "eitskin virtual-skin": "a simulated skin; it prints its port. Then, each in a terminal of its own:",
@@ -148,6 +151,8 @@ def _parser(named: str | None) -> Parser:
         )
         if name == named:
             command.module(name).add_arguments(child)
+            if name not in NOT_AS_JSON:
+                child.add_argument("--json", action="store_true", help="print one JSON object at the end")
     return parser
 
 
@@ -183,7 +188,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(words: list[str]) -> int:
     named = next((word for word in words if not word.startswith("-")), None)
     parser = _parser(named if named in COMMANDS else None)
-    arguments = parser.parse_args(words)
+    try:
+        arguments = parser.parse_args(words)
+    except SystemExit as end:  # help was asked for, or the usage is bad
+        return int(end.code or 0)
     if arguments.version:
         _print_version()
         return 0

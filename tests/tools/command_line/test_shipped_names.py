@@ -36,7 +36,7 @@ def refused(capsys, words):
         (["run", "--port=p", "--bundle=pres"], "one of the shipped: free, press, units; did you mean 'press'?"),
         (["reference", "--port=p", "--out=o.json", "--skin=papr"], "did you mean 'paper'?"),
         (["reinfer", "f.mcap", "--recorded-bundle=unit"], "did you mean 'units'?"),
-        (["bench", "tradeoff", "--bundle=fre"], "did you mean 'free'?"),
+        (["bench", "tradeoff", "--phantoms", "paper_mm", "--bundle=fre"], "did you mean 'free'?"),
         (["evaluate", "--devices=labb"], "one of the shipped: lab, random, drift, single; did you mean 'lab'?"),
     ],
 )

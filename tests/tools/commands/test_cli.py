@@ -13,11 +13,7 @@ from eitskin_tools import cli
 
 def said(capsys, *words):
     """Return the status of a command, and what it printed."""
-    try:
-        status = cli.main(list(words))
-    except SystemExit as end:
-        status = end.code
-    return status, *capsys.readouterr()
+    return cli.main(list(words)), *capsys.readouterr()
 
 
 @pytest.mark.process

@@ -1,13 +1,12 @@
 """``eitskin adapt``: train a network further for missing electrodes; takes minutes."""
 
 import argparse
-import json
 from pathlib import Path
 
 from eitskin_tools.command_line import files
 from eitskin_tools.command_line.options import SEED
 from eitskin_tools.command_line.parser import whole
-from eitskin_tools.console.terminal import note
+from eitskin_tools.console.terminal import answer, note
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,7 +22,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=SEED, default=0, help="seed of every draw (default 0)")
     parser.add_argument("--threads", type=whole(0), default=0, help="CPU threads (default: torch's choice)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -51,12 +49,14 @@ def run(arguments: argparse.Namespace) -> int:
     content = {**found.content, "data": sources or found.content["data"]}
     path = adapt.write(out, content, adapted)
     stored.hand_on(source, out)
-    if arguments.json:
-        print(json.dumps({"run": str(out), **adapted.facts}))
-        return 0
     before, after = adapted.facts["before"], adapted.facts["after"]
-    print(f"{path}: mean CC on bends never seen, with N2 noise")
-    for name, value in after.items():
-        print(f"{name:10s}  {before[name]:.4f} -> {value:.4f}, {value / after['whole']:.4f} of whole")
-    print(f"next: eitskin export {out} --out {out}.eitskin")
-    return 0
+    return answer(
+        arguments,
+        {"run": str(out), **adapted.facts},
+        f"{path}: mean CC on bends never seen, with N2 noise",
+        *(
+            f"{name:10s}  {before[name]:.4f} -> {one:.4f}, {one / after['whole']:.4f} of whole"
+            for name, one in after.items()
+        ),
+        f"next: eitskin export {out} --out {out}.eitskin",
+    )

@@ -5,7 +5,6 @@ trains nothing.
 """
 
 import argparse
-import json
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from eitskin_proto.files.writing import held
 from eitskin_tools.command_line import files, kinds, options
 from eitskin_tools.command_line.parser import positive, whole
-from eitskin_tools.console.terminal import note
+from eitskin_tools.console.terminal import answer, note
 
 if TYPE_CHECKING:
     from eitskin_tools.build.recipe import BuildRecipe
@@ -52,7 +51,6 @@ def add_making(parser: argparse.ArgumentParser) -> None:
         "--workers", type=whole(1), metavar="N", help="processes that make data (default: one per core)"
     )
     parser.add_argument("--threads", type=whole(0), default=0, help="CPU threads of training (default: torch's choice)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -127,20 +125,16 @@ def make(
     gain = None if presses is None else half_made.stored(work / steps.PRESSES_FILE)
     if gain is not None:
         result["presses"] = gain
-    if arguments.json:
-        print(json.dumps(result))
-        return 0
-    print(f"Done: {arguments.out}. {card.summary(found)}")
-    print(
+    return answer(
+        arguments,
+        result,
+        f"Done: {arguments.out}. {card.summary(found)}",
         f"bundle {identity}, {result['bytes'] / 1e6:.1f} MB, {result['labels']} labels, {result['touches']} touches, "
-        f"{result['seconds'] / 60:.0f} min"
+        f"{result['seconds'] / 60:.0f} min",
+        *([] if gain is None else [steps.presses_in_words(gain)]),
+        *card.lines_of(found),
+        f"You may remove {work}.",
     )
-    if gain is not None:
-        print(steps.presses_in_words(gain))
-    for line in card.lines_of(found):
-        print(line)
-    print(f"You may remove {work}.")
-    return 0
 
 
 def _build_physics(arguments: argparse.Namespace) -> int:
@@ -157,12 +151,11 @@ def _build_physics(arguments: argparse.Namespace) -> int:
     skin = options.read_skin(arguments.recipe)
     with Stages() as tell:
         found = physics.build(skin, arguments.out, steps.processes(arguments.workers), tell, note)
-    if arguments.json:
-        print(json.dumps(found))
-        return 0
-    print(f"Done: {arguments.out}. {physics_card.summary(found['card'])}")
     size_mb, touches = found["bytes"] / 1e6, found["touches"]
-    print(f"bundle {found['bundle']}, {size_mb:.1f} MB, {touches} touches, no network, {found['seconds']:.0f} s")
-    for line in physics_card.lines_of(found["card"]):
-        print(line)
-    return 0
+    return answer(
+        arguments,
+        found,
+        f"Done: {arguments.out}. {physics_card.summary(found['card'])}",
+        f"bundle {found['bundle']}, {size_mb:.1f} MB, {touches} touches, no network, {found['seconds']:.0f} s",
+        *physics_card.lines_of(found["card"]),
+    )

@@ -4,7 +4,6 @@ With ``--guided --port PORT`` it first records them, step by step, and writes th
 """
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from shlex import quote
@@ -13,6 +12,7 @@ from typing import Any, Final
 from eitskin_tools.command_line import files, kinds, options
 from eitskin_tools.command_line.options import flag
 from eitskin_tools.command_line.parser import whole, within
+from eitskin_tools.console.terminal import answer
 from eitskin_tools.errors import UsageError
 
 GUIDED: Final[dict[str, Any]] = {
@@ -40,7 +40,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DB",
         help="signal to noise ratio of a frame (default: the lowest stated)",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
     guided = parser.add_argument_group("guided")
     guided.add_argument("--guided", action="store_true", help="record now, with instructions for each step")
     guided.add_argument("--port", help="port of the skin, as for run")
@@ -85,16 +84,10 @@ def run(arguments: argparse.Namespace) -> int:
     twin, report = calibrate(skin, recording, arguments.snr_db, tell)
     write_bytes(arguments.out, to_toml(twin).encode())
     report["out"] = str(arguments.out)
-    if arguments.json:
-        print(json.dumps(report))
-    else:
-        print(verdict(report))
-        following = _next(twin, arguments.out)
-        if not report["explained"]:
-            following = f"learn touches from presses, without a model: eitskin teach {arguments.recording} --out BUNDLE"
-        print(f"Wrote {arguments.out}. Next: {following}\n")
-        print(table(report))
-    return 0
+    following = _next(twin, arguments.out)
+    if not report["explained"]:
+        following = f"learn touches from presses, without a model: eitskin teach {arguments.recording} --out BUNDLE"
+    return answer(arguments, report, verdict(report), f"Wrote {arguments.out}. Next: {following}", "", table(report))
 
 
 def _next(twin: Any, path: Path) -> str:

@@ -4,11 +4,11 @@
 """
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line.parser import whole
+from eitskin_tools.console.terminal import answer
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,7 +22,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--draws", type=whole(1), default=2, metavar="N", help="devices of each mismatch (default: 2)")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the bundle with the card in its manifest")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -52,11 +51,6 @@ def _report(arguments: argparse.Namespace, path: Path, whole: dict[str, Any], li
     from eitskin_tools.build.steps import finish
 
     identity = None if arguments.out is None else finish(path, whole, arguments.out)
-    if arguments.json:
-        print(json.dumps({"bundle": identity, "path": str(arguments.out or path), "card": whole}))
-        return 0
-    for line in lines:
-        print(line)
     if identity is not None:
-        print(f"{arguments.out}: bundle {identity}, with this card")
-    return 0
+        lines = [*lines, f"{arguments.out}: bundle {identity}, with this card"]
+    return answer(arguments, {"bundle": identity, "path": str(arguments.out or path), "card": whole}, *lines)

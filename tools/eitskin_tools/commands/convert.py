@@ -1,7 +1,6 @@
 """``eitskin convert``: a recording as NPZ, Parquet or rosbag2."""
 
 import argparse
-import json
 import os
 import sys
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 from eitskin_tools.command_line import files, kinds, needs
 from eitskin_tools.command_line.options import add_bundle, add_span, check_span
 from eitskin_tools.command_line.parser import expected_one_of
+from eitskin_tools.console.terminal import answer
 from eitskin_tools.errors import UsageError
 
 FORMATS = {".npz": "npz", ".parquet": "parquet", "": "rosbag2"}
@@ -32,7 +32,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_bundle(parser, "that computes the touches (default: the one that was running)")
     add_span(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -75,11 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     found["touches"] = frames is not None
     if frames is None:
         said += "; no touches, because the bundle that was running is not a shipped one: name it with --bundle FILE"
-    if arguments.json:
-        print(json.dumps(found))
-    else:
-        print(f"{arguments.out}: {said}")
-    return 0
+    return answer(arguments, found, f"{arguments.out}: {said}")
 
 
 def _frames(script: Any, bundle: Path | None) -> Any:

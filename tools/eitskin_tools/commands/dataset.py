@@ -1,7 +1,6 @@
 """``eitskin dataset --set paper|units|free --out DIR``: writes a data set, or goes on with one that was interrupted."""
 
 import argparse
-import json
 import sys
 import time
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from eitskin_tools.command_line import files, options
 from eitskin_tools.command_line.parser import Parser, whole
 from eitskin_tools.console.progress import ProgressBar
+from eitskin_tools.console.terminal import answer
 from eitskin_tools.errors import UsageError
 
 if TYPE_CHECKING:
@@ -65,7 +65,6 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--workers", type=whole(1), default=1, metavar="N", help="processes on this machine (default 1)"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
     group = parser.add_more("cluster")
     group.add_argument("--scheduler", metavar="ADDRESS", help="use a Dask scheduler, such as tls://HOST:8786")
     group.add_argument("--tls-ca", type=Path, metavar="FILE", help="certificate of the cluster's authority")
@@ -121,8 +120,7 @@ def run(arguments: argparse.Namespace) -> int:
         "seed": plan.seed,
         "digest": index["digest"],
     }
-    print(json.dumps(report) if arguments.json else _text(report))
-    return 0
+    return answer(arguments, report, _text(report))
 
 
 def _check_scheduler(scheduler: str | None, certificates: "Certificates") -> None:

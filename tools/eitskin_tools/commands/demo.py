@@ -1,13 +1,13 @@
 """``eitskin demo``: the main job in one command."""
 
 import argparse
-import json
 import signal
 import sys
 
 from eitskin_tools.command_line import files, options
 from eitskin_tools.command_line.options import SEED
 from eitskin_tools.command_line.parser import positive
+from eitskin_tools.console.terminal import answer
 from eitskin_tools.processes.signals import endings
 
 
@@ -35,12 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="at 50 dB (default N2)")
     parser.add_argument("--seed", type=SEED, default=0, help="of the noise (default 0)")
     parser.add_argument("--view", action="store_true", help="show it in the browser, until Ctrl-C")
-    parser.add_argument("--json", action="store_true", help="print the summary as one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration."""
-    from eitskin_tools.demo.show import Options, choose, print_summary, stream, summarise
+    from eitskin_tools.demo.show import Options, choose, lines_of, stream, summarise
 
     seconds = arguments.seconds if arguments.seconds is not None else 3600.0 if arguments.view else 20.0
     options.check_solver(arguments)
@@ -64,8 +63,4 @@ def run(arguments: argparse.Namespace) -> int:
         talk=not draw and not arguments.json,
     )
     summary = summarise(wanted, stream(wanted))
-    if arguments.json:
-        print(json.dumps(summary), flush=True)
-    else:
-        print_summary(summary)
-    return 0
+    return answer(arguments, summary, *lines_of(summary))

@@ -1,14 +1,13 @@
 """``eitskin doctor``: lists ports, bundles and limits, and says how to fix each problem."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line import files, options
 from eitskin_tools.command_line.options import flag
-from eitskin_tools.console.terminal import in_words, say
+from eitskin_tools.console.terminal import answer, in_words
 from eitskin_tools.errors import UsageError
 
 
@@ -39,7 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="measuring time (default 2)")
     parser.add_argument("--reference", type=Path, metavar="FILE", help="captured reference (default: the model's)")
     options.add_bundle(parser, "to judge the electrodes by (default: free)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -74,11 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
         found["device"] = device
         if not driver_name(arguments.port):  # a driver stores none
             found["configuration"] = _configuration(arguments.port, baud)
-    if arguments.json:
-        print(json.dumps(found))
-    else:
-        _print(found)
-    return 0
+    return answer(arguments, found, *_lines(found))
 
 
 def _electrodes(arguments: argparse.Namespace) -> int:
@@ -97,12 +91,7 @@ def _electrodes(arguments: argparse.Namespace) -> int:
     reference = None if arguments.reference is None else load(arguments.reference, bundle.skin)
     recording, own = _frames_and_reference(arguments, bundle)
     found = electrode_checkup.check_up(recording, Consistency.of(arrays), reference or own)
-    if arguments.json:
-        print(json.dumps(found))
-    else:
-        for line in electrode_checkup.lines(found):
-            say(line)
-    return 0
+    return answer(arguments, found, *electrode_checkup.lines(found))
 
 
 def _drift(arguments: argparse.Namespace) -> int:
@@ -119,12 +108,7 @@ def _drift(arguments: argparse.Namespace) -> int:
         raise UsageError("--drift needs --reference FILE, a reference captured earlier with 'eitskin reference'")
     recording, own = _frames_and_reference(arguments)
     found = drift_checkup.drift_since(recording.voltages, reference or own)
-    if arguments.json:
-        print(json.dumps(found))
-    else:
-        for line in drift_checkup.lines(found):
-            say(line)
-    return 0
+    return answer(arguments, found, *drift_checkup.lines(found))
 
 
 def _touch(arguments: argparse.Namespace) -> int:
@@ -144,19 +128,14 @@ def _touch(arguments: argparse.Namespace) -> int:
     skin = options.read_skin(arguments.skin or "lab")
     found = press_way(*_press(arguments), skin)
     x, y = found.xy_mm
+    following, out = f'Write into the skin\'s file, under [touches]:  kind = "{found.kind}"', None
     if arguments.out is not None:
         stated = replace(skin, touches=replace(skin.touches, kind=found.kind))
         write_bytes(arguments.out, to_toml(stated).encode())
-    if arguments.json:
-        report = {"kind": found.kind, "log_ratio": found.log_ratio, "xy_mm": [x, y]}
-        print(json.dumps({**report, "out": None if arguments.out is None else str(arguments.out)}))
-        return 0
-    say(f"Touches {found.kind} conductance: the press was felt near ({x:.0f}, {y:.0f}) mm.")
-    if arguments.out is None:
-        say(f'Write into the skin\'s file, under [touches]:  kind = "{found.kind}"')
-    else:
-        say(f"Wrote {arguments.out}.")
-    return 0
+        following, out = f"Wrote {arguments.out}.", str(arguments.out)
+    report = {"kind": found.kind, "log_ratio": found.log_ratio, "xy_mm": [x, y], "out": out}
+    said = f"Touches {found.kind} conductance: the press was felt near ({x:.0f}, {y:.0f}) mm."
+    return answer(arguments, report, said, following)
 
 
 def _press(arguments: argparse.Namespace) -> tuple[Any, Any]:
@@ -248,28 +227,21 @@ def _make_keys(arguments: argparse.Namespace) -> int:
     from eitskin.messaging.curve_keys import make_keys
 
     made = [str(path) for path in make_keys(arguments.make_curve_keys)]
-    print(json.dumps({"files": made}) if arguments.json else "\n".join(made))
-    return 0
+    return answer(arguments, {"files": made}, *made)
 
 
-def _print(found: dict[str, Any]) -> None:
+def _lines(found: dict[str, Any]) -> list[str]:
     from eitskin_proto.wire.config_toml import in_file
 
-    say(found["verdict"])
-    for port in found["ports"]:
-        say(f"port     {port['port']}  {port['description']}  {port['id']}  {port['state']}")
-    for device in found["usb"]:
-        say(f"usb      {device['port']}  {device['id']}  {device['node']}  {device['state']}")
-    for bundle in found["bundles"]:
-        say(f"bundle   {bundle['path']}  {bundle['state']}")
-    for endpoint in found["runtimes"]:
-        say(f"runtime  publishing on {endpoint}")
-    for line in found["limits"]:
-        say(f"limit    {line}")
-    for name, value in found.get("device", {}).items():
-        say(f"device   {name} {in_words(value)}")
-    for field, value in found.get("configuration", {}).items():
-        name, shown = in_file(field, value)
-        say(f"config   {name} {in_words(shown)}")
-    for problem in found["problems"]:
-        say(f"to do    {problem}")
+    configured = [in_file(field, value) for field, value in found.get("configuration", {}).items()]
+    return [
+        found["verdict"],
+        *(f"port     {port['port']}  {port['description']}  {port['id']}  {port['state']}" for port in found["ports"]),
+        *(f"usb      {one['port']}  {one['id']}  {one['node']}  {one['state']}" for one in found["usb"]),
+        *(f"bundle   {bundle['path']}  {bundle['state']}" for bundle in found["bundles"]),
+        *(f"runtime  publishing on {endpoint}" for endpoint in found["runtimes"]),
+        *(f"limit    {line}" for line in found["limits"]),
+        *(f"device   {name} {in_words(value)}" for name, value in found.get("device", {}).items()),
+        *(f"config   {name} {in_words(shown)}" for name, shown in configured),
+        *(f"to do    {problem}" for problem in found["problems"]),
+    ]

@@ -10,7 +10,7 @@ from typing import Any
 from eitskin_tools.command_line import files, options
 from eitskin_tools.command_line.parser import expected_one_of
 from eitskin_tools.console.progress import ProgressBar
-from eitskin_tools.console.terminal import say
+from eitskin_tools.console.terminal import answer, say
 from eitskin_tools.errors import UsageError
 from eitskin_tools.evaluation.options import MODE_OPTIONS, SIMULATED_SUBJECTS, add_arguments, way_of
 
@@ -83,8 +83,7 @@ def _measured(arguments: argparse.Namespace, request: Any) -> int:
     if measured.touch_kind or touches_of(measured) == "lower":  # raising ones are also where nothing is said
         _tell_unknown(request, [("area", touches_of(measured))])
     found = evaluate_measured(measured, request, arguments.progress)
-    print(json.dumps(found) if arguments.json else table(found))
-    return 0
+    return answer(arguments, found, table(found))
 
 
 def _taught(arguments: argparse.Namespace, path: Any) -> int | None:
@@ -100,8 +99,7 @@ def _taught(arguments: argparse.Namespace, path: Any) -> int | None:
     from eitskin_tools.evaluation.taught import evaluate_taught, table
 
     found = evaluate_taught(load_presses(path), bundle)
-    print(json.dumps(found) if arguments.json else table(found))
-    return 0
+    return answer(arguments, found, table(found))
 
 
 def _devices(arguments: argparse.Namespace, request: Any) -> int:
@@ -118,8 +116,7 @@ def _devices(arguments: argparse.Namespace, request: Any) -> int:
     plan = runs.Plan(arguments.draws, 0, arguments.seed, arguments.noise, arguments.snr_db, skin, drawn)
     _tell_unknown(request, [(one.labels, "lower" if one.lowering else "raise") for one in trials])
     found = evaluate_devices(rows, trials, request, plan, arguments.progress)
-    print(json.dumps(found) if arguments.json else table(found))
-    return 0
+    return answer(arguments, found, table(found))
 
 
 def _tank(arguments: argparse.Namespace) -> int:
@@ -129,8 +126,7 @@ def _tank(arguments: argparse.Namespace) -> int:
         raise UsageError(expected_one_of("with --tank, --solver", arguments.solver, SOLVERS))
     skin = None if arguments.skin is None else options.chosen_skin(arguments)
     found = evaluate_tank(files.find(arguments.tank, files.TANK), arguments.progress, skin, arguments.solver)
-    print(json.dumps(found) if arguments.json else table(found))
-    return 0
+    return answer(arguments, found, table(found))
 
 
 def _phantoms(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:

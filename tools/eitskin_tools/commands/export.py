@@ -1,12 +1,11 @@
 """``eitskin export``: a training run's best epoch as a bundle, with the parity of every tensor."""
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line.parser import whole
-from eitskin_tools.console.terminal import note
+from eitskin_tools.console.terminal import answer, note
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,7 +21,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also score these and write the result to the card",
     )
     parser.add_argument("--seeds", type=whole(1), default=3, help="noise draws for each phantom (default 3)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -45,23 +43,20 @@ def run(arguments: argparse.Namespace) -> int:
         result["phantoms"] = _phantoms(arguments.phantoms, arguments.seeds, str(result["labels"]), out)
         result["bundle"] = amend(out, {"phantoms": result["phantoms"]})
         result["bytes"] = out.stat().st_size
-    if arguments.json:
-        print(json.dumps(result))
-        return 0
-    print(f"{result['path']}: bundle {result['bundle']}, {result['bytes'] / 1e6:.1f} MB, {result['labels']} labels")
-    for tensor, difference in result["parity"].items():
-        print(f"parity, {tensor}: largest difference {difference:.1e}")
-    print(
-        f"int8 against float32: rms {result['int8']['rms']:.1e}, {100 * result['int8']['flipped']:.3f} % of pixels flip"
-    )
-    print(_gate_line(result["gate"]))
+    int8 = result["int8"]
+    lines = [
+        f"{result['path']}: bundle {result['bundle']}, {result['bytes'] / 1e6:.1f} MB, {result['labels']} labels",
+        *(f"parity, {tensor}: largest difference {found:.1e}" for tensor, found in result["parity"].items()),
+        f"int8 against float32: rms {int8['rms']:.1e}, {100 * int8['flipped']:.3f} % of pixels flip",
+        _gate_line(result["gate"]),
+    ]
     for family, noises in result["held_out"].items():
         scores = ", ".join(f"{noise} CC {entry['cc']:.4f}" for noise, entry in noises.items())
-        print(f"unseen bends of family {family}: {scores}")
+        lines.append(f"unseen bends of family {family}: {scores}")
     for name, noises in result.get("phantoms", {}).items():
         scores = ", ".join(f"{noise} CC {entry['mean']['cc']:.4f}" for noise, entry in noises["vd2t"].items())
-        print(f"phantoms of {name}: {scores}")
-    return 0
+        lines.append(f"phantoms of {name}: {scores}")
+    return answer(arguments, result, *lines)
 
 
 def _gate_line(gate: dict[str, Any]) -> str:

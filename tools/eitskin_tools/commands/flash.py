@@ -1,7 +1,6 @@
 """``eitskin flash``: show, compare, write, verify or roll back the configuration of a device."""
 
 import argparse
-import json
 import sys
 from typing import Any
 
@@ -13,7 +12,7 @@ from eitskin_proto.wire import config_toml
 from eitskin_proto.wire.codes import HelloFlag
 from eitskin_proto.wire.config import Configuration
 from eitskin_tools.command_line import files
-from eitskin_tools.console.terminal import in_words, say
+from eitskin_tools.console.terminal import answer, in_words
 from eitskin_tools.errors import UsageError
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
@@ -31,7 +30,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of a real UART (default %(default)s)")
     parser.add_argument("--dry-run", action="store_true", help="check everything, write nothing")
     parser.add_argument("--allow-downgrade", action="store_true", help="replace a higher revision of the same name")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -146,20 +144,18 @@ def _progress(step: str, done: int, total: int) -> None:
 
 
 def _print(arguments: argparse.Namespace, report: dict[str, Any]) -> int:
-    if arguments.json:
-        print(json.dumps(report))
-        return 0
+    lines = []
     for key, value in report.items():
         if key == "differences":
             for row in value:
                 (name, device), (_, file) = (config_toml.in_file(row["field"], row[of]) for of in ("device", "file"))
-                say(f"  {name}: device {in_words(device)}, file {in_words(file)}")
+                lines.append(f"  {name}: device {in_words(device)}, file {in_words(file)}")
         elif isinstance(value, dict):
-            say(f"{key}: {value['name']!r}, generation {value['generation']}, digest {value['digest']}")
+            lines.append(f"{key}: {value['name']!r}, generation {value['generation']}, digest {value['digest']}")
             for field, content in value.items():
                 if field not in ("name", "generation", "digest"):
                     name, shown = config_toml.in_file(field, content)
-                    say(f"  {name}: {in_words(shown)}")
+                    lines.append(f"  {name}: {in_words(shown)}")
         else:
-            say(f"{key}: {in_words(value)}")
-    return 0
+            lines.append(f"{key}: {in_words(value)}")
+    return answer(arguments, report, *lines)

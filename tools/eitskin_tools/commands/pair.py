@@ -4,8 +4,9 @@ A smaller one is its solver ``vd2t-small`` then. With ``--gentle`` it is one tha
 """
 
 import argparse
-import json
 from pathlib import Path
+
+from eitskin_tools.console.terminal import answer
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,7 +21,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="use OTHER's network for touches that BUNDLE's hardly shows; it may have any size",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -32,15 +32,13 @@ def run(arguments: argparse.Namespace) -> int:
     bundle, other = (files.find(name, files.BUNDLE) for name in (arguments.bundle, arguments.other))
     files.writable(arguments.out, kinds.BUNDLE)
     found = pair(bundle, other, arguments.out, GENTLE if arguments.gentle else SMALL)
-    if arguments.json:
-        print(json.dumps(found))
-        return 0
     if arguments.gentle:
         more = f"and {found['gentle_head_bytes'] / 1e6:.2f} MB where it shows faint touches alone"
     else:
         more = f"with vd2t-small {found['small_head_bytes'] / 1e6:.2f} MB"
-    print(
+    return answer(
+        arguments,
+        found,
         f"{found['path']}: bundle {found['bundle']}, {found['bytes'] / 1e6:.1f} MB; a frame reads "
-        f"{found['large_head_bytes'] / 1e6:.2f} MB of weights, {more}"
+        f"{found['large_head_bytes'] / 1e6:.2f} MB of weights, {more}",
     )
-    return 0

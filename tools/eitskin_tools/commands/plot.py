@@ -1,7 +1,6 @@
 """``eitskin plot``: a picture of a recording."""
 
 import argparse
-import json
 import os
 import sys
 from pathlib import Path
@@ -17,7 +16,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_bundle(parser, "that computes the maps (default: the one that was running)")
     add_span(parser)
     parser.add_argument("--quiet", action="store_true", help="show no progress")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -25,7 +23,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_span(arguments)
     files.picture(arguments.out)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from eitskin_tools.console.terminal import StatusLine
+    from eitskin_tools.console.terminal import StatusLine, answer
     from eitskin_tools.recording.plot import course_of, draw
     from eitskin_tools.recording.script import Script, bundle_of
 
@@ -48,5 +46,4 @@ def run(arguments: argparse.Namespace) -> int:
     )
     draw(arguments.out, course, f"{arguments.file.name}: {said}", bundle.skin.outline.size_mm)
     found = {"frames": len(course.times_s), "touched": touched, "most_touches": max(course.touches)}
-    print(json.dumps({"out": str(arguments.out), **found}) if arguments.json else f"{arguments.out}: {said}")
-    return 0
+    return answer(arguments, {"out": str(arguments.out), **found}, f"{arguments.out}: {said}")

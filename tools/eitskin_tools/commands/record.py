@@ -56,7 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--timeout-s", type=float, metavar="T", help="end after T s without a frame (default: wait)")
     add_client_keys(parser)
     parser.add_argument("--quiet", action="store_true", help="log only problems")
-    parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -6,14 +6,13 @@ older reference of the same device: that of ``--against``, or the file that ``--
 """
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line import files, kinds, options
 from eitskin_tools.command_line.parser import whole
-from eitskin_tools.console.terminal import say
+from eitskin_tools.console.terminal import answer, say
 from eitskin_tools.errors import UsageError
 
 
@@ -43,7 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--surface", metavar="CLOUD", help="cloud of the sheet now, from 'eitskin surface --predict' (default: flat)"
     )
     parser.add_argument("--force", action="store_true", help="store it even if the sheet seems bent, touched or moving")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -58,12 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
         files.writable(arguments.out, kinds.REFERENCE)
         found = _capture(arguments)
         references.save(found, arguments.out)
-    if arguments.json:
-        print(json.dumps(_fields(found)))
-    else:
-        for line in found.report():
-            say(line)
-    return 0
+    return answer(arguments, _fields(found), *found.report())
 
 
 def _capture(arguments: argparse.Namespace) -> Any:

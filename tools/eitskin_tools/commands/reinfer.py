@@ -1,7 +1,6 @@
 """``eitskin reinfer``: compute the maps of a recording again, with the same bundle and solver or with others."""
 
 import argparse
-import json
 import os
 import sys
 from pathlib import Path
@@ -36,14 +35,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_span(parser)
     parser.add_argument("--out", type=Path, metavar="MAPS.npz", help="write the maps")
     parser.add_argument("--quiet", action="store_true", help="show no progress")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Compute, compare, and return 0; 1 if maps that should be the same differ."""
     _check(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from eitskin_tools.console.terminal import StatusLine
+    from eitskin_tools.console.terminal import StatusLine, answer
     from eitskin_tools.recording.reinfer import VERIFIED, comparison_solver, reinfer
     from eitskin_tools.recording.script import Script, bundle_of
 
@@ -84,11 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     fields["as_recorded"] = recorded.id == script.head_text("bundle")
     if other is not None:
         fields["other_bundle"] = getattr(other, "bundle_id", "")
-    if arguments.json:
-        print(json.dumps(fields))
-    else:
-        for text in _lines(fields):
-            print(text)
+    answer(arguments, fields, *_lines(fields))
     return 1 if found.equality is not None and found.equality.differing else 0
 
 

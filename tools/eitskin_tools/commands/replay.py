@@ -43,7 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     verifier.add_arguments(parser)
     parser.add_argument("--wait", action="store_true", help="begin half a second after the first subscription")
     parser.add_argument("--quiet", action="store_true", help="log only 'ready' and problems")
-    parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
 
 
 def run(arguments: argparse.Namespace) -> int:

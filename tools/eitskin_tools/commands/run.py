@@ -45,7 +45,6 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--seconds", type=positive(1e9), metavar="S", help="end after S seconds")
     parser.add_argument("--frames", type=whole(1), metavar="N", help="end after N frames")
     parser.add_argument("--quiet", action="store_true", help="log only 'ready' and problems")
-    parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
 
     group = parser.add_more("network")
     group.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")

@@ -1,7 +1,6 @@
 """``eitskin service``: the files with which a system runs skins as a service: listed, printed, or written."""
 
 import argparse
-import json
 import re
 import shutil
 import sys
@@ -12,7 +11,7 @@ from typing import Final
 
 from eitskin_proto.files.reading import FileError
 from eitskin_tools.command_line.files import folder
-from eitskin_tools.console.terminal import say
+from eitskin_tools.console.terminal import answer
 from eitskin_tools.errors import UsageError
 
 FOLDER: Final = "shipped"
@@ -115,7 +114,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--user", default="eitskin", metavar="NAME", help="user that runs the skins (default eitskin)")
     parser.add_argument("--program", metavar="PATH", help="path of eitskin (default: this one)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -133,13 +131,9 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     if arguments.out is None and not arguments.install:
         rows = [{"name": one.name, "home": one.home, "what": one.what} for one in FILES]
-        if arguments.json:
-            print(json.dumps({"files": rows}))
-        else:
-            for one in FILES:
-                say(f"{one.name:<24}{one.home or '-':<22}{one.what}")
-            say("'eitskin service --print NAME' shows one, 'sudo eitskin service --install --user NAME' writes them")
-        return 0
+        more = "'eitskin service --print NAME' shows one, 'sudo eitskin service --install --user NAME' writes them"
+        lines = [f"{one.name:<24}{one.home or '-':<22}{one.what}" for one in FILES]
+        return answer(arguments, {"files": rows}, *lines, more)
     if arguments.out is not None:
         folder(arguments.out)
     try:
@@ -153,15 +147,14 @@ def run(arguments: argparse.Namespace) -> int:
             f"no permission for {error.filename}: only root may --install; run 'sudo {_this_program()} service "
             f"--install --user {arguments.user}', or write the files elsewhere with --out DIR"
         ) from error
-    if arguments.json:
-        print(json.dumps({"written": [str(path) for path in written], "user": arguments.user, "program": program}))
-        return 0
-    for path in written:
-        say(f"wrote {path}")
+    lines = [f"wrote {path}" for path in written]
     if arguments.install:
-        say(f"next: write /etc/eitskin/robot.toml for user {arguments.user}, of the group dialout; then")
-        say("sudo systemctl daemon-reload && sudo udevadm control --reload && sudo systemctl enable --now eitskin")
-    return 0
+        lines += [
+            f"next: write /etc/eitskin/robot.toml for user {arguments.user}, of the group dialout; then",
+            "sudo systemctl daemon-reload && sudo udevadm control --reload && sudo systemctl enable --now eitskin",
+        ]
+    found = {"written": [str(path) for path in written], "user": arguments.user, "program": program}
+    return answer(arguments, found, *lines)
 
 
 def _this_program() -> str:

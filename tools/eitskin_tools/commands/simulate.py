@@ -1,13 +1,13 @@
 """``eitskin simulate SCENE.json --out V.npz``: the voltages of one scene, written whole or not at all."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from time import perf_counter
 
 from eitskin_proto.skin.skin import Skin
 from eitskin_tools.command_line import kinds, options
+from eitskin_tools.console.terminal import answer
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,7 +22,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the scene's device when its reference was taken: flat, untouched, and without what came late",
     )
     options.add_skin(parser, "what the scene leaves out: sheet, electrodes, units")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -52,14 +51,12 @@ def run(arguments: argparse.Namespace) -> int:
         "smallest_V": float(abs(solution.voltages).min()),
         "largest_V": float(abs(solution.voltages).max()),
     }
-    if arguments.json:
-        print(json.dumps(report))
-    else:
-        print(
-            f"{arguments.out}: {report['rows']} voltages, {report['smallest_V']:.4g} to {report['largest_V']:.4g} V, "
-            f"{solution.n_nodes} nodes, {seconds:.2f} s"
-        )
-    return 0
+    return answer(
+        arguments,
+        report,
+        f"{arguments.out}: {report['rows']} voltages, {report['smallest_V']:.4g} to {report['largest_V']:.4g} V, "
+        f"{solution.n_nodes} nodes, {seconds:.2f} s",
+    )
 
 
 def _write(out: Path, scene: object, solution: object, skin: Skin) -> None:

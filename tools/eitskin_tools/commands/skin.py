@@ -5,7 +5,6 @@ it prints is a skin.toml. ``check`` also places the electrodes on the sheet, and
 """
 
 import argparse
-import json
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -14,6 +13,7 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.symmetry import Image, images
 from eitskin_proto.skin.toml import TABLES, to_toml
 from eitskin_tools.command_line import files, needs, options
+from eitskin_tools.console.terminal import answer
 
 ACTIONS = ("show", "check")
 
@@ -22,7 +22,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("action", choices=ACTIONS, help="show prints the whole description, check one line")
     parser.add_argument("file", metavar="FILE", help=f"a skin.toml, or one of {', '.join(files.SKIN.names())}")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -36,14 +35,13 @@ def run(arguments: argparse.Namespace) -> int:
             check_skin(skin)
         except ValueError as error:
             raise ValueError(f"{arguments.file}: {error}") from error
-    if arguments.json:
-        print(json.dumps(_report(arguments.file, skin)))
-    elif arguments.action == "show":
-        print("\n".join(f"# {name:<14} {text}" for name, text in _summary(skin).items()) + "\n" + to_toml(skin), end="")
-    else:
-        found = _summary(skin)
-        print(f"{arguments.file}: {skin.name}, {found['sheet']}, digest {skin.digest}, images {found['mirror images']}")
-    return 0
+    found = _summary(skin)
+    lines = [*(f"# {name:<14} {text}" for name, text in found.items()), to_toml(skin)]
+    if arguments.action == "check":
+        lines = [
+            f"{arguments.file}: {skin.name}, {found['sheet']}, digest {skin.digest}, images {found['mirror images']}"
+        ]
+    return answer(arguments, _report(arguments.file, skin), *lines)
 
 
 def _summary(skin: Skin) -> dict[str, str]:

@@ -4,14 +4,13 @@ A runtime is well if it answers and processed usable frames between two looks.
 """
 
 import argparse
-import json
 import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 from eitskin_tools.command_line import options
 from eitskin_tools.command_line.parser import positive
-from eitskin_tools.console.terminal import say
+from eitskin_tools.console.terminal import answer
 
 if TYPE_CHECKING:
     from eitskin.messaging.curve_keys import ClientKeys
@@ -34,7 +33,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--timeout-s", type=positive(), default=3.0, metavar="T", help="wait T s for answers (default 3)"
     )
     options.add_client_keys(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -50,11 +48,9 @@ def run(arguments: argparse.Namespace) -> int:
         states = (ProcessState(RobotSkin("eitskin", "", arguments.where or default_control())),)
     rows = looked_at(states, arguments.timeout_s, keys)
     well = sum(bool(row["well"]) for row in rows)
-    if arguments.json:
-        print(json.dumps({"skins": rows, "well": well, "of": len(rows)}))
-    else:
-        for row in rows:
-            say(f"{row['name']}: {row['text']}")
+    answer(
+        arguments, {"skins": rows, "well": well, "of": len(rows)}, *(f"{row['name']}: {row['text']}" for row in rows)
+    )
     return 0 if well == len(rows) else 1
 
 

@@ -46,7 +46,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--force-table", type=Path, metavar="FILE.csv", help="with --verified: your table from strength to newtons"
     )
     options.add_client_keys(parser)
-    parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
 
 
 def run(arguments: argparse.Namespace) -> int:

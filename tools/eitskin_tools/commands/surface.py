@@ -4,15 +4,13 @@ The whole way from a 3-D scanner to a running stream is ``eitskin surface POINTS
 """
 
 import argparse
-import json
-import sys
 import time
 from pathlib import Path
 from typing import Any, Final
 
 from eitskin_proto.errors import SkinError
 from eitskin_tools.command_line import files, kinds, options
-from eitskin_tools.console.terminal import say
+from eitskin_tools.console.terminal import answer, note
 
 MM: Final = {"mm": 1.0, "m": 1000.0}
 """Millimetres of a unit."""
@@ -79,7 +77,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="give it to a running stream, at the control endpoint of 'eitskin run' (default: the same as its default)",
     )
     options.add_skin(parser, "the sheet's size, its pixels and, for V_pred, its electrodes")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -107,9 +104,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise PointCloudError(f"{arguments.file}: {error}") from error
     old_s = time.time() - source.stat().st_mtime
     if arguments.send is not None and old_s > STALE_S and arguments.file != "sample":
-        say(f"eitskin surface: {source} is {old_s / 3600:.1f} h old; scan again if the sheet has moved", error=True)
+        note(f"eitskin surface: {source} is {old_s / 3600:.1f} h old; scan again if the sheet has moved")
     for doubt in doubts:
-        say(f"eitskin surface: {doubt}", error=True)
+        note(f"eitskin surface: {doubt}")
     predicted, predict_ms = None, None
     if arguments.predict:
         from eitskin_sim.surface.predict import flat_voltages, predict
@@ -118,33 +115,27 @@ def run(arguments: argparse.Namespace) -> int:
         predicted = predict(result.cloud_mm, skin), flat_voltages(skin)
         predict_ms = 1e3 * (time.perf_counter() - start)
         if result.prediction_rms > DOUBTFUL_RMS:
-            print(
+            note(
                 f"eitskin surface: the sheet's outline is not known well enough: V_pred is "
                 f"likely off by {100 * result.prediction_rms:.1f} %, more than {100 * DOUBTFUL_RMS:g} %; it may make "
-                "maps worse: measure more densely, state --rim, or leave out --predict",
-                file=sys.stderr,
+                "maps worse: measure more densely, state --rim, or leave out --predict"
             )
     save_cloud(arguments.out, result, predicted, skin)
     sent = None if arguments.send is None else _sent(arguments.send, arguments.out)
-    if arguments.json:
-        print(json.dumps(_report(arguments, result, len(points), elapsed_ms, predict_ms, sent) | {"doubts": doubts}))
-        return 0
-    print(
+    lines = [
         f"{Path(arguments.out).name}: {result.points} points, {result.outliers} outliers, "
         f"noise {result.noise_mm:.3f} mm, {result.size_mm[0]:.1f} x {result.size_mm[1]:.1f} mm "
         f"within {result.outline_sigma_mm:.2f} mm, largest hole {result.largest_hole_mm:.1f} mm, "
         f"{elapsed_ms:.0f} ms"
-    )
+    ]
     if predict_ms is not None:
-        print(f"V_pred added, likely off by {100 * result.prediction_rms:.1f} %, {predict_ms:.0f} ms")
+        lines.append(f"V_pred added, likely off by {100 * result.prediction_rms:.1f} %, {predict_ms:.0f} ms")
     if sent is not None:
-        print(f"the runtime uses it as cloud {sent}")
-    if result.corner != "given":
-        print(
-            "the corner (0, 0) comes from the scanner's coordinates; if that is not the sheet's, give --corner X Y Z",
-            file=sys.stderr,
-        )
-    return 0
+        lines.append(f"the runtime uses it as cloud {sent}")
+    if result.corner != "given" and not arguments.json:
+        note("the corner (0, 0) comes from the scanner's coordinates; if that is not the sheet's, give --corner X Y Z")
+    report = _report(arguments, result, len(points), elapsed_ms, predict_ms, sent) | {"doubts": doubts}
+    return answer(arguments, report, *lines)
 
 
 def _cut(points: Any, arguments: argparse.Namespace) -> Any:

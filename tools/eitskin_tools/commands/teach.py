@@ -5,7 +5,6 @@ of a recording.
 """
 
 import argparse
-import json
 import os
 import sys
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any, Final
 from eitskin_tools.command_line import files, kinds, options
 from eitskin_tools.command_line.options import flag
 from eitskin_tools.command_line.parser import whole, within
-from eitskin_tools.console.terminal import say
+from eitskin_tools.console.terminal import answer, say
 from eitskin_tools.errors import UsageError
 
 NEEDS: Final = {
@@ -40,7 +39,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="share of untouched frames that may look touched (default: 0.01)",
     )  # fmt: skip
     parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw where presses are placed well and badly")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
     guided = parser.add_argument_group("record the presses")
     guided.add_argument("--port", help="lead through presses now: serial port, usb:SERIAL or NAME:REST of the device")
     guided.add_argument("--baud", type=int, metavar="N", help="bits per second of a UART (default: 2000000)")
@@ -83,15 +81,11 @@ def run(arguments: argparse.Namespace) -> int:
     reports = {name: one.report for name, one in taught.items()}
     if arguments.picture is not None:
         card.draw(arguments.picture, taught)
-    if arguments.json:
-        print(json.dumps({"out": str(arguments.out), "bundle": bundle, **card.of_shapes(reports)}))
-        return 0
-    print(card.verdict(reports))
     after = "Wrote {}. Next: eitskin run --port PORT --bundle {}"
     if not presses.logarithmic:
         after = "Wrote {}. Its changes have no known unit, so it works with 'eitskin evaluate --measured' alone ({})."
-    print(after.format(arguments.out, arguments.out))
-    return 0
+    found = {"out": str(arguments.out), "bundle": bundle, **card.of_shapes(reports)}
+    return answer(arguments, found, card.verdict(reports), after.format(arguments.out, arguments.out))
 
 
 def _record(arguments: argparse.Namespace, skin: Any) -> None:

@@ -1,7 +1,6 @@
 """``eitskin train``: train VD2T and its gate on a data set, with a bar on a terminal and a line per epoch elsewhere."""
 
 import argparse
-import json
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -11,6 +10,7 @@ from eitskin_tools.command_line import files
 from eitskin_tools.command_line.options import SEED
 from eitskin_tools.command_line.parser import whole
 from eitskin_tools.console.progress import ProgressBar
+from eitskin_tools.console.terminal import answer
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +28,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=SEED, default=0, help="seed of weights, order, noise and dropout (default 0)")
     parser.add_argument("--resume", action="store_true", help="continue after the run's last complete epoch")
     parser.add_argument("--threads", type=whole(0), default=0, help="CPU threads (default: torch's choice)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -85,12 +84,12 @@ def run(arguments: argparse.Namespace) -> int:
         "curves": str(out / "curves.png") if drawn else None,
         "gate": own.gate.facts(),
     }
-    if arguments.json:
-        print(json.dumps(result))
-    else:
-        print(f"best epoch {best.number}: validation loss {best.validation_loss:.5f}, CC {best.validation_cc:.4f}")
-        print(f"next: eitskin export {out} --out {out}.eitskin")
-    return 0
+    return answer(
+        arguments,
+        result,
+        f"best epoch {best.number}: validation loss {best.validation_loss:.5f}, CC {best.validation_cc:.4f}",
+        f"next: eitskin export {out} --out {out}.eitskin",
+    )
 
 
 def _shown(bar: ProgressBar, now: Any) -> None:

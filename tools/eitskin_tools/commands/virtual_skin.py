@@ -38,7 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--wire-times", type=Path, metavar="FILE.npy", help="write the host time of every frame to this file"
     )
-    parser.add_argument("--json", action="store_true", help="print port and clock as one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:

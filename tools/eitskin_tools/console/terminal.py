@@ -6,13 +6,15 @@ the interpreter would otherwise print an error and change the exit status. In sy
 ``JOURNAL_STREAM`` names, each line begins with its level (``sd-daemon(3)``).
 """
 
+import argparse
+import json
 import os
 import select
 import shutil
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import Final, TextIO
+from typing import Any, Final, TextIO
 
 from eitskin_proto.files.plain import plain
 
@@ -108,6 +110,16 @@ def say(line: str, *, error: bool = False) -> None:
 def note(line: str) -> None:
     """Print one line on stderr, of what goes on."""
     say(line, error=True)
+
+
+def answer(arguments: argparse.Namespace, found: Mapping[str, Any], *lines: str) -> int:
+    """Print what a command found, as one JSON object with ``--json`` and as lines else; return 0."""
+    if arguments.json:
+        print(json.dumps(found))
+    else:
+        for line in "\n".join(lines).splitlines():
+            say(line)
+    return 0
 
 
 def in_words(value: object) -> str:

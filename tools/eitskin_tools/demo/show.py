@@ -383,30 +383,33 @@ def _footer(frame: Any, begin: float) -> list[str]:
     ]
 
 
-def print_summary(summary: dict[str, Any]) -> None:
-    """Print a summary for people."""
-    latency, stages = summary["latency_us"], summary["stages_us"]
+def lines_of(summary: dict[str, Any]) -> list[str]:
+    """Return a summary for people."""
+    latency, alone = summary["latency_us"], summary["latency_inferred_us"]
 
     def ms(value: float) -> str:
         return f"{value / 1000:.2f}"
 
-    out = sys.stdout
-    verdict = "The skin works" if not (summary["lost"] or summary["corrupt"]) else "Frames are missing"
-    print(f"{verdict}: {summary['frames']} frames at {summary['rate_hz']:g} frames/s, {summary['lost']} lost, "
-          f"{summary['corrupt']} corrupt", file=out)  # fmt: skip
-    print(f"latency, wire to subscriber: p50 {ms(latency['p50'])} ms, p99 {ms(latency['p99'])} ms, "
-          f"max {ms(latency['max'])} ms", file=out)  # fmt: skip
-    if alone := summary["latency_inferred_us"]:
-        print(f"  with a solver ({summary['inferred']} frames): p50 {ms(alone['p50'])} ms, "
-              f"p99 {ms(alone['p99'])} ms", file=out)  # fmt: skip
-    parts = ", ".join(f"{name} {spans['p50']:.0f}/{spans['p99']:.0f}" for name, spans in stages.items() if spans)
-    print(f"stages in us, p50/p99: {parts}", file=out)
+    def shown(form: str, **names: str) -> str:
+        """Return those figures of the summary that there are, each with its name."""
+        return ", ".join(f"{name.replace('_', ' ')} {form.format(summary[key])}" for name, key in names.items()
+                         if summary[key] is not None)  # fmt: skip
+
+    verdict = "Frames are missing" if summary["lost"] or summary["corrupt"] else "The skin works"
+    lines = [
+        f"{verdict}: {summary['frames']} frames at {summary['rate_hz']:g} frames/s, {summary['lost']} lost, "
+        f"{summary['corrupt']} corrupt",
+        f"latency, wire to subscriber: p50 {ms(latency['p50'])} ms, p99 {ms(latency['p99'])} ms, "
+        f"max {ms(latency['max'])} ms",
+    ]
+    if alone:
+        lines.append(f"  with a solver ({summary['inferred']} frames): p50 {ms(alone['p50'])} ms, "
+                     f"p99 {ms(alone['p99'])} ms")  # fmt: skip
+    parts = [f"{name} {spans['p50']:.0f}/{spans['p99']:.0f}" for name, spans in summary["stages_us"].items() if spans]
+    lines.append(f"stages in us, p50/p99: {', '.join(parts)}")
     if summary["cc_median"] is not None:
-        split = [f"{name} {summary[key]:.3f}" for name, key in (("flat", "cc_median_flat"), ("bent", "cc_median_bent"))
-                 if summary[key] is not None]  # fmt: skip
-        print(f"maps: correlation with the truth {summary['cc_median']:.3f}, median of {summary['scored']} touched "
-              f"frames ({', '.join(split)})", file=out)  # fmt: skip
-    gate = [f"{name} {100 * summary[key]:.2f} %" for name, key in (("missed touches", "missed"),
-            ("false alarms", "false_alarms")) if summary[key] is not None]  # fmt: skip
-    print(f"touches: {summary['touches']}", file=out)
-    print(f"touch detection: {', '.join(gate)}; clouds used: {summary['clouds']}", file=out)
+        split = shown("{:.3f}", flat="cc_median_flat", bent="cc_median_bent")
+        lines.append(f"maps: correlation with the truth {summary['cc_median']:.3f}, median of {summary['scored']} "
+                     f"touched frames ({split})")  # fmt: skip
+    gate = shown("{:.2%}", missed_touches="missed", false_alarms="false_alarms")
+    return [*lines, f"touches: {summary['touches']}", f"touch detection: {gate}; clouds used: {summary['clouds']}"]

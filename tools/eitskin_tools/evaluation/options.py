@@ -81,7 +81,6 @@ def add_arguments(parser: Parser) -> None:
         choices=("N1", "N2", "N3", "none"),
         help="noise in proportion to the voltages' change (N1), to each voltage (N2) or to their rms (N3); default: N2",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
     group = parser.add_more("trials")
     group.add_argument("--deformations", type=whole(1), metavar="N", help="number of deformations (default: 20)")
