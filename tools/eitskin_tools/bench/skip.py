@@ -5,15 +5,15 @@
     untouched  inference, while nothing touches; a bundle without a gate has no such row
     unchanged  inference, while only noise changes; also how like the kept map is to the one that was not computed
 
-Costs are thread CPU times of the runtime's own pipeline with and without the skip, in turns in one run. Making a
-frame's payload is not counted.
+Costs are mean thread CPU times a frame of the runtime's own pipeline, with and without the skip, in turns in one run.
+Making a frame's payload is not counted.
 """
 
 import argparse
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -81,26 +81,11 @@ def run(arguments: argparse.Namespace) -> int:
     say("skip", "solving what the pipelines are shown")
     shown = Material.of(rng, arguments.frames)
     say("skip", "what each skip saves")
-    skips = costs(bundle, shown, arguments.frames)
-    more = {"skips": skips, "bundle": bundle.id, "machine": machine()}
-    return report(arguments, flat_rows(skips), summary(skips), **more)
-
-
-def flat_rows(skips: Mapping[str, Row]) -> list[Row]:
-    """Return a row for each skip: its numbers, and the mean CPU time of a frame each way."""
-    return [
-        {
-            "what": name,
-            **{key: value for key, value in row.items() if isinstance(value, int | float)},
-            **{f"{way}_us": times["cpu_mean"] for way, times in row["us"].items()},
-        }
-        for name, row in skips.items()
-    ]
-
-
-def summary(skips: Mapping[str, Row]) -> dict[str, float]:
-    """Return which share of a frame's CPU time each skip leaves."""
-    return {f"{name}_cpu_left": row["cpu_left"] for name, row in skips.items()}
+    rows = [unchanged(bundle, shown.frames, shown.one_V[:STEADY_FRAMES], shown.two_V)]
+    if bundle.gate_arrays() is not None:
+        rows.insert(0, untouched(bundle, shown.frames, shown.bent_V, shown.one_V, arguments.frames))
+    summary = {f"{row['what']}_cpu_left": row["cpu_left"] for row in rows}
+    return report(arguments, rows, summary, bundle=bundle.id, machine=machine())
 
 
 class Frames:
@@ -207,71 +192,45 @@ class FrameRunner:
         return fit
 
 
-def interleaved(ways: Mapping[str, FrameRunner], frames: int) -> dict[str, dict[str, float]]:
-    """Return mean, median and 99th percentile of every way's CPU time a frame, and the median wall time, in us.
+def interleaved(ways: Mapping[str, FrameRunner], frames: int) -> dict[str, float]:
+    """Return every way's mean CPU time a frame, us.
 
     Args:
         ways: By name.
         frames: Of each.
     """
-    cpu: dict[str, list[int]] = {name: [] for name in ways}
-    wall: dict[str, list[int]] = {name: [] for name in ways}
+    cpu_ns = dict.fromkeys(ways, 0)
     for way in ways.values():
         way()  # the frame that it was made with; the first is slower
     for start in range(0, frames, FRAMES_PER_TURN):
         for name, way in ways.items():
             for index in range(start, min(start + FRAMES_PER_TURN, frames)):
                 way.prepare(index)
-                wall_ns, cpu_ns = time.perf_counter_ns(), time.thread_time_ns()
+                begin_ns = time.thread_time_ns()
                 way()
-                cpu[name].append(time.thread_time_ns() - cpu_ns)
-                wall[name].append(time.perf_counter_ns() - wall_ns)
-    return {
-        name: {
-            "cpu_mean": round(float(np.mean(cpu[name])) / 1e3, 2),
-            "cpu_p50": round(float(np.median(cpu[name])) / 1e3, 2),
-            "cpu_p99": round(float(np.quantile(cpu[name], 0.99)) / 1e3, 2),
-            "wall_p50": round(float(np.median(wall[name])) / 1e3, 2),
-        }
-        for name in ways
-    }
+                cpu_ns[name] += time.thread_time_ns() - begin_ns
+    return {name: round(spent_ns / frames / 1e3, 2) for name, spent_ns in cpu_ns.items()}
 
 
-def saving(times: dict[str, dict[str, float]]) -> dict[str, Any]:
-    """Return the times of "with" and "without", and what lies between: mean CPU a frame in us, and the share left."""
-    one, other = times["with"]["cpu_mean"], times["without"]["cpu_mean"]
-    return {"us": times, "cpu_saved_us": round(other - one, 2), "cpu_left": round(one / other, 4)}
+def saving(what: str, times_us: dict[str, float]) -> Row:
+    """Return a row of the times of "with" and "without", and what lies between: CPU a frame, and the share left."""
+    one, other = times_us["with"], times_us["without"]
+    named = {f"{way}_us": time_us for way, time_us in times_us.items()}
+    return {"what": what, **named, "cpu_saved_us": round(other - one, 2), "cpu_left": round(one / other, 4)}
 
 
-def costs(bundle: Bundle, shown: Material, count: int) -> dict[str, Any]:
-    """Return the rows of all skips that need no device.
-
-    Args:
-        bundle: What is deployed.
-        shown: What the pipelines are shown.
-        count: Frames of each way.
-    """
-    frames, touched_V = shown.frames, shown.one_V
-    found = {}
-    if bundle.gate_arrays() is not None:
-        found["untouched"] = untouched(bundle, frames, shown.bent_V, touched_V, count)
-    found["unchanged"] = unchanged(bundle, frames, touched_V[:STEADY_FRAMES], shown.two_V)
-    return found
-
-
-def untouched(bundle: Bundle, frames: Frames, bent_V: Array, touched_V: Array, count: int) -> dict[str, Any]:
+def untouched(bundle: Bundle, frames: Frames, bent_V: Array, touched_V: Array, count: int) -> Row:
     """Return the row of "nothing touched", beside what a touched frame costs."""
     ways = {
         "with": FrameRunner(frames, frames.pipeline(bundle), bent_V),
         "without": FrameRunner(frames, frames.pipeline(without_gate(bundle)), bent_V),
         "touched": FrameRunner(frames, frames.pipeline(bundle), touched_V),
     }
-    row = saving(interleaved(ways, count))
-    row["untouched_to_touched"] = round(row["us"]["with"]["cpu_mean"] / row["us"]["touched"]["cpu_mean"], 4)
-    return row
+    row = saving("untouched", interleaved(ways, count))
+    return {**row, "untouched_to_touched": round(row["with_us"] / row["touched_us"], 4)}
 
 
-def unchanged(bundle: Bundle, frames: Frames, resting_V: Array, changed_V: Array) -> dict[str, Any]:
+def unchanged(bundle: Bundle, frames: Frames, resting_V: Array, changed_V: Array) -> Row:
     """Return the row of "map unchanged": a touch at rest, then a second one beside it.
 
     Args:
@@ -280,12 +239,14 @@ def unchanged(bundle: Bundle, frames: Frames, resting_V: Array, changed_V: Array
         resting_V: (n, 104) noisy frames of one touch.
         changed_V: (m, 104) noisy frames of two.
     """
-    stream = np.concatenate([resting_V, changed_V])
-    kept = FrameRunner(frames, frames.pipeline(bundle, skip_unchanged=True), stream)
-    computed = FrameRunner(frames, frames.pipeline(bundle), stream)
-    row = saving(interleaved({"with": kept, "without": computed}, len(stream)))
-    kept = FrameRunner(frames, frames.pipeline(bundle, skip_unchanged=True), stream)
-    computed = FrameRunner(frames, frames.pipeline(bundle), stream)
+    stream, first = np.concatenate([resting_V, changed_V]), len(resting_V)
+
+    def ways() -> dict[str, FrameRunner]:
+        kept = FrameRunner(frames, frames.pipeline(bundle, skip_unchanged=True), stream)
+        return {"with": kept, "without": FrameRunner(frames, frames.pipeline(bundle), stream)}
+
+    row = saving("unchanged", interleaved(ways(), len(stream)))
+    kept, computed = ways().values()
     likeness, fresh = [], []
     for index in range(len(stream)):
         for way in (kept, computed):
@@ -293,9 +254,11 @@ def unchanged(bundle: Bundle, frames: Frames, resting_V: Array, changed_V: Array
             way()
         fresh.append(kept.pipeline.record.inferred)
         likeness.append(float(np.corrcoef(kept.pipeline.buffers.map[0], computed.pipeline.buffers.map[0])[0, 1]))
-    first = len(resting_V)
     late = np.flatnonzero(fresh[first:])
-    row["share_skipped_at_rest"] = round(1.0 - float(np.mean(fresh[1:first])), 4)
-    row["cc_with_computed_map"] = {"mean": float(np.mean(likeness)), "least": float(np.min(likeness))}
-    row["frames_until_change_is_seen"] = int(late[0]) if len(late) else None
-    return row
+    return {
+        **row,
+        "share_skipped_at_rest": round(1.0 - float(np.mean(fresh[1:first])), 4),
+        "cc_with_computed_map": float(np.mean(likeness)),
+        "cc_with_computed_map_least": float(np.min(likeness)),
+        "frames_until_change_is_seen": int(late[0]) if len(late) else None,
+    }
