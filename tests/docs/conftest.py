@@ -42,6 +42,10 @@ class Process:
             watchdog.cancel()
         raise AssertionError(f"{wanted!r} was not said, but: {self.said}")
 
+    def listen(self):
+        """Read all that it says from now on into ``said``, in a thread."""
+        threading.Thread(target=lambda: self.said.extend(map(str.rstrip, self._process.stdout)), daemon=True).start()
+
     def ends(self):
         """Wait for its end; return the line that it said last."""
         out, _ = self._process.communicate(timeout=PATIENCE_S)

@@ -30,7 +30,8 @@ void operator delete[](void *at, std::size_t) noexcept { std::free(at); }
 static void print(const eitskin::Frame &frame) {
     double sum = 0.0;
     for (std::size_t row = 0; row < frame.rows; ++row)
-        for (std::size_t column = 0; column < frame.columns; ++column) sum += static_cast<double>(frame.map(row, column));
+        for (std::size_t column = 0; column < frame.columns; ++column)
+            sum += static_cast<double>(frame.map(row, column));
     std::printf("frame %llu %llu %d %llu %llu %llu %.9g %.*s %zu\n", static_cast<unsigned long long>(frame.number),
                 static_cast<unsigned long long>(frame.sequence), frame.touched,
                 static_cast<unsigned long long>(frame.cloud), static_cast<unsigned long long>(frame.read_ns),

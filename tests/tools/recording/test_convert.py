@@ -185,7 +185,7 @@ def test_rosbag2_has_standard_messages_that_are_the_same(
             if connection.topic == "/eitskin/voltages":
                 rows.append(np.frombuffer(message.data.tobytes(), "<f8"))
             elif connection.topic == "/eitskin/surface":
-                clouds.append(np.frombuffer(message.data.tobytes(), "<f4").reshape(-1, 3))
+                clouds.append(np.frombuffer(message.data.tobytes(), "<f4").reshape(-1, 4))
             elif connection.topic == "/eitskin/touches":
                 kind = [(field.name, {6: "<u4", 7: "<f4"}[field.datatype]) for field in message.fields]
                 points.append(np.frombuffer(message.data.tobytes(), kind))
@@ -199,9 +199,10 @@ def test_rosbag2_has_standard_messages_that_are_the_same(
     np.testing.assert_allclose(1e6 * touches["area"], published(items, "area_mm2"), rtol=1e-5)
     assert np.isnan(touches["amplitude"]).all()
     np.testing.assert_allclose(np.array(rows), volts(), rtol=1e-12)
-    np.testing.assert_allclose(clouds[-1].T.reshape(3, 30, 45) * 1e3, CLOUD, rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose(clouds[-1][:, :3].T.reshape(3, 30, 45) * 1e3, CLOUD, rtol=1e-5, atol=1e-4)
     known = {frame.map.tobytes() for frame in items if isinstance(frame, Frame)}
     assert {data for _, _, data in maps} <= known
+    assert {cloud[:, 3].tobytes() for cloud in clouds if np.isfinite(cloud).all()} == {data for _, _, data in maps}
     assert {(rows, columns) for rows, columns, _ in maps} == {(30, 45)}
 
 
@@ -260,7 +261,7 @@ def test_a_part_is_converted_by_the_command_line_and_a_folder_that_is_there_stay
         topics = Counter(one.topic for one in script.recording.entries() if begin_ns <= one.log_ns <= end_ns)
         maps = topics[MAP.topic]
         assert in_bag(out) == {  # and of surfaces and states the one that held at the beginning
-            "touches": 60, "voltages": 60, "map": maps, "surface": 1 + topics[CLOUDS.topic],
+            "touches": 60, "voltages": 60, "map": maps, "surface": 1 + topics[CLOUDS.topic] + maps,
             "state": 1 + topics[STATE.topic],
         }  # fmt: skip
         assert found["messages"] == sum(in_bag(out).values())

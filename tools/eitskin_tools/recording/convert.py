@@ -22,6 +22,7 @@ rosbag2 is written without ROS, in standard messages that every ROS 2 machine pl
 ===================  =======================  =======================================================
 """
 
+import math
 import shutil
 from bisect import bisect_right
 from collections.abc import Iterator
@@ -34,6 +35,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.messaging.frame import Frame
+from eitskin.messaging.streams.measured import CloudInUse
 from eitskin.reference.normaliser import normaliser_of, rows_of
 from eitskin.touches.touch import Touch
 from eitskin_proto.errors import ProtocolError
@@ -45,7 +47,7 @@ from eitskin_proto.wire.scan_rows import ALL_DRIVES
 from eitskin_proto.wire.volts import view_of
 from eitskin_tools.recording.codec import unpack_map
 from eitskin_tools.recording.frames import RecordedFrames
-from eitskin_tools.recording.layout import MAP, STATE, RecordingError
+from eitskin_tools.recording.layout import CLOUD, MAP, STATE, RecordingError
 from eitskin_tools.recording.reader import Entry
 from eitskin_tools.recording.script import Script, Step, reference_of
 
@@ -350,9 +352,9 @@ LATEST_S: Final = 1 << 31
 FLOAT32, UINT32 = 7, 6
 """``sensor_msgs/PointField``"""
 
-POINT: Final = ("x", "y", "z", "nx", "ny", "nz", "area", "peak", "error_x", "error_y", "amplitude",
-                "log_likelihood_ratio")  # fmt: skip
-"""Float fields of a touch, in metres, as docs/examples/ros2_node.py publishes them; ``id`` follows."""
+POINT: Final = ("x", "y", "z", "nx", "ny", "nz", "area", "strength", "id", "confidence", "peak", "error_x", "error_y",
+                "amplitude", "log_likelihood_ratio")  # fmt: skip
+"""Fields of a touch, in metres, as the node of tools/ros2 publishes them: floats, but for ``id``."""
 
 KINDS: Final = {
     "touches": "sensor_msgs/msg/PointCloud2", "voltages": "sensor_msgs/msg/Image", "map": "sensor_msgs/msg/Image",
@@ -423,8 +425,7 @@ class _Messages:
         for step, computed in _computed(script, from_s, to_s, frames):
             at_ns = step.log_ns
             if step.cloud is not None:
-                points = np.ascontiguousarray(step.cloud.cloud.reshape(3, -1).T * np.float32(1e-3), dtype="<f4")
-                yield "surface", at_ns, self._points(points, "xyz", at_ns)
+                yield "surface", at_ns, self._surface(step.cloud, math.nan, at_ns)
             if (values := self._voltages(step)) is not None:
                 yield "voltages", at_ns, self._image(values, "64FC1", at_ns)
             if computed is not None:
@@ -432,7 +433,11 @@ class _Messages:
         begin_ns = script.first_ns + round((from_s or 0.0) * 1e9)
         end_ns = script.last_ns if to_s is None else script.first_ns + round(to_s * 1e9)
         held: Entry | None = None  # the state that holds at the beginning of the part
-        for entry in script.recording.entries({MAP.topic, STATE.topic}, to_ns=end_ns):
+        cloud: CloudInUse | None = None
+        for entry in script.recording.entries({MAP.topic, STATE.topic, CLOUD.topic}, to_ns=end_ns):
+            if entry.topic == CLOUD.topic:
+                cloud = CloudInUse.of(entry.data)
+                continue
             if entry.log_ns < begin_ns:
                 held = entry if entry.topic == STATE.topic else held
                 continue
@@ -442,7 +447,10 @@ class _Messages:
                 yield "state", begin_ns, self._text(held.data)
                 held = None
             if entry.topic == MAP.topic:
-                yield "map", entry.log_ns, self._image(unpack_map(entry.data)[1], "32FC1", entry.log_ns)
+                image = unpack_map(entry.data)[1]
+                yield "map", entry.log_ns, self._image(image, "32FC1", entry.log_ns)
+                if cloud is not None and cloud.cloud.shape[1:] == image.shape:
+                    yield "surface", entry.log_ns, self._surface(cloud, image, entry.log_ns)
             else:
                 yield "state", entry.log_ns, self._text(entry.data)
 
@@ -472,13 +480,19 @@ class _Messages:
 
     def _touches(self, touches: tuple[Touch, ...], wall_ns: int) -> Any:
         found = touch_array(touches)
-        points = np.zeros(len(found), dtype=[*((name, "<f4") for name in POINT), ("id", "<u4")])
+        points = np.zeros(len(found), dtype=[(name, "<u4" if name == "id" else "<f4") for name in POINT])
         for k in range(3):
             points[POINT[k]], points[POINT[3 + k]] = 1e-3 * found["place_mm"][:, k], found["normal"][:, k]
         points["area"], points["error_x"], points["error_y"] = 1e-6 * found["area_mm2"], *(1e-3 * found["error_mm"].T)
-        for name in ("peak", "amplitude", "log_likelihood_ratio", "id"):
+        for name in ("strength", "id", "confidence", "peak", "amplitude", "log_likelihood_ratio"):
             points[name] = found[name]
-        return self._points(points, (*POINT, "id"), wall_ns)
+        return self._points(points, POINT, wall_ns)
+
+    def _surface(self, cloud: CloudInUse, values: npt.NDArray[np.float32] | float, wall_ns: int) -> Any:
+        """Return the places of all pixels with their values in the map, NaN without one."""
+        points = np.empty((cloud.cloud[0].size, 4), dtype="<f4")
+        points[:, :3], points[:, 3] = cloud.cloud.reshape(3, -1).T * np.float32(1e-3), np.ravel(values)
+        return self._points(points, ("x", "y", "z", "value"), wall_ns)
 
     def _points(self, points: npt.NDArray[Any], names: Any, wall_ns: int) -> Any:
         """Return points of 4-byte fields with these names."""
