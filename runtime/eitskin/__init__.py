@@ -150,51 +150,32 @@ __all__ = [
 ]
 
 _HOMES: Final = {
-    "Bundle": "eitskin.model.bundle",
-    "ClientKeys": "eitskin.messaging.curve_keys",
-    "CloudInUse": "eitskin.messaging.streams.measured",
-    "Conditions": "eitskin.messaging.streams.measured",
-    "ControlServer": "eitskin.messaging.control",
-    "Feed": "eitskin.acquisition.drivers.feed",
-    "ForceTable": "eitskin.touches.force",
-    "Frame": "eitskin.messaging.frame",
-    "Pose": "eitskin.robot.pose",
-    "Publisher": "eitskin.messaging.publish",
-    "Reconstruction": "eitskin.reconstruction",
-    "Reference": "eitskin.reference.captured",
-    "Robot": "eitskin.robot.config",
-    "RobotSkin": "eitskin.robot.config",
-    "RobotSubscription": "eitskin.robot.all_frames",
-    "Skin": "eitskin.skin",
-    "SkinFrame": "eitskin.robot.all_frames",
-    "SkinState": "eitskin.messaging.streams.state",
-    "StreamSubscription": "eitskin.messaging.streams.subscription",
-    "Subscription": "eitskin.messaging.subscription",
-    "Touch": "eitskin.touches.touch",
-    "TouchEvent": "eitskin.touches.touch",
-    "TouchList": "eitskin.touches.touch",
-    "Transport": "eitskin.acquisition.transport",
-    "VerifiedFrame": "eitskin.messaging.streams.verified",
-    "VerifiedSubscription": "eitskin.messaging.streams.verified_subscription",
-    "VerifiedTouch": "eitskin.messaging.streams.verified",
-    "WireFrame": "eitskin.messaging.streams.measured",
-    "load_bundle": "eitskin.model.bundle",
-    "load_client_keys": "eitskin.messaging.curve_keys",
-    "load_robot": "eitskin.robot.config",
-    "make_keys": "eitskin.messaging.curve_keys",
-    "pixel_centres_mm": "eitskin_proto.skin.cloud",
-    "reconstruct": "eitskin.reconstruction",
-    "request": "eitskin.messaging.control_client",
-    "robot_skins": "eitskin.robot.described",
-    "send_cloud": "eitskin.messaging.control_client",
-    "serve": "eitskin.skin",
-    "subscribe": "eitskin.messaging.subscription",
-    "subscribe_all": "eitskin.robot.all_frames",
-    "subscribe_async": "eitskin.messaging.subscription",
-    "subscribe_streams": "eitskin.messaging.streams.subscription",
-    "subscribe_verified": "eitskin.messaging.streams.verified_subscription",
+    "eitskin.acquisition.drivers.feed": ("Feed",),
+    "eitskin.acquisition.transport": ("Transport",),
+    "eitskin.messaging.control": ("ControlServer",),
+    "eitskin.messaging.control_client": ("request", "send_cloud"),
+    "eitskin.messaging.curve_keys": ("ClientKeys", "load_client_keys", "make_keys"),
+    "eitskin.messaging.frame": ("Frame",),
+    "eitskin.messaging.publish": ("Publisher",),
+    "eitskin.messaging.streams.measured": ("CloudInUse", "Conditions", "WireFrame"),
+    "eitskin.messaging.streams.state": ("SkinState",),
+    "eitskin.messaging.streams.subscription": ("StreamSubscription", "subscribe_streams"),
+    "eitskin.messaging.streams.verified": ("VerifiedFrame", "VerifiedTouch"),
+    "eitskin.messaging.streams.verified_subscription": ("VerifiedSubscription", "subscribe_verified"),
+    "eitskin.messaging.subscription": ("Subscription", "subscribe", "subscribe_async"),
+    "eitskin.model.bundle": ("Bundle", "load_bundle"),
+    "eitskin.reconstruction": ("Reconstruction", "reconstruct"),
+    "eitskin.reference.captured": ("Reference",),
+    "eitskin.robot.all_frames": ("RobotSubscription", "SkinFrame", "subscribe_all"),
+    "eitskin.robot.config": ("Robot", "RobotSkin", "load_robot"),
+    "eitskin.robot.described": ("robot_skins",),
+    "eitskin.robot.pose": ("Pose",),
+    "eitskin.skin": ("Skin", "serve"),
+    "eitskin.touches.force": ("ForceTable",),
+    "eitskin.touches.touch": ("Touch", "TouchEvent", "TouchList"),
+    "eitskin_proto.skin.cloud": ("pixel_centres_mm",),
 }
-"""Where each public name lives; the errors live in ``eitskin.errors``."""
+"""The public names of each module; the errors live in ``eitskin.errors``."""
 
 UNKNOWN_VERSION: Final = "0+unknown"
 """The version of a source tree that was never installed."""
@@ -206,7 +187,8 @@ def __getattr__(name: str) -> object:
     if name == "__version__":
         found: object = _version()
     else:
-        found = getattr(importlib.import_module(_HOMES.get(name, "eitskin.errors")), name)
+        home = next((module for module, names in _HOMES.items() if name in names), "eitskin.errors")
+        found = getattr(importlib.import_module(home), name)
     globals()[name] = found
     return found
 
