@@ -31,7 +31,7 @@ from eitskin.acquisition.device import Device, DeviceClock
 from eitskin.errors import BadReference, HandshakeError, NotReady, PortReturned, SkinError, TransportError
 from eitskin.frame_record import INFER, PACK, PUBLISH, READ, FrameRecord
 from eitskin.messaging.frame_message import Demand, FrameMessages
-from eitskin.messaging.streams.publisher import StreamFeed, begin
+from eitskin.messaging.streams.publisher import StreamFeed
 from eitskin.model.taught import TaughtFinder
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.idle import IdleMode
@@ -501,8 +501,12 @@ class FrameLoop:
                 "skin with reference=FILE"
             )
         pipeline, record = self._pipeline, self._pipeline.record
-        streams, feed = begin(self.feed, taker, self._messages.run)
-        self.source.on_withheld = feed.withheld
+        streams, feed = getattr(taker, "streams", None), self.feed
+        if feed is None or streams is None:
+            feed = None
+        else:
+            feed.begin(streams, self._messages.run)
+        self.source.on_withheld = None if feed is None else feed.withheld
         try:
             for _ in self._accepted(until_ns):
                 recapture = self._recapture
@@ -511,18 +515,16 @@ class FrameLoop:
                 wanted = taker.wanted
                 if pipeline.compute(wanted):
                     self._choose_mode(whole=recapture is not None)
-                    asked, first, number = streams.asked, streams.first, self.published + 1 if wanted else None
-                    if asked and first:
-                        feed.frame(self.source.payload, number)
+                    number = self.published + 1 if wanted else None
                     if wanted:
                         self._hand_over(taker)
                     else:
                         record.stamps[PACK] = record.stamps[INFER]
                     record.stamps[PUBLISH] = time.perf_counter_ns()
-                    self._finish(feed if asked and not first else None, number)
+                    self._finish(feed if feed is not None and feed.asked else None, number)
                     yield record
                     self.statistics.ready(time.perf_counter_ns())
-                elif streams.asked:
+                elif feed is not None:
                     feed.withheld(self.source.payload, record.stamps[READ])
         finally:
             self.source.deferred.do()

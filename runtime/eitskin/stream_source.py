@@ -1,9 +1,7 @@
 """Sends measurements from the frame loop to a publisher's streams.
 
 The frame loop calls it for each frame while a stream has a subscriber, after the frame's own message went out and its
-subscriber had a moment (:mod:`eitskin.frame_loop`). So no frame waits for it. If a subscriber takes every topic, its
-messages go out before the frame, so that a subscriber that keeps one message keeps the frame. Messages on withheld
-frames then wait for the next frame, or until ``MOST_WAITING`` of them wait. ::
+subscriber had a moment (:mod:`eitskin.frame_loop`). So no frame waits for it. ::
 
     conditions, cloud, state     when they change, when a subscriber comes (conditions at once), and once a second
     wire                         every frame, last: after everything that decides its map
@@ -89,9 +87,6 @@ subscriptions."""
 MOST_JOINS: Final = 4
 """The topics of a new subscriber may arrive one at a time, with a frame between each two."""
 
-MOST_WAITING: Final = 8
-"""Withheld frames that wait for a frame that is published."""
-
 
 class StreamSource:
     """Feeds one publisher at a time.
@@ -105,7 +100,6 @@ class StreamSource:
     def __init__(self, device: Device, pipeline: Pipeline, loop: FrameLoop) -> None:
         self._device, self._pipeline, self._loop = device, pipeline, loop
         self._streams = StreamPublisher(lambda message: None)
-        self._waiting: list[bytes] = []
         self._reference: Reference | None = None
         self._file, self._digest = b"", ""
         self._conditions: Conditions | None = None
@@ -121,12 +115,22 @@ class StreamSource:
         except metadata.PackageNotFoundError:
             self._version = ""
 
-    def begin(self, streams: StreamPublisher) -> None:
-        """Send to this publisher from now on, starting with everything."""
+    @property
+    def asked(self) -> bool:
+        """Whether any stream has a subscriber."""
+        return self._streams.asked
+
+    def begin(self, streams: StreamPublisher, run: str) -> None:
+        """Send to this publisher from now on, starting with everything.
+
+        Args:
+            streams: The publisher.
+            run: Differs after each start of the runtime.
+        """
+        streams.run = run
         self._streams = streams
         self._conditions_key = self._state_key = ()
         self._geometry, self._repeat_ns = None, 0
-        self._waiting.clear()
         self._take_reference()
 
     def frame(self, payload: bytes, number: int | None) -> None:
@@ -137,7 +141,6 @@ class StreamSource:
             number: Of its published frame; None if there is none.
         """
         record, streams = self._pipeline.record, self._streams
-        self._send_waiting()
         now_ns = record.stamps[0]
         if streams.state:
             self._events.extend((record.sequence, text) for text in record.events)
@@ -174,17 +177,9 @@ class StreamSource:
             found = WireFrame(
                 payload, seq, read_ns, device_us=device_us, withheld=intake.last_reason, conditions=self._revision
             )
-            self._waiting.append(found.body())
-        if len(self._waiting) >= MOST_WAITING:
-            self._send_waiting()
+            streams.send(WIRE, found.body())
         if streams.state and read_ns - self._state_ns >= REPEAT_NS:
             self._publish_state(read_ns, repeat=True)
-
-    def _send_waiting(self) -> None:
-        if self._waiting:
-            for body in self._waiting:
-                self._streams.send(WIRE, body)
-            self._waiting.clear()
 
     def _is_time(self, now_ns: int) -> bool:
         """Return whether everything must be sent again."""

@@ -42,12 +42,12 @@ import zmq
 from eitskin.errors import ControlError
 from eitskin.messaging.control_commands import Answer, Commands, Controlled, answer_of, largest_request, refusal
 from eitskin.messaging.curve_keys import CurveAuthenticator, ServerKeys
-from eitskin.messaging.listener import Listener, check_files, sender_of
+from eitskin.messaging.listener import Listener, check_files
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.skin import Skin as SkinDescription
 
 MOST_CONNECTIONS: Final = 64
-"""Clients at once; one more ends the one with the oldest last request."""
+"""Clients at once; further ones wait."""
 
 MOST_PARTS: Final = 16
 """Of a message: identities of proxies, the delimiter, the map."""
@@ -128,18 +128,14 @@ class ControlServer:
                 self._answer_finished()
                 listener.admit()
                 if self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
-                    self._receive(self._socket.recv_multipart(copy=False))
+                    self._receive(self._socket.recv_multipart())
             except zmq.ContextTerminated:
                 return
             except Exception:  # a client that vanished, or a moment without memory: the next request finds a server
                 time.sleep(PAUSE_S)
 
-    def _receive(self, frames: list[Any]) -> None:
+    def _receive(self, parts: list[bytes]) -> None:
         """Answer a message, or have it answered later."""
-        parts = [frame.bytes for frame in frames]
-        asker = sender_of(frames[-1])
-        if asker is not None:
-            self._listener.mark_used(asker, served=False)
         if b"" not in parts[1:MOST_PARTS]:
             route, body = [parts[0], b""], None
         else:
@@ -153,9 +149,7 @@ class ControlServer:
                 )
             perform, slow = self._commands.prepare(body)
             if slow:
-                self._slow.start(route, perform, asker)
-                if asker is not None:
-                    self._listener.mark_used(asker, served=True)
+                self._slow.start(route, perform)
                 return
         except ControlError as error:
             self._send(route, False, refusal(str(error)))
@@ -173,8 +167,6 @@ class ControlServer:
         if found is None:
             return False
         self._send(*found)
-        if self._slow.asker is not None:
-            self._listener.mark_used(self._slow.asker, served=False)
         return True
 
     def _say_farewell(self) -> None:
@@ -212,12 +204,10 @@ class _SlowRequest:
         """To wait on: something is finished, or ``ring`` was called."""
         self.waiting: Route | None = None
         """A client that waits for an answer."""
-        self.asker: int | None = None
-        """Descriptor of the connection of the last request."""
         self._done: SimpleQueue[tuple[bool, bytes]] = SimpleQueue()
         self._lock = threading.Lock()
 
-    def start(self, route: Route, perform: Callable[[], Answer], asker: int | None) -> None:
+    def start(self, route: Route, perform: Callable[[], Answer]) -> None:
         """Begin; ``finished`` will have the answer.
 
         Raises:
@@ -225,7 +215,7 @@ class _SlowRequest:
         """
         if self.waiting is not None:
             raise ControlError("a reference is already being captured; ask again when it is done")
-        self.waiting, self.asker = route, asker
+        self.waiting = route
         try:
             threading.Thread(target=self._run, args=(perform,), name="eitskin-reference", daemon=True).start()
         except RuntimeError as error:  # the next request must find a server

@@ -14,8 +14,8 @@ clients can no longer reach: it accepts the waiting clients, and never more than
     path -> L2    C waits
 
 libzmq ends a listener's connections with it, so each is kept until all of its own have left. On TCP libzmq accepts
-every connection, and those beyond the limit are ended. A thread only counts connections as libzmq's monitor reports
-them, because libzmq blocks when its monitor is not read.
+every connection, and those beyond the limit are ended. It ends by itself what does not shake hands. A thread only
+counts connections as libzmq's monitor reports them, because libzmq blocks when its monitor is not read.
 """
 
 import errno
@@ -29,7 +29,6 @@ import struct
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -44,7 +43,7 @@ QUEUE: Final = 8
 itself."""
 
 GRACE_S: Final = 0.5
-"""How long a newcomer may say nothing before it makes room for others, and how long a listener is kept at least."""
+"""How long a listener is kept at least."""
 
 PAUSE_S: Final = 0.05
 """Pause before the next look at waiting clients when there was no room for them."""
@@ -69,18 +68,6 @@ _NUMBERS: Final = itertools.count()
 """Of ipc listeners in this process, whose names must differ."""
 
 
-@dataclass(slots=True)
-class _Connection:
-    """Of one descriptor."""
-
-    listener: str
-    """Endpoint of its listener, as libzmq names it."""
-    heard_s: float
-    """Time of its connection or last request."""
-    served: bool = False
-    """It stays, however many others come."""
-
-
 class Listener:
     """Binds a ZeroMQ socket, bounds its connections, and closes it; leave it with ``close``.
 
@@ -102,10 +89,8 @@ class Listener:
         self.endpoint = endpoint
         """Where it is bound, with the port that a ``*`` became."""
         self._lock = threading.Lock()
-        self._connections: dict[int, _Connection] = {}
-        """By descriptor."""
-        self._early: set[int] = set()
-        """Descriptors over which something came before the thread counted them."""
+        self._connections: dict[int, str] = {}
+        """By descriptor: the endpoint of its listener, as libzmq names it."""
         self.refused = 0
         """Connections that were ended because there were too many."""
         self._ipc = endpoint.startswith(IPC)
@@ -157,24 +142,18 @@ class Listener:
                     return
                 with self._lock:
                     if event == zmq.EVENT_ACCEPTED:
-                        served = descriptor in self._early
-                        self._connections[descriptor] = _Connection(listener.decode(), time.monotonic(), served)
+                        self._connections[descriptor] = listener.decode()
                         few_files = descriptor > file_limit() - RESERVE  # a new one has the lowest free number
                         if not self._ipc and (few_files or len(self._connections) > self._most):
-                            self._make_room(descriptor)
+                            self._end(descriptor)
                     else:  # libzmq says so before it closes the descriptor
                         self._connections.pop(descriptor, None)
-                    self._early.discard(descriptor)
 
-    def _make_room(self, newcomer: int | None = None) -> None:
-        """End the connection that has been silent for the longest time, else the newcomer; under the lock."""
-        idle_s = time.monotonic() - GRACE_S
-        silent = (one for one, found in self._connections.items() if not found.served and found.heard_s < idle_s)
-        chosen = min(silent, key=lambda one: self._connections[one].heard_s, default=newcomer)
-        if chosen is not None:
-            self.refused += 1
-            with suppress(OSError), connection(chosen, self._connections.pop(chosen).listener) as ended:
-                ended.shutdown(socket.SHUT_RDWR)  # libzmq finds it ended by the other side, and cleans up
+    def _end(self, descriptor: int) -> None:
+        """End a connection; under the lock."""
+        self.refused += 1
+        with suppress(OSError), connection(descriptor, self._connections.pop(descriptor)) as ended:
+            ended.shutdown(socket.SHUT_RDWR)  # libzmq finds it ended by the other side, and cleans up
 
     @property
     def waits_on(self) -> list[int]:
@@ -191,12 +170,8 @@ class Listener:
         if self._waiting is None or not can_be_read(self._waiting.fileno()) or self.pause_s is not None:
             return
         self._release()
-        few_files = free_files() < QUEUE + 2
-        with self._lock:
-            if few_files or len(self._connections) >= self._most:
-                self._make_room()
-            full = len(self._connections) >= self._most
-        if full or few_files or any(can_be_read(number) for number, _ in self._given.values()):
+        full = free_files() < QUEUE + 2 or len(self._connections) >= self._most
+        if full or any(can_be_read(number) for number, _ in self._given.values()):
             self._next_s = time.monotonic() + PAUSE_S
         else:
             self._let_in(self._waiting, Path(self.endpoint.removeprefix(IPC)))
@@ -218,7 +193,7 @@ class Listener:
 
     def _release(self) -> None:
         """Take listeners back whose connections have all left."""
-        used = {found.listener for found in list(self._connections.values())}
+        used = set(list(self._connections.values()))
         before_s = time.monotonic() - GRACE_S
         for endpoint, (number, given_s) in list(self._given.items()):
             if endpoint not in used and given_s < before_s and not can_be_read(number):
@@ -226,29 +201,10 @@ class Listener:
                 with suppress(zmq.ZMQError):
                     self._socket.unbind(endpoint)
 
-    def mark_used(self, descriptor: int, *, served: bool) -> None:
-        """Record a request of a connection.
-
-        Args:
-            descriptor: See :func:`sender_of`.
-            served: It stays, however many others come; else it only counts as heard just now.
-        """
-        with self._lock:
-            if (found := self._connections.get(descriptor)) is not None:
-                found.heard_s, found.served = time.monotonic(), served
-            elif served:
-                self._early.add(descriptor)
-
     @property
-    def served(self) -> int:
-        """Connections that stay, however many others come."""
-        with self._lock:
-            return sum(one.served for one in self._connections.values())
-
-    @property
-    def empty(self) -> bool:
-        """Whether no client is connected."""
-        return not self._connections
+    def connections(self) -> int:
+        """How many there are."""
+        return len(self._connections)
 
     def close(self) -> None:
         """Close the socket, and take its file away if it is still ours; closing twice is fine."""

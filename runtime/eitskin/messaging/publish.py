@@ -5,14 +5,11 @@ subscriber has a bounded queue; a slow one loses frames there, and neither the l
 
 Topics say what a subscriber needs. A topic of the first two bytes of a frame selects every frame with its whole map.
 The empty topic does too, and also selects everything that others ask for. A subscriber to the first byte alone declares
-by further topics whether it needs unchanged maps (:mod:`eitskin.messaging.regions`). So does a patient one, with topics
-of three bytes: libzmq hands a message to the shortest topic first, so robots, whose topics are shorter, do not wait for
-it. ::
+by further topics whether it needs unchanged maps (:mod:`eitskin.messaging.regions`). ::
 
     b"\xde\x00"                    every frame with its map, always
     b""                            all that is sent
     b"\xde"                        every frame, and then one of each:
-    b"\xde\x00\x18"                ... likewise, after the others; and so on to b"\xde\x00\x23"
     b"eitskin/region/..."          nothing: earlier releases computed only a part of the map
     b"eitskin/unchanged"           ... or b"eitskin/always"
     b"eitskin/touches"             also: the list of touches, in every frame
@@ -21,8 +18,7 @@ it. ::
     b"\x8f\xa8verified"            verdicts of the verifier (:mod:`eitskin.messaging.streams.verified`)
 
 Subscribers with the empty topic get touch messages and streams too, and ignore them by their version. Touch messages
-are sent first, so that a subscriber that keeps one message keeps the frame. Streams follow the frame, unless there is a
-subscriber with the empty topic.
+are sent before the frame, and streams after it.
 
 A subscriber cannot take a topic away from others: a topic stays in use until libzmq itself reports that its last
 subscriber has left. The publisher ignores unsubscriptions that a subscriber sends, because they may name a topic that
@@ -35,7 +31,7 @@ from typing import Any, Final
 import zmq
 
 from eitskin.messaging.curve_keys import CurveAuthenticator, ServerKeys
-from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE, patient_topics
+from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE
 from eitskin.messaging.frame_message import Demand
 from eitskin.messaging.listener import Listener, check_files, sender_of
 from eitskin.messaging.regions import ALWAYS, TOUCHES, UNCHANGED
@@ -69,9 +65,6 @@ _EVENTS, _POLLIN, _NOBLOCK = zmq.EVENTS, int(zmq.POLLIN), int(zmq.NOBLOCK)  # an
 
 DESERTED_S: Final = 2.0
 """Time without any connection after which all topics are forgotten."""
-
-DECLARING: Final = frozenset((FIRST_BYTE, *patient_topics(FIRST_BYTE)))
-"""Topics of frames for subscribers that declare their needs by further topics."""
 
 
 class Publisher:
@@ -133,7 +126,7 @@ class Publisher:
                 break
             left -= 1
             changed |= self._receive(message)
-        if self._topics and self._listener.empty and time.monotonic() - self._asked_s > DESERTED_S:
+        if self._topics and not self._listener.connections and time.monotonic() - self._asked_s > DESERTED_S:
             self._topics.clear()
             changed = True
         if changed:
@@ -143,15 +136,12 @@ class Publisher:
         """Read one message from the socket; return whether a subscriber came or went."""
         said = message.bytes
         kind, topic = said[:1], said[1:]
-        sender = sender_of(message)
         if kind == b"\x01":
-            if sender is not None:
-                self._listener.mark_used(sender, served=True)
             self._asked_s = time.monotonic()
             if len(self._topics) < MOST_TOPICS:
                 self._topics.add(topic)
             return True
-        if kind == b"\x00" and sender is None and len(self._topics) < MOST_TOPICS:
+        if kind == b"\x00" and sender_of(message) is None and len(self._topics) < MOST_TOPICS:
             self._topics.discard(topic)
             return True
         return False
@@ -160,9 +150,9 @@ class Publisher:
         """Derive the loop's flags from the topics."""
         topics = self._topics
         plain = len(topics) >= MOST_TOPICS or any(
-            topic == b"" or (topic[:1] == FIRST_BYTE and topic not in DECLARING) for topic in topics
+            topic == b"" or (topic[:1] == FIRST_BYTE and topic != FIRST_BYTE) for topic in topics
         )
-        frames = plain or any(topic in DECLARING for topic in topics)
+        frames = plain or FIRST_BYTE in topics
         alone = any(topic[:1] == TOUCH_FIRST_BYTE for topic in topics)
         self.asked = Demand(frames, alone or TOUCHES in topics, alone)
         self.verified = any(map(asked_for, topics))
@@ -175,11 +165,6 @@ class Publisher:
     def topics(self) -> frozenset[bytes]:
         """The topics with subscribers at the last ``update``."""
         return frozenset(self._topics)
-
-    @property
-    def subscribers(self) -> int:
-        """Number of connections with a subscription."""
-        return self._listener.served
 
     @property
     def refused(self) -> int:

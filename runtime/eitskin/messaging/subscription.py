@@ -23,7 +23,6 @@ from eitskin.messaging.frame import (
     TOUCH_FIRST_BYTE,
     Frame,
     MapMissing,
-    patient_topics,
     unpack_frame,
 )
 from eitskin.messaging.regions import ALWAYS, EVERYWHERE, TOUCHES, UNCHANGED, WHOLE, Region, other_skin
@@ -60,7 +59,6 @@ class SubscriptionOptions:
         skip_unchanged: bool,
         touches: bool,
         maps: bool,
-        patient: bool,
     ) -> Self:
         """Return the options for the arguments of :class:`Subscription`.
 
@@ -71,13 +69,10 @@ class SubscriptionOptions:
             raise ValueError("maps=False receives no maps: leave out region_mm and skip_unchanged")
         grid = None if region_mm is None else (skin or PAPER).grid
         region = EVERYWHERE if region_mm is None or grid is None else Region.from_mm(*region_mm, grid)
-        first = FIRST_BYTE if maps else TOUCH_FIRST_BYTE
-        topics = patient_topics(first) if patient else (first,)
-        if maps and (skip_unchanged or touches or patient):
+        topics = (EVERY_FRAME,) if maps else (TOUCH_FIRST_BYTE,)
+        if maps and (skip_unchanged or touches):
             needed = (TOUCHES,) if touches else ()
-            topics = (WHOLE, UNCHANGED if skip_unchanged else ALWAYS, *needed, *topics)
-        elif maps:
-            topics = (EVERY_FRAME,)
+            topics = (WHOLE, UNCHANGED if skip_unchanged else ALWAYS, *needed, FIRST_BYTE)
         return cls(region, grid, topics, touches or not maps, skip_unchanged)
 
 
@@ -108,7 +103,6 @@ class Subscription(Subscriber[Frame]):
         skip_unchanged: Accept frames without a map if only noise changed; ``frame.map`` is then the previous map.
         touches: Request the list of touches, ``frame.touches``, in each frame.
         maps: False requests touches without maps, a sixth of the bytes; ``frame.map`` then has shape (0, 0).
-        patient: Receive frames after other subscribers, for programs that display or store frames.
         keys: CURVE keys, required for TCP.
 
     Raises:
@@ -128,13 +122,12 @@ class Subscription(Subscriber[Frame]):
         skip_unchanged: bool = False,
         touches: bool = False,
         maps: bool = True,
-        patient: bool = False,
         keys: ClientKeys | None = None,
     ) -> None:
         if max_age_s is not None and not max_age_s > 0:
             raise ValueError(f"max_age_s is {max_age_s}, expected more than 0")
         self._options = options = SubscriptionOptions.of(
-            region_mm, skin, skip_unchanged=skip_unchanged, touches=touches, maps=maps, patient=patient
+            region_mm, skin, skip_unchanged=skip_unchanged, touches=touches, maps=maps
         )
         self.region = options.region
         """The requested rectangle, in pixels; ``frame.map[region.slices]``."""

@@ -9,10 +9,10 @@ messages: fields, nodes by their inputs and outputs, shapes of tensors.
 ``RULES`` is the list of operators that a graph may have. A rule takes :class:`Operands` and returns shapes and work. It
 need not find every mistake, because ONNX Runtime does, but it must not underestimate a value's size.
 
-:func:`without_small_weights` sets weights to 0 that are too small to be computed with: those of matrices and of what
-has more axes, which are multiplied with what a frame brings. A small number by itself may be the one that a division
-must not lose. ONNX Runtime's own switch (``session.set_denormal_as_zero``) would change the arithmetic of the thread
-that makes the first session, and of every thread made there later, numpy and the caller's own sums included.
+Weights that are too small to be computed with are refused (:mod:`eitskin.model.denormals`): those of matrices and of
+what has more axes, which are multiplied with what a frame brings. ``eitskin export`` writes 0 in their place. ONNX
+Runtime's own switch (``session.set_denormal_as_zero``) would change the arithmetic of the thread that makes the first
+session, and of every thread made there later, numpy and the caller's own sums included.
 """
 
 import math
@@ -23,7 +23,7 @@ from typing import Final
 import numpy as np
 
 from eitskin.errors import BundleError
-from eitskin.model.denormals import is_small
+from eitskin.model.denormals import SMALLEST, is_small
 from eitskin_proto.files.plain import quoted
 
 GRAPH: Final = 7
@@ -42,8 +42,6 @@ class Field:
     number: int
     value: memoryview | int
     """Its content: a number, or the bytes of a text, a message or packed values."""
-    raw: memoryview
-    """Its bytes in the file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,22 +81,21 @@ def fields_of(data: memoryview) -> Iterator[Field]:
     """
     at = 0
     while at < len(data):
-        start = at
         key, at = _varint(data, at)
         if key & 7 == 2:
             size, at = _varint(data, at)
             at += size
             if at > len(data):
                 raise unreadable()
-            yield Field(key >> 3, data[at - size : at], data[start:at])
+            yield Field(key >> 3, data[at - size : at])
         elif key & 7 == 0:
             value, at = _varint(data, at)
-            yield Field(key >> 3, value, data[start:at])
+            yield Field(key >> 3, value)
         elif key & 7 in (1, 5):
             at += 8 if key & 7 == 1 else 4
             if at > len(data):
                 raise unreadable()
-            yield Field(key >> 3, 0, data[start:at])
+            yield Field(key >> 3, 0)
         else:
             raise unreadable()
 
@@ -178,7 +175,6 @@ class Operands:
     values: list[list[int] | None]
     """Of inputs that are short integer constants; None for others."""
     attributes: dict[str, int | list[int] | str]
-    outputs: int
 
     def shape(self, number: int) -> Shape:
         """Return the shape of an input that must be there."""
@@ -264,12 +260,10 @@ def _slid(given: Operands, shape: Shape, kernel: Sequence[int]) -> Shape:
     pads = given.numbers("pads") or [0] * (2 * count)
     if min(*steps, *wide, 1) < 1 or min(pads) < 0 or len(pads) != 2 * count:
         raise ValueError("a window that does not move")
-    up = given.number("ceil_mode", 0)
-    same = str(given.attributes.get("auto_pad", "")).startswith("SAME")
+    if given.number("ceil_mode", 0) or given.attributes.get("auto_pad", "") not in ("", "NOTSET"):
+        raise UnknownShapeError("pads by itself")
     return tuple(
-        -(-size // step)
-        if same
-        else max(0, (size + before + after - spread * (width - 1) - 1 + up * (step - 1)) // step + 1)
+        max(0, (size + before + after - spread * (width - 1) - 1) // step + 1)
         for size, width, step, spread, before, after in zip(
             shape, kernel, steps, wide, pads[:count], pads[count:], strict=True
         )
@@ -325,12 +319,6 @@ def _unsqueeze(given: Operands) -> Made:
     return [tuple(shape)], 0
 
 
-def _squeeze(given: Operands) -> Made:
-    shape, axes = given.shape(0), given.constant(1, "axes")
-    gone = {axis % len(shape) for axis in axes} if axes else {axis for axis, size in enumerate(shape) if size == 1}
-    return [tuple(size for axis, size in enumerate(shape) if axis not in gone)], 0
-
-
 def _slice(given: Operands) -> Made:
     shape = list(given.shape(0))
     starts, stops = given.constant(1, "starts") or [], given.constant(2, "ends") or []
@@ -352,30 +340,27 @@ def _gather_elements(given: Operands) -> Made:
 
 
 def _split(given: Operands) -> Made:
-    shape = given.shape(0)
+    shape, sizes = given.shape(0), given.constant(1)
     axis = given.number("axis", 0) % len(shape)
-    count = given.outputs
-    sizes = given.constant(1, "split") or [-(-shape[axis] // count)] * count
-    if len(sizes) != count or min(sizes) < 0:
-        raise ValueError("other parts than outputs")
+    if sizes is None or min(sizes) < 0:
+        raise UnknownShapeError("names no sizes")
     return [(*shape[:axis], size, *shape[axis + 1 :]) for size in sizes], 0
 
 
 Rule = Callable[[Operands], Made]
 
 RULES: Final[dict[str, Rule]] = {
-    **dict.fromkeys(("Relu", "Sigmoid", "Log", "Clip", "Cast", "Identity", "Tanh", "Exp", "Sqrt", "Neg", "Abs"), _same),
-    **dict.fromkeys(("Add", "Sub", "Mul", "Div", "Max", "Min"), _broadcast),
+    **dict.fromkeys(("Relu", "Sigmoid", "Log", "Clip", "Cast"), _same),
+    **dict.fromkeys(("Add", "Sub", "Mul", "Max"), _broadcast),
     "DynamicQuantizeLinear": _quantised,
     "Gemm": _gemm,
     **dict.fromkeys(("MatMul", "MatMulInteger"), _matmul),
     "Conv": _conv,
-    **dict.fromkeys(("AveragePool", "MaxPool"), _pool),
+    "AveragePool": _pool,
     "Concat": _concat,
     "Reshape": _reshape,
     "Transpose": _transpose,
     "Unsqueeze": _unsqueeze,
-    "Squeeze": _squeeze,
     "Slice": _slice,
     "Gather": _gather,
     "GatherElements": _gather_elements,
@@ -398,6 +383,9 @@ TENSOR_FIELDS: Final = frozenset({DIMS, DATA_TYPE, FLOATS, INT32S, INT64S, NAME,
 
 ATTRIBUTE_FIELDS: Final = frozenset({1, 2, 3, 4, 7, 8, 13, 20})
 """Of an attribute: numbers and texts; 5 would be a constant, 6 and 11 graphs."""
+
+FLOAT32: Final = 1
+"""ONNX's number for the element type."""
 
 ITEM_BYTES: Final = {1: 4, 2: 1, 3: 1, 4: 2, 5: 2, 6: 4, 7: 8, 9: 1, 10: 2, 11: 8, 12: 4, 13: 8, 16: 2}
 """Bytes of an element by ONNX's number for its type; texts are not among them."""
@@ -495,7 +483,7 @@ def _shapes(
     given = [shapes[name] if name else None for name in node.inputs]
     known = [values.get(name) for name in node.inputs]
     try:
-        return rule(Operands(given, known, dict(map(_attribute, attributes)), len(node.outputs)))
+        return rule(Operands(given, known, dict(map(_attribute, attributes))))
     except UnknownShapeError as error:
         raise BundleError(f"a graph's {node.kind} {error}, expected a shape that its constants tell") from error
     except (IndexError, TypeError, ValueError, ZeroDivisionError, OverflowError) as error:
@@ -535,9 +523,13 @@ def _take_constant(tensor: memoryview, shapes: dict[str, Shape], values: dict[st
         raise BundleError(f"a graph's constant {quoted(name)} has {raw} bytes, and another number of elements")
     if not raw and size > len(tensor):  # an element that is stored singly takes a byte at least
         raise BundleError(f"a graph's constant {quoted(name)} claims {size} elements and holds fewer")
+    stored = [content(field) for field in fields if field.number == RAW]
+    if kinds[0] == FLOAT32 and len(shape) > 1:
+        for data in stored + [content(field) for field in fields if field.number == FLOATS]:
+            if is_small(np.frombuffer(data[: len(data) // 4 * 4], dtype="<f4")).any():
+                raise BundleError(f"a graph's constant {quoted(name)} holds numbers below {SMALLEST:g}, expected 0")
     shapes[name] = shape
     if kinds[0] == 7 and size <= LONGEST_INDEX:
-        stored = [content(field) for field in fields if field.number == RAW]
         if stored:
             data = bytes(stored[-1])
             values[name] = [int.from_bytes(data[at : at + 8], "little", signed=True) for at in range(0, len(data), 8)]
@@ -564,48 +556,3 @@ def _number(data: memoryview, number: int) -> int:
     """Return a number inside a message, 0 if it has none."""
     found = [value for field in fields_of(data) if field.number == number for value in integers(field)]
     return signed(found[-1]) if found else 0
-
-
-FLOAT32: Final = 1
-"""ONNX's number for the element type."""
-
-
-def without_small_weights(model: bytes) -> bytes:
-    """Return the model itself, or a copy with 0 for every weight that is not computed with.
-
-    Args:
-        model: An ONNX file; one that cannot be read is returned as it is, for ONNX Runtime to say what is wrong.
-    """
-    if not _flush(memoryview(model)):
-        return model
-    changed = bytearray(model)
-    _flush(memoryview(changed))
-    return bytes(changed)
-
-
-def _flush(model: memoryview) -> bool:
-    """Return whether there are such weights, and overwrite them where the memory can be written."""
-    found = False
-    try:
-        for field in fields_of(model):
-            for inside in fields_of(content(field)) if field.number == GRAPH else ():
-                if inside.number == INITIALISER:
-                    found |= _flush_tensor(content(inside))
-    except (BundleError, IndexError, ValueError):
-        return found
-    return found
-
-
-def _flush_tensor(tensor: memoryview) -> bool:
-    fields = list(fields_of(tensor))
-    if not any(field.number == DATA_TYPE and field.value == FLOAT32 for field in fields) or len(dims_of(tensor)) < 2:
-        return False
-    found = False
-    for field in fields:
-        if field.number in (RAW, FLOATS):
-            values = np.frombuffer(content(field), dtype="<f4")
-            small = is_small(values)
-            found |= bool(small.any())
-            if values.flags.writeable:
-                values[small] = 0.0
-    return found

@@ -19,7 +19,7 @@ import onnxruntime  # noqa: E402 -- behind the variable
 
 from eitskin.errors import BundleError, MismatchError  # noqa: E402
 from eitskin.model.bundle import EXPORT_HINT, Bundle  # noqa: E402
-from eitskin.model.onnx_graph import check_graph, without_small_weights  # noqa: E402
+from eitskin.model.onnx_graph import check_graph  # noqa: E402
 from eitskin_proto.files.plain import plain  # noqa: E402
 from eitskin_proto.sensor.ids import PROTOCOL_ID  # noqa: E402
 
@@ -48,7 +48,7 @@ def session_options(threads: int = 1) -> Any:
 
 
 def checked_graph(bundle: Bundle, file: str) -> bytes:
-    """Return a bundle's graph, which may be run; weights too small to be computed with are 0.
+    """Return a bundle's graph, which may be run.
 
     Raises:
         BundleError: It holds what no exported network has.
@@ -58,7 +58,7 @@ def checked_graph(bundle: Bundle, file: str) -> bytes:
         check_graph(graph)
     except BundleError as error:
         raise BundleError(f"{bundle.path}: {file}: {error}; {EXPORT_HINT}") from error
-    return without_small_weights(graph)
+    return graph
 
 
 def open_session(bundle: Bundle, file: str, graph: bytes) -> Any:

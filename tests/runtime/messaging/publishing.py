@@ -16,14 +16,10 @@ def send(publisher, packer, number, age_us=100):
     publisher.send(packer.message())
 
 
-def wait_until_wanted(publisher, subscribers=1):
-    """Wait for subscribers to every frame."""
-    end = time.perf_counter() + 60
-    while (EVERY_FRAME not in publisher.topics or publisher.subscribers < subscribers) and time.perf_counter() < end:
-        publisher.update()
-        time.sleep(0.005)
-    assert publisher.wanted
-    assert publisher.subscribers >= subscribers
+def wait_until_wanted(publisher):
+    """Wait for one more subscriber to every frame."""
+    wait_for(publisher, lambda: publisher.joined and EVERY_FRAME in publisher.topics)
+    publisher.joined = False
 
 
 def wait_for(publisher, condition):

@@ -103,14 +103,14 @@ def test_a_running_runtime_takes_clouds_references_and_stop(virtual_skin, runnin
 
 def test_a_failure_in_the_thread_of_control_ends_no_server(server, raw, monkeypatch):
     fail = iter([MemoryError("no memory"), OSError(12, "Cannot allocate memory"), RuntimeError("anything")])
-    real = control.sender_of
+    real = control.answer_of
 
-    def sender_of(frame):
+    def answer_of(perform):
         if (error := next(fail, None)) is not None:
             raise error
-        return real(frame)
+        return real(perform)
 
-    monkeypatch.setattr(control, "sender_of", sender_of)
+    monkeypatch.setattr(control, "answer_of", answer_of)
     with zmq.Context() as context:
         for _ in range(3):  # nobody waits for these answers
             with context.socket(zmq.REQ) as socket:

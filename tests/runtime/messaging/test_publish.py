@@ -1,4 +1,5 @@
 import time
+from contextlib import ExitStack
 
 import msgpack
 import pytest
@@ -25,11 +26,11 @@ def test_frames_reach_a_subscriber_and_the_publisher_knows_that_it_is_wanted(pub
 
 
 def test_a_slow_subscriber_sees_the_newest_frame_and_delays_nobody(publisher, packer):
-    with (
-        eitskin.subscribe(publisher.endpoint, timeout_s=60) as slow,
-        eitskin.subscribe(publisher.endpoint, mode="all", timeout_s=60) as recorder,
-    ):
-        wait_until_wanted(publisher, 2)
+    with ExitStack() as stack:
+        slow = stack.enter_context(eitskin.subscribe(publisher.endpoint, timeout_s=60))
+        wait_until_wanted(publisher)
+        recorder = stack.enter_context(eitskin.subscribe(publisher.endpoint, mode="all", timeout_s=60))
+        wait_until_wanted(publisher)
         numbers = []
         for number in range(1, 1001):  # all in one thread: a publisher that waited for either would wait for ever
             send(publisher, packer, number)

@@ -4,7 +4,7 @@ A stream without subscribers packs nothing; the check for subscribers is one att
 """
 
 from collections.abc import Callable, Collection
-from typing import Final, Protocol
+from typing import Protocol
 
 from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, FIRST_BYTE, NAMES, STATE, WIRE, asked_for, packed
 
@@ -16,7 +16,7 @@ class StreamPublisher:
         send: Takes one message for its subscribers.
     """
 
-    __slots__ = ("_send", "asked", "cloud", "conditions", "first", "joined", "numbers", "run", "state", "wire")
+    __slots__ = ("_send", "asked", "cloud", "conditions", "joined", "numbers", "run", "state", "wire")
 
     def __init__(self, send: Callable[[bytes], None]) -> None:
         self._send = send
@@ -26,15 +26,12 @@ class StreamPublisher:
         """Differs after each start of the runtime; the source of the bodies sets it."""
         self.asked = self.wire = self.cloud = self.conditions = self.state = False
         """Whether any stream has a subscriber, and each."""
-        self.first = False
-        """Streams go before the frame, because a subscriber takes every topic and may keep one message only."""
         self.joined = False
         """A subscriber came since this was last set to False: send again what is otherwise sent on changes."""
 
     def set_topics(self, topics: Collection[bytes]) -> None:
         """Update the subscribed streams."""
         streams = [topic for topic in topics if topic[:1] == FIRST_BYTE]
-        self.first = b"" in topics
         if not streams and not self.asked:
             return
         for name in (WIRE, CLOUD, CONDITIONS, STATE):
@@ -50,49 +47,17 @@ class StreamPublisher:
 
 
 class StreamFeed(Protocol):
-    """Makes the bodies of streams, and hands them to a publisher; called only while a stream has a subscriber."""
+    """Makes the bodies of streams, and hands them to a publisher."""
 
-    def begin(self, streams: StreamPublisher) -> None:
-        """Send to this publisher from now on."""
+    @property
+    def asked(self) -> bool:
+        """Whether any stream has a subscriber."""
+
+    def begin(self, streams: StreamPublisher, run: str) -> None:
+        """Send to this publisher from now on, in a run of this id."""
 
     def frame(self, payload: bytes, number: int | None) -> None:
         """Send the frame in hand, which is computed, and published with this number, if with any."""
 
     def withheld(self, payload: bytes, read_ns: int) -> None:
         """Send a frame that was withheld just now."""
-
-
-class NullFeed:
-    """Sends nothing."""
-
-    def begin(self, streams: StreamPublisher) -> None:
-        """Send nothing."""
-
-    def frame(self, payload: bytes, number: int | None) -> None:
-        """Send nothing."""
-
-    def withheld(self, payload: bytes, read_ns: int) -> None:
-        """Send nothing."""
-
-
-def _discard(message: bytes) -> None:
-    """Send nothing."""
-
-
-_NOBODY: Final = StreamPublisher(_discard), NullFeed()
-
-
-def begin(feed: StreamFeed | None, publisher: object, run: str) -> tuple[StreamPublisher, StreamFeed]:
-    """Return a publisher of streams and its source; without streams, a publisher that is never asked.
-
-    Args:
-        feed: The source of measurements.
-        publisher: Of frames; it may have ``streams``.
-        run: Differs after each start of the runtime.
-    """
-    streams = getattr(publisher, "streams", None)
-    if feed is None or not isinstance(streams, StreamPublisher):
-        return _NOBODY
-    streams.run = run
-    feed.begin(streams)
-    return streams, feed

@@ -2,13 +2,12 @@
 
 import msgpack
 import pytest
-import zmq
 
 import eitskin
 from eitskin.errors import NoFrame
 from eitskin.messaging.streams.envelope import NAMES
 
-from ..publishing import send, wait_for
+from ..publishing import wait_for
 from .test_bodies import CLOUD, CONDITIONS, STATE, WIRE
 
 ITEMS = {"wire": WIRE, "cloud": CLOUD, "conditions": CONDITIONS, "state": STATE}
@@ -87,32 +86,6 @@ def test_a_subscriber_that_does_not_read_loses_messages_and_sees_how_many(publis
                 sending.send("wire", big)
                 most += 1
         assert streams.lost["wire"] == numbers[-1] - len(numbers) > 0
-
-
-def test_one_message_that_is_kept_is_the_frame(publisher, sending, packer):
-    context = zmq.Context()
-    try:
-        socket = context.socket(zmq.SUB)
-        socket.setsockopt(zmq.CONFLATE, 1)
-        socket.subscribe(b"")
-        socket.connect(publisher.endpoint)
-        with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60) as streams:
-            wait_for(publisher, lambda: publisher.wanted and sending.wire)
-            assert sending.first
-            for number in range(1, 11):
-                sending.send("wire", WIRE.body())
-                send(publisher, packer, number)
-            for _ in range(10):
-                next(streams)
-
-            def kept():
-                return msgpack.unpackb(socket.recv())
-
-            while (found := kept()).get("n") != 10:
-                assert found["v"] in (1, 3)
-            assert found["v"] == 1
-    finally:
-        context.destroy(0)
 
 
 def test_who_comes_later_makes_all_be_told_again(publisher, sending):
