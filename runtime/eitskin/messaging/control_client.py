@@ -18,6 +18,7 @@ from eitskin.errors import CloudWarning, ControlError, EndpointError
 from eitskin.messaging.control_commands import LARGEST_REQUEST, unpack_fields
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import CONTROL, ROBOT, check_client_keys, default_control
+from eitskin.messaging.listener import CLIENT_FILES, check_files
 from eitskin.messaging.reachability import other_runtimes
 from eitskin.reference.predicted import check_voltages
 from eitskin_proto.skin.cloud import check_cloud
@@ -52,6 +53,7 @@ def request(
         raise ValueError(f"timeout_s is {timeout_s}, expected more than 0")
     where = default_control() if endpoint is None else endpoint
     check_client_keys(where, keys)
+    check_files(where, CLIENT_FILES)
     context: zmq.Context[Any] = zmq.Context()
     try:
         socket = context.socket(zmq.REQ)

@@ -54,6 +54,9 @@ RESERVE: Final = 24
 CONTEXT_FILES: Final = 8
 """Files of a context and its socket."""
 
+CLIENT_FILES: Final = CONTEXT_FILES + 2
+"""Files of a context, a socket that connects, and a connection that is made anew."""
+
 HANDSHAKE_MS: Final = 2000
 """How long a handshake may take; libzmq ends a connection that takes longer."""
 
@@ -271,13 +274,17 @@ def sender_of(message: Any) -> int | None:
         return None
 
 
-def check_files(endpoint: str) -> None:
+def check_files(endpoint: str, wanted: int = RESERVE + CONTEXT_FILES + 2 * (QUEUE + 2)) -> None:
     """Refuse an endpoint if too few files may be open; libzmq aborts the process where it finds none.
+
+    Args:
+        endpoint: Its name.
+        wanted: Files that it opens; those of a listener and its first clients.
 
     Raises:
         EndpointError: There are too few.
     """
-    left, wanted = free_files(), CONTEXT_FILES + 2 * (QUEUE + 2)
+    left = free_files() + RESERVE
     if left < wanted:
         limit = file_limit()
         raise EndpointError(

@@ -18,6 +18,7 @@ import zmq
 from eitskin.errors import EndpointError, FrameError, NoFrame
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import check_client_keys, default_publish
+from eitskin.messaging.listener import CLIENT_FILES, check_files
 from eitskin.messaging.reachability import explain_silence
 from eitskin.messaging.reader import LONGEST_WAIT_MS, Item, Reader
 
@@ -99,15 +100,10 @@ class Subscriber(Reader[Item]):
         self._patience_s = PATIENCE_S
         self._heard_ns = time.perf_counter_ns()
         """When the last message came."""
+        check_files(self.endpoint, CLIENT_FILES)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        try:
-            self.socket: Any = self._context.socket(zmq.SUB)
-            """For waiting on several sockets."""
-        except zmq.ZMQError as error:  # too many open files
-            self._context.term()
-            raise EndpointError(
-                f"no socket for {self.endpoint}: {error.strerror}; close some, or allow more"
-            ) from error
+        self.socket: Any = self._context.socket(zmq.SUB)
+        """For waiting on several sockets."""
         self.socket.setsockopt(zmq.LINGER, 0)
         self.socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_TAKEN)
         self.socket.setsockopt(zmq.RCVHWM, queue)

@@ -97,6 +97,18 @@ def test_more_clients_than_are_served_wait_and_come_in_when_one_leaves(tmp_path,
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.process
+@pytest.mark.parametrize("asked", ["next(iter(eitskin.subscribe(timeout_s=1)))", "eitskin.request(None, 'status')"])
+def test_a_client_with_too_few_files_is_refused_before_libzmq_aborts(asked):
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (9, 9))"
+    found = subprocess.run(
+        [sys.executable, "-c", f"import eitskin; {limit}; {asked}"], capture_output=True, text=True, check=False
+    )
+    assert found.returncode == 1
+    assert "EndpointError" in found.stderr
+    assert "only 9 files may be open" in found.stderr
+
+
 HELD = """
 import resource, sys, time
 resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))

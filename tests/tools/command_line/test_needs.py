@@ -73,3 +73,12 @@ def test_a_missing_extra_is_one_line_before_anything_starts(capsys, words, expec
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert expected in err
+
+
+@pytest.mark.parametrize(("words", "least"), [(["virtual-skin"], 524288), (["subscribe"], 262144)])
+def test_too_little_memory_for_libraries_that_would_abort_or_wait_forever_is_said(monkeypatch, capsys, words, least):
+    monkeypatch.setattr(needs.resource, "getrlimit", lambda _: (200_000 << 10, 200_000 << 10))
+    assert cli.main(words) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"eitskin {words[0]}: only 195 MB of memory are allowed")
+    assert f"'ulimit -v {least}'" in error

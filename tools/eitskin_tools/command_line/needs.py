@@ -1,6 +1,7 @@
 """Packages that a command needs beyond the runtime's own, checked before it starts, with the extra that brings them."""
 
 import argparse
+import resource
 from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import Final
@@ -51,6 +52,9 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
 }
 """Modules by command; those that are not here need none."""
 
+LEAST_MB: Final = 256
+"""Address space that a command needs, and twice as much for scipy; with less, libraries abort or wait forever."""
+
 PHYSICS: Final = ("scipy",)
 """All that ``--physics`` needs."""
 
@@ -70,14 +74,22 @@ class MissingExtraError(SkinError):
 
 
 def check(arguments: argparse.Namespace) -> None:
-    """Refuse a command whose packages are not all installed, before it does anything.
+    """Refuse a command whose packages are not all installed, or that may use too little memory for them.
 
     Raises:
         MissingExtraError: Some are missing.
+        SkinError: The memory is limited.
     """
     name = " ".join(str(part) for part in (arguments.command, getattr(arguments, "benchmark", None)) if part)
     by_physics = getattr(arguments, "physics", False)
-    require(name, PHYSICS if by_physics else NEEDS.get(name, ()))
+    modules = PHYSICS if by_physics else NEEDS.get(name, ())
+    require(name, modules)
+    allowed, least_mb = resource.getrlimit(resource.RLIMIT_AS)[0], LEAST_MB * (2 if "scipy" in modules else 1)
+    if 0 <= allowed < least_mb << 20:
+        raise SkinError(
+            f"only {allowed >> 20} MB of memory are allowed, expected at least {least_mb} MB: allow more with "
+            f"'ulimit -v {least_mb << 10}'"
+        )
     for option, modules in OPTION_NEEDS.items():
         if getattr(arguments, option, None):
             require(f"--{option}", modules)
