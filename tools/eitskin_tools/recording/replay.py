@@ -21,7 +21,7 @@ from itertools import islice
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from time import perf_counter_ns
-from typing import Any, Final
+from typing import Final
 
 from eitskin.errors import BundleError, HandshakeError
 from eitskin.health.imputation import Consistency
@@ -29,7 +29,7 @@ from eitskin.messaging.streams.measured import Conditions
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import solvers
 from eitskin.pipeline.idle import IdleGate
-from eitskin.pipeline.recorded import Distance, RecordedHealth
+from eitskin.pipeline.recorded import RecordedHealth
 from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
 from eitskin_proto.errors import SkinError
@@ -37,6 +37,7 @@ from eitskin_proto.wire.codes import Code, MessageType
 from eitskin_proto.wire.framing import Deframer, encode
 from eitskin_proto.wire.messages import Ack, Hello, Time
 from eitskin_proto.wire.volts import LARGEST_VOLTS
+from eitskin_tools.recording.frames import number, texts
 from eitskin_tools.recording.layout import RecordingError
 from eitskin_tools.recording.script import Script, Step, bundle_of, reference_of
 
@@ -227,9 +228,6 @@ HEALTH_EVENTS: Final = ("electrode", "drift")
 GATE_OVERRULED: Final = "gate_overruled"
 """The event of a frame whose map showed a touch that the gate did not see."""
 
-MAX_PERCENT: Final = 10**6
-"""Percent; beyond it, and where it is no number, a distance is unknown."""
-
 NEVER_S = 1e8
 """The recording determines when the device idles; requests have no effect."""
 
@@ -346,10 +344,12 @@ class Player:
         if not self._same:
             return
         frame, note = step.frame, step.note
-        events = _texts(note.get("events"))
+        events = texts(note.get("events"))
         if self._health is not None:
             told = tuple(text for text in events if text.startswith(HEALTH_EVENTS))
-            self._health.report(told, _numbers(note.get(name) for name in ("drift", "drift_sd", "drift_uneven")))
+            distances = (number(note.get(name)) for name in ("drift", "drift_sd", "drift_uneven"))
+            drift, sd, uneven = (math.nan if value is None else value for value in distances)
+            self._health.report(told, (drift, sd, uneven))
         decided = self.skin.pipeline.decisions
         by_hand = self._health is not None and self._health.by_hand is not None
         if by_hand or self.skin.loop.reference is not self._held_against or frame.withheld or frame.seq is None:
@@ -357,7 +357,7 @@ class Player:
             return
         overruled = GATE_OVERRULED in events
         decided.touched = frame.touched and not overruled
-        decided.inferred_untouched = overruled or "map:untouched" in _texts(note.get("skipped"))
+        decided.inferred_untouched = overruled or "map:untouched" in texts(note.get("skipped"))
         decided.keeps_map = None if frame.map_seq is None or frame.solver == "none" else frame.map_seq != frame.seq
 
     def _use_conditions(self, conditions: Conditions) -> None:
@@ -404,14 +404,3 @@ def _has_idle_gate(bundle: Bundle, hello: Hello) -> bool:
     except (BundleError, HandshakeError):
         return False
     return True
-
-
-def _texts(values: Any) -> tuple[str, ...]:
-    return tuple(text for text in values if isinstance(text, str)) if isinstance(values, list | tuple) else ()
-
-
-def _numbers(values: Iterator[Any]) -> Distance:
-    one, two, three = (
-        float(value) if isinstance(value, int | float) and abs(value) <= MAX_PERCENT else math.nan for value in values
-    )
-    return one, two, three
