@@ -14,7 +14,6 @@ from eitskin_sim.dataset.generate import generate
 from eitskin_sim.dataset.plan import make_plan
 from eitskin_sim.dataset.reader import load
 from eitskin_tools.cli import main
-from eitskin_tools.command_line import files
 from eitskin_training.gate import fit, stored, untouched
 
 pytestmark = [pytest.mark.heavy, pytest.mark.slow]
@@ -35,8 +34,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]
         patch.setattr(fit, "fit", None)  # the gate is the run's: nothing is fitted any more
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed):
-            words = ["--phantoms", str(_one_phantom(where)), "--seeds", "1", "--json"]
-            assert main(["export", str(where / "run"), "--out", str(where / "tiny.eitskin"), *words]) == 0
+            assert main(["export", str(where / "run"), "--out", str(where / "tiny.eitskin"), "--json"]) == 0
     return where, json.loads(printed.getvalue())
 
 
@@ -47,14 +45,6 @@ def folder(made: tuple[Path, dict[str, Any]]) -> Path:
 
 def _train(where: Path) -> list[str]:
     return ["--recipe", "tiny", "--data", str(where / "data"), "--out", str(where / "run"), "--seed", "4"]
-
-
-def _one_phantom(where: Path) -> Path:
-    """Write a file of one phantom, and return it."""
-    every = json.loads(files.find("paper_mm", files.PHANTOMS).read_text())
-    path = where / "one.json"
-    path.write_text(json.dumps(every[:1]))
-    return path
 
 
 def test_the_bundle_is_one_that_the_runtime_loads(folder: Path) -> None:

@@ -94,7 +94,6 @@ COMMANDS: Final[dict[str, Command]] = {
     "export": Command(RESEARCH, "export a trained network as a bundle", "export run --out mine.eitskin"),
     "pair": Command(RESEARCH, "add a smaller network to a bundle", "pair mine.eitskin small.eitskin --out two.eitskin"),
     "card": Command(RESEARCH, "measure how accurate a bundle is by contrast and by mismatch", "card mine.eitskin"),
-    "adapt": Command(RESEARCH, "train a network to work without some electrodes", "adapt run --out more"),
     "bench": Command(RESEARCH, "run a benchmark", "bench frame --frames 1000 --json"),
 }
 """All subcommands in the order of the help; the module of each is called like it, below ``eitskin_tools.commands``."""

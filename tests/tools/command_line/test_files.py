@@ -131,7 +131,6 @@ FILLING = {
 
 FILLING_WITH_TORCH = {
     "train": ["train", "--recipe", "tiny", "--data", ABSENT, "--out"],
-    "adapt": ["adapt", ABSENT, "--out"],
 }
 
 NEEDING_TORCH = WRITING_WITH_TORCH | FILLING_WITH_TORCH

@@ -40,9 +40,8 @@ doctor --bundle free | --bundle needs --electrodes or --drift
 status --server-key x | need each other
 flash show fast --port x | flash show takes no FILE
 flash write fast | flash write needs --port
-service --program eitskin | --program is 'eitskin'
-service --print eitskin | no file 'eitskin'
-adapt r --out o --seed 99999999999999 | --seed is 99999999999999, expected 0 to 1000000000
+service --user a_B | --user is 'a_B', expected a name
+service --print eitskin | --print is 'eitskin', expected one of eitskin.service
 adapt-skin press --skin lab --out o.eitskin --seed 99999999999999 | --seed is 99999999999999, expected 0 to 1000000000
 adapt-skin press --skin lab --out o.eitskin --epochs 0 | --epochs is 0, expected at least 1
 calibrate r.npz --out s.toml --bends 0 | leave out --bends, or record with --guided

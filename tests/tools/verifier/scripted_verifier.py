@@ -21,8 +21,7 @@ class Checker:
     def __init__(self, setup):
         if (FOLDER / "bad_model").exists():
             raise ValueError("the cloud folds in its own plane")
-        setup.described()
-        ratio = np.frombuffer(setup.spread_V) / np.abs(np.frombuffer(setup.reference_V))
+        ratio = setup.spread_V / np.abs(setup.reference_V)
         (FOLDER / "spread").write_text(str(np.median(ratio)))
 
     def learn_baseline(self, letter):

@@ -15,7 +15,7 @@ from eitskin_sim.verification.network_map import map_of
 from eitskin_sim.verification.sheet_model import model_of_cloud
 from eitskin_tools.verifier.checkers import CannotVerifyError, Checker
 from eitskin_tools.verifier.child import Placement, VerifierProcess
-from eitskin_tools.verifier.letters import LARGEST_PACKET, STATE, BaselineLetter, FrameLetter, Setup, unpack
+from eitskin_tools.verifier.letters import LARGEST_PACKET, STATE, BaselineLetter, FrameLetter, Setup, packed, unpack
 
 pytestmark = [pytest.mark.slow, pytest.mark.heavy]
 
@@ -30,11 +30,10 @@ PATIENCE_S = 300.0
 
 def setup_of(skin, labels, reference_V):
     lifted = skin.grid.flat_cloud_mm() + np.array([0.0, 0.0, 7.0])[:, None, None]
+    spread_V = NOISE * np.abs(reference_V)
     return Setup(
-        bundle="b", labels=labels, touches="raise", skin=to_toml(skin), skin_digest=skin.digest, cloud=4,
-        cloud_mm=lifted.astype("<f4").tobytes(), reference_V=reference_V.tobytes(),
-        spread_V=(NOISE * np.abs(reference_V)).tobytes(), budget_s=60.0,
-    )  # fmt: skip
+        1, labels, "raise", to_toml(skin), lifted.astype("f4"), reference_V, spread_V, np.zeros((104, 0)), 60.0
+    )
 
 
 @pytest.fixture(scope="module")
@@ -116,13 +115,13 @@ def test_a_sheet_seen_at_rest_is_known_and_one_that_is_not_its_scans_is_said(mod
 
 
 @pytest.mark.process
-def test_the_process_refuses_another_skin_and_answers_frames_of_the_next(units):
+def test_the_process_refuses_what_is_no_skin_and_answers_frames_of_the_next(units):
     setup, change, values = units
     found = []
     with VerifierProcess(Placement()) as process:
         while process.line is None:
             time.sleep(0.01)
-        process.line.send(dataclasses.replace(setup, skin_digest="0123456789abcdef").packed(1))
+        process.line.send(packed(dataclasses.replace(setup, skin="no description")))
 
         def until(condition):
             end = time.monotonic() + PATIENCE_S
@@ -137,9 +136,9 @@ def test_the_process_refuses_another_skin_and_answers_frames_of_the_next(units):
                     return found[-1]
 
         *_, why, _ = until(lambda one: one[:2] == [STATE, "failed"])
-        assert why.startswith("verifier: skin: found ")
-        process.line.send(setup.packed(2))
-        process.line.send(letter(change, values, setup=2).packed())
+        assert why.startswith("not a TOML file")
+        process.line.send(packed(dataclasses.replace(setup, number=2)))
+        process.line.send(packed(letter(change, values, setup=2)))
         assert until(lambda one: one[:2] == [STATE, "ready"])[2] == 2
         _, told, flagged, spent_ms = until(lambda one: one[0] != STATE)
     assert flagged is False

@@ -38,17 +38,11 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "build": ("scipy", "torch", "onnx", "onnxscript"),
     "card": ("scipy",),
     "train": ("scipy", "torch"),
-    "adapt": ("scipy", "torch"),
     "export": ("scipy", "torch", "onnx", "onnxscript"),
-    "bench frame": ("scipy",),
-    "bench skip": ("scipy",),
-    "bench tradeoff": ("scipy",),
-    "bench physics": ("scipy",),
-    "bench dataset": ("scipy",),
-    "bench stability": ("scipy",),
-    "bench electrodes": ("scipy",),
-    "bench peer": ("scipy",),
-    "bench verify": ("scipy",),
+    **{
+        f"bench {name}": ("scipy",)
+        for name in ("frame", "skip", "verify", "tradeoff", "physics", "dataset", "stability", "electrodes", "peer")
+    },
 }
 """Modules by command; those that are not here need none."""
 

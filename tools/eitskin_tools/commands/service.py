@@ -52,18 +52,7 @@ def text_of(name: str, user: str, program: str) -> str:
         name: One of ``FILES``.
         user: The user that runs the skins.
         program: Path of the ``eitskin`` that the units start.
-
-    Raises:
-        ValueError: There is no such file, or user or program do not fit into a unit.
     """
-    if name not in (one.name for one in FILES):
-        raise ValueError(f"no file {name!r}, expected one of {', '.join(one.name for one in FILES)}")
-    if USER_NAME.fullmatch(user) is None:
-        raise ValueError(f"user is {user!r}, expected a name such as robot: small letters, digits, - and _")
-    if PROGRAM_PATH.fullmatch(program) is None:
-        raise ValueError(
-            f"program is {program!r}, expected an absolute path without blanks, such as /opt/eitskin/bin/eitskin"
-        )
     text = _read(name)
     if name.endswith(".service"):
         text = text.replace("{common}", _read(COMMON_FILE)).replace("{user}", user).replace("{eitskin}", program)
@@ -84,7 +73,6 @@ def write(root: Path, user: str, program: str, *, homes: bool) -> list[Path]:
         homes: Into the folders in which the system wants them, those without one left out; else side by side.
 
     Raises:
-        ValueError: See :func:`text_of`.
         OSError: They cannot be written.
     """
     from eitskin_proto.files.writing import write_bytes
@@ -106,28 +94,22 @@ PROGRAM = "/opt/eitskin/bin/eitskin"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--print", dest="shown", metavar="NAME", help="print one of the files")
+    what.add_argument(
+        "--print", dest="shown", choices=[one.name for one in FILES], metavar="NAME", help="print one of the files"
+    )
     what.add_argument("--out", type=Path, metavar="DIR", help="write all files to a folder")
     what.add_argument("--install", action="store_true", help="write them where systemd and udev read them; needs root")
-    parser.add_argument(
-        "--root", type=Path, default=Path("/"), metavar="DIR", help="with --install: root of the file system (/)"
-    )
     parser.add_argument("--user", default="eitskin", metavar="NAME", help="user that runs the skins (default eitskin)")
-    parser.add_argument("--program", metavar="PATH", help="path of eitskin (default: this one)")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """List, print or write, and say what to do next."""
-    program = arguments.program or _this_program()
-    try:
-        text_of("eitskin.service", arguments.user, program)
-    except ValueError as error:
-        raise UsageError(f"--{error}") from error
+    program = _this_program()
+    if USER_NAME.fullmatch(arguments.user) is None:
+        expected = "expected a name such as robot: small letters, digits, - and _"
+        raise UsageError(f"--user is {arguments.user!r}, {expected}")
     if arguments.shown is not None:
-        try:
-            print(text_of(arguments.shown, arguments.user, program), end="")
-        except ValueError as error:
-            raise UsageError(f"--print: {error}") from error
+        print(text_of(arguments.shown, arguments.user, program), end="")
         return 0
     if arguments.out is None and not arguments.install:
         rows = [{"name": one.name, "home": one.home, "what": one.what} for one in FILES]
@@ -136,10 +118,9 @@ def run(arguments: argparse.Namespace) -> int:
         return answer(arguments, {"files": rows}, *lines, more)
     if arguments.out is not None:
         folder(arguments.out)
+    root = Path("/") if arguments.install else arguments.out
     try:
-        written = write(
-            arguments.root if arguments.install else arguments.out, arguments.user, program, homes=arguments.install
-        )
+        written = write(root, arguments.user, program, homes=arguments.install)
     except PermissionError as error:
         if not arguments.install:
             raise

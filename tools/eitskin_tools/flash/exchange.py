@@ -5,7 +5,6 @@ twice without harm (SPEC.md, section 6), so that a lost answer costs time and no
 """
 
 import time
-from collections import deque
 from typing import Any, Final
 
 from eitskin.acquisition.transport import Transport
@@ -23,9 +22,6 @@ KNOWN_TYPES: Final = frozenset(int(kind) for kind in MessageType)
 
 ATTEMPTS: Final = 4
 """How often a request is sent before the device counts as silent."""
-
-MAX_EVENTS: Final = 64
-"""The newest; a device may report without end."""
 
 
 class Refused(HandshakeError):  # noqa: N818 - a refusal is called one
@@ -61,10 +57,6 @@ class Exchange:
         self._attempts = attempts
         self._tag = 0
         self._deframer = framing.Deframer()
-        self.late = 0
-        """Answers that came late or twice, and were dropped."""
-        self.events: deque[messages.Event] = deque(maxlen=MAX_EVENTS)
-        """What the device reported by itself, lately."""
 
     def replace(self, transport: Transport) -> None:
         """Go on over another line, after the old one vanished."""
@@ -158,12 +150,8 @@ class Exchange:
                 if payload[0] not in KNOWN_TYPES:
                     continue  # newer firmware may say more than this host understands (SPEC.md, section 2)
                 message = messages.unpack(payload)
-                if isinstance(message, messages.Event):
-                    self.events.append(message)
-                elif getattr(message, "tag", None) == tag:
+                if getattr(message, "tag", None) == tag:
                     found = message
-                elif hasattr(message, "tag"):
-                    self.late += 1
             if found is not None:
                 return found
         return None

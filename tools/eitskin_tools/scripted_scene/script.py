@@ -99,19 +99,16 @@ def demonstration(skin: Skin = PAPER) -> Script:
     return Script("demonstration", choreography.PERIOD_S, choreography.events_s(), scene, skin)
 
 
-def still(
-    scene: Scene, name: str = "still", flat_s: float = choreography.UNTOUCHED_FLAT_S, skin: Skin = PAPER
-) -> Script:
+def still(scene: Scene, name: str = "still", skin: Skin = PAPER) -> Script:
     """Return a script that is flat and untouched for a while, and then holds one scene for ever.
 
     Args:
         scene: What to hold; its current is replaced by the electronics'.
         name: What messages call it.
-        flat_s: How long the sheet stays flat and untouched.
         skin: Whose scene it is.
     """
     held = replace(scene, current_A=CURRENT_A)
-    flat = held.reference()
+    flat, flat_s = held.reference(), choreography.UNTOUCHED_FLAT_S
 
     def at(time_s: float, before: bool) -> Scene:
         return flat if time_s < flat_s or (before and time_s == flat_s) else held
@@ -135,13 +132,12 @@ QUIETLY_SOLVED_MOMENTS: Final = 20
 """Moments that are solved without a message."""
 
 
-def prepare(script: Script, until_s: float, *, workers: int | None = None, cache: bool = True) -> Keyframes:
+def prepare(script: Script, until_s: float, *, cache: bool = True) -> Keyframes:
     """Return the keyframes with which times up to ``until_s`` can be interpolated.
 
     Args:
         script: What to solve.
         until_s: A looping script needs no more than its period, whatever is asked.
-        workers: Processes; by default one a core.
         cache: Read and write the user's cache folder.
     """
     moments = script.moments(until_s)
@@ -151,7 +147,7 @@ def prepare(script: Script, until_s: float, *, workers: int | None = None, cache
     if found is not None:
         return found
     scenes = list(dict.fromkeys(moment.scene for moment in moments))
-    solved = dict(zip(scenes, _solve_all(scenes, workers or os.cpu_count() or 1), strict=True))
+    solved = dict(zip(scenes, _solve_all(scenes, os.cpu_count() or 1), strict=True))
     found = Keyframes(
         np.array([moment.time_s for moment in moments]), np.array([solved[moment.scene] for moment in moments])
     )

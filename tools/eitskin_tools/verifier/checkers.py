@@ -7,6 +7,7 @@ import numpy as np
 from eitskin.messaging.streams.verified import TIME, UNEXPLAINED, VerifiedTouch
 from eitskin.touches.surface import Surface
 from eitskin_proto.sensor.normalise import inverse_reference
+from eitskin_proto.skin.toml import parse
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.verification.shape_verdict import ShapeTouch
 from eitskin_sim.verification.snapped_units import UnitTouch
@@ -35,21 +36,17 @@ class Checker:
         setup: Of the shape.
 
     Raises:
-        MismatchError: The skin is not the one in use.
         ValueError: No model can be made of the cloud, or of the skin.
     """
 
     def __init__(self, setup: Setup) -> None:
-        skin = setup.described()
-        cloud_mm = np.frombuffer(setup.cloud_mm, dtype="<f4").reshape(skin.grid.cloud_shape).astype(float)
-        reference_V = np.frombuffer(setup.reference_V, dtype="<f8")
+        skin, cloud_mm, reference_V = parse(setup.skin), setup.cloud_mm.astype(float), setup.reference_V
         self._grid, self._budget_s = skin.grid, setup.budget_s
         self._usable = inverse_reference(reference_V) != 0.0
         self._reference_V: Array = np.where(self._usable, reference_V, 0.0)
         self._surface = Surface(cloud_mm, skin.grid)
         touches: TouchKind = setup.touches  # type: ignore[assignment]  # of a bundle, which was checked
-        shared_V = np.frombuffer(setup.shared_V, dtype="<f8").reshape(len(reference_V), -1)
-        noise = noise_shown(reference_V, np.frombuffer(setup.spread_V, dtype="<f8"), shared_V)
+        noise = noise_shown(reference_V, setup.spread_V, setup.shared_V)
         self._verifier = MapVerifier(self._reference_V, noise, setup.labels, touches, skin)
         self._verifier.shapes.deform(cloud_mm)
 

@@ -31,6 +31,7 @@ from eitskin_tools.verifier.letters import (
     FrameLetter,
     Rows,
     Setup,
+    packed,
     unpack,
 )
 
@@ -111,7 +112,7 @@ class VerifierFeed:
             self._is_busy, self._setup_for = False, (None, None)
             self._stillness.reset()
         if buffers.geometry is not self._setup_for[0] or self._skin.reference is not self._setup_for[1]:
-            self._send_setup(record)
+            self._send_setup()
             self._report(record)  # before the answer, which may be quick
         if self._publisher.verified != self._is_wanted:
             self._is_wanted, self._reported_ns, self._receive_ns = self._publisher.verified, 0, 0
@@ -140,7 +141,7 @@ class VerifierFeed:
         elif record.inferred and not self._is_known():
             self._stillness.keep(self._pipeline.buffers.change[0])
             self._drop()
-            self._candidate = self._letter(record).packed()
+            self._candidate = self._frame_packet(record)
             self._is_due = self.mode == "always"
         elif self._candidate is not None:
             self._is_due = True
@@ -151,7 +152,7 @@ class VerifierFeed:
         if not self._setup or self._setup_packet or self._missing.any():
             return
         if (mean := self._baseline.add(self._pipeline.buffers.change[0])) is not None:
-            self._send(BaselineLetter(self._setup, BASELINE_FRAMES, mean).packed())
+            self._send(packed(BaselineLetter(self._setup, BASELINE_FRAMES, mean)))
 
     def _is_known(self) -> bool:
         """Return whether the frame in hand is the one that was handed over last, but for noise, however long ago."""
@@ -168,11 +169,13 @@ class VerifierFeed:
         health = self._pipeline.health
         return self._nothing_missing if health is None else health.electrodes.missing
 
-    def _letter(self, record: FrameRecord) -> FrameLetter:
-        buffers = self._pipeline.buffers
-        return FrameLetter(
-            self._setup, record.sequence, record.device_us, record.stamps[READ], record.stamps[PUBLISH], record.cloud,
-            self._missing, buffers.change[0], buffers.map[0],
+    def _frame_packet(self, record: FrameRecord) -> bytes:
+        buffers, stamps = self._pipeline.buffers, record.stamps
+        return packed(
+            FrameLetter(
+                self._setup, record.sequence, record.device_us, stamps[READ], stamps[PUBLISH], record.cloud,
+                self._missing, buffers.change[0], buffers.map[0],
+            )
         )  # fmt: skip
 
     def _send(self, packet: bytes) -> bool:
@@ -187,7 +190,7 @@ class VerifierFeed:
             self._candidate, self._is_due = None, False
             self.counts["skipped"] += 1
 
-    def _send_setup(self, record: FrameRecord) -> None:
+    def _send_setup(self) -> None:
         """Announce another surface or reference: the verifier makes a new model and verifies resting touches again."""
         pipeline, reference = self._pipeline, self._skin.reference
         self._setup_for = pipeline.buffers.geometry, reference
@@ -197,16 +200,15 @@ class VerifierFeed:
         given = None if pipeline.buffers.geometry is None else pipeline.buffers.geometry.given
         skin = pipeline.skin
         cloud = skin.grid.flat_cloud_mm() if given is None or given.cloud is None else given.cloud
-        shared_V = np.zeros(0) if flat.shared_V is None else flat.shared_V
-        setup = Setup(
-            bundle=pipeline.bundle.id, labels=pipeline.bundle.labels, touches=pipeline.bundle.touch_kind,
-            skin=to_toml(skin), skin_digest=skin.digest, cloud=record.cloud,
-            cloud_mm=np.asarray(cloud, dtype="<f4").tobytes(), reference_V=flat.voltages_V.astype("<f8").tobytes(),
-            spread_V=np.hypot(flat.spread_V, step_V / math.sqrt(12.0)).astype("<f8").tobytes(), budget_s=self._budget_s,
-            shared_V=shared_V.astype("<f8").tobytes(),
-        )  # fmt: skip
         self._setup += 1
-        self._setup_packet = setup.packed(self._setup)
+        self._setup_packet = packed(
+            Setup(
+                self._setup, pipeline.bundle.labels, pipeline.bundle.touch_kind, to_toml(skin),
+                np.asarray(cloud, dtype=np.float32), flat.voltages_V,
+                np.hypot(flat.spread_V, step_V / math.sqrt(12.0)),
+                np.zeros((len(flat.voltages_V), 0)) if flat.shared_V is None else flat.shared_V, self._budget_s,
+            )
+        )  # fmt: skip
         self._stillness.use_reference(flat.voltages_V, flat.spread_V, flat.frames, step_V)
         self._baseline.start(flat.voltages_V, flat.spread_V, flat.frames, step_V)
         self._withdraw()

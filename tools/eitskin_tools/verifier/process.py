@@ -75,25 +75,28 @@ class Worker:
 
     def run(self) -> None:
         """Answer until the other side is gone."""
-        from eitskin_tools.verifier.letters import BASELINE, FRAME, LARGEST_PACKET, SETUP, unpack
+        from eitskin_tools.verifier.letters import LARGEST_PACKET, BaselineLetter, Setup, letter_of
 
-        handlers = {SETUP: self._prepare, BASELINE: self._learn_baseline, FRAME: self._verify}
         with suppress(BrokenPipeError, ConnectionResetError):
             while packet := self._line.recv(LARGEST_PACKET):
-                kind, *items = unpack(packet)
-                handlers[kind](*items)
+                letter = letter_of(packet)
+                if isinstance(letter, Setup):
+                    self._prepare(letter)
+                elif isinstance(letter, BaselineLetter):
+                    self._learn_baseline(letter)
+                else:
+                    self._verify(letter)
 
-    def _prepare(self, number: int, fields: dict[str, Any]) -> None:
+    def _prepare(self, setup: Any) -> None:
         from eitskin.messaging.streams.verified import FAILED, PREPARING, READY
         from eitskin_tools.verifier.checkers import Checker
-        from eitskin_tools.verifier.letters import Setup, state_answer
+        from eitskin_tools.verifier.letters import state_answer
 
-        self._setup, self._checker = number, None
+        number = setup.number
+        self._setup, self._checker, self._budget_s = number, None, setup.budget_s
         self._line.send(state_answer(PREPARING, number))
         begin = time.perf_counter()
         try:
-            setup = Setup(**fields)
-            self._budget_s = setup.budget_s
             with within(MODEL_S):
                 self._checker = Checker(setup)
         except Exception as error:  # of any cloud or skin: the stream goes on, and says why
@@ -101,11 +104,10 @@ class Worker:
             return
         self._line.send(state_answer(READY, number, setup_ms=1e3 * (time.perf_counter() - begin)))
 
-    def _learn_baseline(self, *items: Any) -> None:
+    def _learn_baseline(self, rest: Any) -> None:
         from eitskin.messaging.streams.verified import READY
-        from eitskin_tools.verifier.letters import BaselineLetter, state_answer
+        from eitskin_tools.verifier.letters import state_answer
 
-        rest = BaselineLetter.of(*items)
         if self._checker is None or rest.setup != self._setup:
             return
         try:
@@ -115,11 +117,10 @@ class Worker:
             why = reason(error)
         self._line.send(state_answer(READY, self._setup, why))
 
-    def _verify(self, *items: Any) -> None:
+    def _verify(self, frame: Any) -> None:
         from eitskin.messaging.streams.verified import READY, pack_verdict
-        from eitskin_tools.verifier.letters import FrameLetter, verdict_answer
+        from eitskin_tools.verifier.letters import verdict_answer
 
-        frame = FrameLetter.of(*items)
         begin = time.perf_counter_ns()
         verdict, touches, why = None, (), ""
         try:

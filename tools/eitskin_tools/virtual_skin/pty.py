@@ -33,7 +33,7 @@ class PtyPort:
     """Packets dropped because the host did not read."""
 
     restart_s = 0.0
-    """A restart of the device does not pull this plug: a converter chip keeps the port."""
+    """How long the device is gone from the line when it restarts: a converter chip keeps this port."""
 
     def __init__(self, folder: Path | None = None) -> None:
         """Create the port and plug it in.

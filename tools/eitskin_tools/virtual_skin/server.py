@@ -16,50 +16,14 @@ import select
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter_ns
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin_tools.virtual_skin.device import VirtualDevice
 from eitskin_tools.virtual_skin.faults import Fault, FaultPlayer
-
-
-class Port(Protocol):
-    """The device's end of a line with a plug: a pseudo-terminal, or a mocked USB bus."""
-
-    restart_s: float
-    """How long the device is gone from the line when it restarts; 0 if the line does not notice."""
-
-    @property
-    def plugged(self) -> bool:
-        """Whether the host can open the port."""
-
-    @property
-    def unsent(self) -> bool:
-        """Whether the rest of a packet waits for room."""
-
-    def fileno(self) -> int:
-        """Return the descriptor that is readable when the host has written."""
-
-    def plug(self) -> None:
-        """Make the port appear."""
-
-    def unplug(self) -> None:
-        """Make the port vanish."""
-
-    def read(self) -> bytes:
-        """Return what the host has written, without waiting."""
-
-    def flush(self) -> None:
-        """Send what is left of a packet, as far as there is room."""
-
-    def write(self, data: bytes) -> bool:
-        """Send one packet, whole or not at all; False if it was dropped."""
-
-    def write_all(self, data: bytes, timeout_s: float) -> bool:
-        """Send bytes that may not be dropped, waiting for room."""
-
+from eitskin_tools.virtual_skin.pty import PtyPort
 
 MAX_DELAY_NS: Final = 200_000_000
 """Scans that are due for longer than this are skipped."""
@@ -83,7 +47,7 @@ class SkinServer:
 
     Args:
         device: The state machine.
-        port: Where its bytes go; the caller closes it.
+        port: Where its bytes go; the caller closes it. A test gives another line of the same methods.
         player: The faults.
         wire_ns: (capacity,) takes the time of every frame, see above.
         log: Takes an event as a flat object: boot, start, fault.
@@ -93,7 +57,7 @@ class SkinServer:
     def __init__(
         self,
         device: VirtualDevice,
-        port: Port,
+        port: PtyPort,
         player: FaultPlayer | None = None,
         wire_ns: npt.NDArray[np.int64] | None = None,
         log: Log | None = None,
