@@ -6,9 +6,7 @@ the families A and B (:mod:`eitskin_sim.scene.family`). Lengths are in multiples
 
                                                   drawn              refused outside     warned of outside
     mean along x, along y                         0.96-1.25, 0.91-1.16  0.85-1.40, 0.80-1.30
-    one row's or column's length                  0.86-1.28             0.70-1.55
     the step from one row or column to the next   0.90-1.26             0.50-1.70
-    three steps in a row or column                0.81-1.32             0.50-1.70
     |cosine| between row and column               at most 0.41          0.75
     noise, by fourth differences                  0.095-0.105 mm        0.5 mm           0.25 mm
     one point off its neighbours                  at most 0.77 mm       2.5 mm           1 mm
@@ -42,14 +40,8 @@ MEAN_ALONG_X: Final = (0.85, 1.40)
 MEAN_ALONG_Y: Final = (0.80, 1.30)
 """Mean spacing along x and along y, in multiples of the flat sheet's."""
 
-LINE: Final = (0.70, 1.55)
-"""Mean spacing along one row or one column."""
-
-STEPS: Final = 3
-"""Steps over which spacing is checked: over one, noise of 0.5 mm would be a sixth of it."""
-
 SPACING: Final = (0.50, 1.70)
-"""Distance of two points that are ``STEPS`` apart in a row or column, and mean step to the next row or column."""
+"""Mean step from a row or column to the next."""
 
 LARGEST_COSINE: Final = 0.75
 """Between the directions of a row and a column where they meet; 0 on the flat sheet."""
@@ -80,7 +72,6 @@ class _Bounds:
     grid: Grid
     mean_x: Range
     mean_y: Range
-    line: Range
     spacing: Range
     coarse: float
     turn_deg: float
@@ -96,7 +87,6 @@ def _bounds(skin: Skin) -> _Bounds:
         skin.grid,
         (MEAN_ALONG_X[0] * low_x, MEAN_ALONG_X[1] * high_x),
         (MEAN_ALONG_Y[0] * low_y, MEAN_ALONG_Y[1] * high_y),
-        (LINE[0] * low, LINE[1] * high),
         (SPACING[0] * low, SPACING[1] * high),
         max(1.0, max(skin.grid.pixel_mm) / COARSE_MM),
         LEAST_TURN_DEG + min(0.0, own.angle_deg[0]),
@@ -138,7 +128,6 @@ def check_sheet(cloud: npt.ArrayLike, skin: Skin = PAPER) -> tuple[Array, tuple[
     )
     if off_mm > max(LARGEST_OFF[0] * coarse, LARGEST_OFF[1] * noise_mm):
         raise ValueError(alone)
-    _check_spacing(points, bounds)
     across_x = along_x[:, :-1] + along_x[:, 1:]
     across_y = along_y[:, :, :-1] + along_y[:, :, 1:]
     _check_angles(across_x, across_y)
@@ -167,29 +156,20 @@ def _length(steps: Array, pitch_mm: float) -> Array:
 
 def _check_size(along_x: Array, along_y: Array, bounds: _Bounds) -> None:
     long, wide = float(along_x.mean()), float(along_y.mean())
-    (low_x, high_x), (low_y, high_y), line = bounds.mean_x, bounds.mean_y, bounds.line
-    inside = low_x <= long <= high_x and low_y <= wide <= high_y
-    rows, columns = along_x.mean(axis=1), along_y.mean(axis=0)
-    if inside and min(rows.min(), columns.min()) >= line[0] and max(rows.max(), columns.max()) <= line[1]:
+    (low_x, high_x), (low_y, high_y) = bounds.mean_x, bounds.mean_y
+    if low_x <= long <= high_x and low_y <= wide <= high_y:
         return
     length_mm, width_mm = bounds.grid.size_mm
     n_rows, n_columns = bounds.grid.shape
-    if not inside:
-        exchanged = long < low_x and wide > high_y
-        remedy = (
-            f"x runs along the {n_columns} columns, y along the {n_rows} rows; are they exchanged?"
-            if exchanged
-            else "give the whole conductive layer and nothing else, in mm"
-        )
-        raise ValueError(
-            f"the cloud's sheet is {long * length_mm:.3g} mm along x and {wide * width_mm:.3g} mm along y, expected "
-            f"{low_x * length_mm:.4g} to {high_x * length_mm:.4g} and "
-            f"{low_y * width_mm:.4g} to {high_y * width_mm:.4g} mm: {remedy}"
-        )
-    worst = max((rows.max(), columns.max(), 1.0 / max(rows.min(), 1e-9), 1.0 / max(columns.min(), 1e-9)))
+    remedy = (
+        f"x runs along the {n_columns} columns, y along the {n_rows} rows; are they exchanged?"
+        if long < low_x and wide > high_y
+        else "give the whole conductive layer and nothing else, in mm"
+    )
     raise ValueError(
-        f"a row or column of the cloud is {worst:.3g} times longer or shorter than the flat sheet's, expected "
-        f"{line[0]:g} to {line[1]:g} times its length: are the {n_rows} rows and {n_columns} columns in order?"
+        f"the cloud's sheet is {long * length_mm:.3g} mm along x and {wide * width_mm:.3g} mm along y, expected "
+        f"{low_x * length_mm:.4g} to {high_x * length_mm:.4g} and "
+        f"{low_y * width_mm:.4g} to {high_y * width_mm:.4g} mm: {remedy}"
     )
 
 
@@ -213,23 +193,6 @@ def _noise(along_x: Array, along_y: Array) -> tuple[float, float]:
     squares = [np.einsum("irc,irc->rc", fourth, fourth) for fourth in fourths]
     noise = np.sqrt(sum(float(square.mean()) for square in squares) / 6.0) / _FOURTH
     return float(noise), float(np.sqrt(max(float(square.max()) for square in squares))) / 6.0
-
-
-def _check_spacing(points: Array, bounds: _Bounds) -> None:
-    dx, dy = bounds.grid.pixel_mm
-    along_x = _length(points[:, :, STEPS:] - points[:, :, :-STEPS], dx) / STEPS
-    along_y = _length(points[:, STEPS:] - points[:, :-STEPS], dy) / STEPS
-    least, most = bounds.spacing
-    for found, pitch_mm, kind in ((along_x, dx, "columns"), (along_y, dy, "rows")):
-        low, high = float(found.min()), float(found.max())
-        if low < least or high > most:
-            worst = low if low < least else high
-            row, column = np.unravel_index(int(np.argmin(np.abs(found - worst))), found.shape)
-            raise ValueError(
-                f"the cloud's points near row {row}, column {column} are {worst * pitch_mm:.3g} mm apart from one of "
-                f"the {kind} to the next, expected {least * pitch_mm:.3g} to {most * pitch_mm:.3g} mm: rows run along "
-                f"y and columns along x, {dx:.3g} and {dy:.3g} mm from one to the next when flat; are they in order?"
-            )
 
 
 def _check_angles(across_x: Array, across_y: Array) -> None:
