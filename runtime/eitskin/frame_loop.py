@@ -14,9 +14,6 @@ port has returned, it repeats the handshake. A device is silent if no frame of i
 does. If its frames are unusable, the source restarts its stream too. Frames from before the first subscription are
 dropped for the newest one, and so are stale ones when time is short. Events of the device go out with the next frame.
 
-:class:`FirstFrame` keeps old frames out. An unread line fills up with the oldest frames, and the device drops those for
-which there is no room. So waiting frames are old until the line has been read empty.
-
 :class:`DeferredWork` waits until the line rests: a frame's message wakes a subscriber, which needs a core at that
 moment. Arriving bytes end the wait, so that no frame waits for deferred work.
 """
@@ -27,7 +24,7 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import suppress
 from typing import Any, Final, Protocol
 
-from eitskin.acquisition.device import Device, DeviceClock
+from eitskin.acquisition.device import Device
 from eitskin.errors import BadReference, HandshakeError, NotReady, PortReturned, SkinError, TransportError
 from eitskin.frame_record import INFER, PACK, PUBLISH, READ, FrameRecord
 from eitskin.messaging.frame_message import Demand, FrameMessages
@@ -97,45 +94,6 @@ class DeferredWork:
             return device.payloads(GIVE_WAY_S)
         finally:
             self.do()
-
-
-MAX_START_DELAY_S: Final = 0.1
-"""A first frame that waited longer than this, beyond the line's own delay, is discarded ..."""
-
-OLD_FRAMES_S: Final = 1.0
-"""... but none after this: then all of them are old, or the clocks do not agree."""
-
-
-class FirstFrame:
-    """Decides whether a frame may be the first one.
-
-    Args:
-        clock: The device clock, which dates scans.
-        now_ns: Time of the request, on ``perf_counter_ns``.
-        awaited: Whether frames come by themselves; else the program that feeds them decides.
-    """
-
-    __slots__ = ("_awaited", "_begun_ns", "_clock", "backlog")
-
-    def __init__(self, clock: DeviceClock, now_ns: int, *, awaited: bool) -> None:
-        self._clock, self._begun_ns = clock, now_ns
-        self._awaited = self.backlog = awaited
-        """Waiting frames are older than the request: only the newest of them may be the first."""
-
-    def is_old(self, scanned_ns: int, read_ns: int) -> bool:
-        """Return whether a frame is too old to be the first; the one that is not is the first.
-
-        Args:
-            scanned_ns: When it was scanned.
-            read_ns: When its last byte was in hand.
-        """
-        if not self._awaited:
-            return False
-        waited_ns = read_ns - scanned_ns - 1000.0 * (self._clock.shortest_delay_us or 0.0)
-        self._awaited = self.backlog = (
-            waited_ns > 1e9 * MAX_START_DELAY_S and read_ns - self._begun_ns < 1e9 * OLD_FRAMES_S
-        )
-        return self._awaited
 
 
 LINE_REST_S: Final = 0.001
@@ -219,7 +177,8 @@ class FrameSource:
     def accepted(self, until_ns: int | None) -> Iterator[None]:
         """Yield whenever the pipeline has accepted a frame.
 
-        Discard frames from before the first request: a robot's first frame must not be an old one.
+        Discard frames from before the first request: a robot's first frame must not be an old one. An unread line fills
+        up with the oldest frames, so waiting frames are old until it has been read empty.
 
         Args:
             until_ns: When to end, on ``perf_counter_ns``; None goes on until ``stopping``.
@@ -238,7 +197,7 @@ class FrameSource:
                 return
             raise
         intake.heard_ns = self._fit_ns = self._patient_ns = time.perf_counter_ns()
-        first = FirstFrame(pipeline.clock, self._fit_ns, awaited=self.waits)
+        backlog = self.waits  # else the program that feeds frames decides
         self._withheld = intake.withheld_total
         self._reading = True
         try:
@@ -248,8 +207,8 @@ class FrameSource:
                     return
                 try:
                     payloads = self._payloads(wait_s)
-                    if payloads and (first.backlog or pipeline.budget.drops_stale):
-                        payloads, first.backlog = self._newest(payloads), False
+                    if payloads and (backlog or pipeline.budget.drops_stale):
+                        payloads, backlog = self._newest(payloads), False
                 except PortReturned:
                     self._patient_ns = time.perf_counter_ns()
                     self._recover()
@@ -261,7 +220,7 @@ class FrameSource:
                     payload = held.popleft()
                     if payload[0] not in SCANS:
                         self._take_note(payload)
-                    elif self._accept(payload, read_ns, first):
+                    elif self._accept(payload, read_ns):
                         withheld = intake.withheld_total
                         self._reading = False
                         yield
@@ -346,13 +305,10 @@ class FrameSource:
             newest = [payload]
         return newest
 
-    def _accept(self, payload: bytes, read_ns: int, first: FirstFrame) -> bool:
+    def _accept(self, payload: bytes, read_ns: int) -> bool:
         """Return whether a frame is accepted."""
         self.deferred.do()
-        accepted = self._pipeline.accept(payload, read_ns)
-        if accepted and first.is_old(self._pipeline.record.scanned_ns, read_ns):
-            accepted = self._pipeline.intake.give_up("stale")
-        if not accepted:
+        if not self._pipeline.accept(payload, read_ns):
             self._report_withheld(payload, read_ns)
             return False
         self.payload = payload

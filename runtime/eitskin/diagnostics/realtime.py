@@ -13,8 +13,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Final
 
-from eitskin.diagnostics.large_pages import use_large_pages
-
 MCL_CURRENT: Final = 1
 MCL_FUTURE: Final = 2
 
@@ -79,8 +77,6 @@ def more_files() -> str:
 def settle() -> None:
     """Take what was made so far out of the garbage collector's rounds, shorten the interpreter's turns, free memory.
 
-    The remaining memory gets large pages (:mod:`eitskin.diagnostics.large_pages`).
-
     Loading took several MB for a moment, which glibc keeps unless it is asked for them. Code that turned the
     collector off while modules and bundle were loaded has it on again: their garbage is not worth the 30 ms of a round.
     """
@@ -88,5 +84,4 @@ def settle() -> None:
     gc.enable()
     with suppress(OSError, AttributeError):  # glibc's alone
         ctypes.CDLL(None).malloc_trim(0)
-    use_large_pages()
     sys.setswitchinterval(SWITCH_INTERVAL_S)

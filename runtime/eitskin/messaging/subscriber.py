@@ -1,16 +1,11 @@
-"""The base of all subscriptions: it connects a socket, reconnects it, closes it, and returns the next item.
+"""The base of all subscriptions: it connects a socket, closes it, and returns the next item.
 
-libzmq reconnects when the other side ended a connection, but not when it ended one itself: after a message beyond all
-bounds, or bytes that are not ZMTP, such as those of another program on the port. So a waiting subscriber checks its
-connection at least every ``LONGEST_WAIT_MS``.
+libzmq reconnects by itself when the other side ended a connection.
 """
 
 import math
-import os
-import stat
 import time
 from collections.abc import Iterable
-from contextlib import suppress
 from typing import Any, Final
 
 import zmq
@@ -22,9 +17,6 @@ from eitskin.messaging.listener import CLIENT_FILES, check_files
 from eitskin.messaging.reachability import explain_silence
 from eitskin.messaging.reader import LONGEST_WAIT_MS, Item, Reader
 
-Connection = tuple[int, int]
-"""A connection as long as it lives: its descriptor and its inode. A number that is used again has another inode."""
-
 _POLLIN: Final = int(zmq.POLLIN)
 
 MODES: Final = ("latest", "all")
@@ -34,11 +26,6 @@ FIRST_S: Final = 5.0
 
 LARGEST_TAKEN: Final = 73728
 """Bytes of a message that is still accepted; a larger one ends the connection, so memory is bounded."""
-
-PATIENCE_S: Final = 1.0
-"""Silence after which it is looked whether the connection still lives; twice as long each time that did not help."""
-
-MOST_PATIENCE_S: Final = 16.0
 
 
 class Subscriber(Reader[Item]):
@@ -83,8 +70,6 @@ class Subscriber(Reader[Item]):
         check_client_keys(self.endpoint, keys)
         self.received = 0
         """Items returned so far."""
-        self.reconnected = 0
-        """Reconnections because the connection was gone, or nothing had ever come over it."""
         self.rejected = 0
         """Messages of another kind than subscribed to, or damaged."""
         self._timeout_s = math.inf if timeout_s is None else timeout_s
@@ -95,9 +80,6 @@ class Subscriber(Reader[Item]):
         """The socket's present receive timeout. It waits by itself, because a ``poll`` would delay frames."""
         self._unusable: tuple[int, str] = (0, "")
         """Messages rejected since the last accepted one, and the kind of the last of them."""
-        self._connection: Connection | None = None
-        """The connection of the last message, if known; checked again after silence."""
-        self._patience_s = PATIENCE_S
         self._heard_ns = time.perf_counter_ns()
         """When the last message came."""
         check_files(self.endpoint, CLIENT_FILES)
@@ -159,7 +141,6 @@ class Subscriber(Reader[Item]):
                 item = self._taken(self._recv())
             except zmq.Again:
                 item = None
-                self.check_connection()
             if item is not None:
                 return item
             self._check_stopped()
@@ -204,41 +185,11 @@ class Subscriber(Reader[Item]):
         return explain_silence(self.endpoint, waited_s, what, likely)
 
     def _recv(self) -> bytes:
-        """Receive a message, and keep in mind when it came, and over which connection."""
-        message: bytes = self.socket.recv() if self._connection is not None else self._recv_first()
+        """Receive a message, and keep in mind when it came."""
+        message: bytes = self.socket.recv()
         self._heard_ns = time.perf_counter_ns()
         return message
-
-    def _recv_first(self) -> bytes:
-        message = self.socket.recv(copy=False)
-        with suppress(zmq.ZMQError):  # libzmq does not know
-            self._connection = connection_at(message.get(zmq.SRCFD))
-        self._patience_s = PATIENCE_S
-        return bytes(message.bytes)
-
-    def check_connection(self) -> None:
-        """Connect again if nothing has come for a while, and libzmq has given up the connection."""
-        if time.perf_counter_ns() - self._heard_ns < self._patience_s * 1e9:
-            return
-        if self._connection is not None and connection_at(self._connection[0]) == self._connection:
-            return
-        with suppress(zmq.ZMQError):
-            self.socket.disconnect(self.endpoint)
-        self.socket.connect(self.endpoint)
-        self.reconnected += 1
-        self._connection = None
-        self._heard_ns = time.perf_counter_ns()
-        self._patience_s = min(2 * self._patience_s, MOST_PATIENCE_S)
 
     def _release(self) -> None:
         self.socket.close(0)
         self._context.term()
-
-
-def connection_at(descriptor: int) -> Connection | None:
-    """Return which socket a descriptor now refers to; None if there is none."""
-    try:
-        found = os.fstat(descriptor)
-    except OSError:
-        return None
-    return (descriptor, found.st_ino) if stat.S_ISSOCK(found.st_mode) else None

@@ -26,9 +26,6 @@ from eitskin.robot.described import Source, robot_skins
 from eitskin.robot.pose import Pose
 from eitskin.touches.touch import Touch
 
-LOOK_S = 1.0
-"""How often a connection that may be dead is looked at."""
-
 
 @dataclass(frozen=True, slots=True)
 class SkinFrame:
@@ -110,7 +107,6 @@ class RobotSubscription(Reader[SkinFrame]):
         now_s = time.monotonic()
         self._heard_s = dict.fromkeys(self.skins, now_s)
         self._due_s = dict.fromkeys(self.skins, now_s + self._first_s)
-        self._look_s = now_s + LOOK_S
 
     @property
     def received(self) -> dict[str, int]:
@@ -160,10 +156,6 @@ class RobotSubscription(Reader[SkinFrame]):
         left_ms = (min(self._due_s.values()) - time.monotonic()) * 1000
         ready = self._poller.poll(int(max(0, min(left_ms + 1, LONGEST_WAIT_MS))))
         self._turns.extend(self._by_socket[socket] for socket, _ in ready)
-        if (now_s := time.monotonic()) >= self._look_s:
-            self._look_s = now_s + LOOK_S
-            for name in self._subscriptions.keys() - self._turns:
-                self._subscriptions[name].check_connection()
 
     def _raise_if_silent(self) -> None:
         now_s = time.monotonic()
