@@ -81,11 +81,7 @@ LEAST_NS: Final = 50_000_000
 """Shortest time between two states: faster changes are sent together."""
 
 JOIN_NS: Final = 200_000_000
-"""Period with at most ``MOST_JOINS`` repetitions for new subscribers, which bounds the cost of frequent
-subscriptions."""
-
-MOST_JOINS: Final = 4
-"""The topics of a new subscriber may arrive one at a time, with a frame between each two."""
+"""Shortest time between two repetitions for new subscribers, which bounds the cost of frequent subscriptions."""
 
 
 class StreamSource:
@@ -107,7 +103,7 @@ class StreamSource:
         self._revision = 0
         self._geometry: object = None
         self._state_key: tuple[Any, ...] = ()
-        self._repeat_ns = self._state_ns = self._joined_ns = self._joins = 0
+        self._repeat_ns = self._state_ns = 0
         self._states = 0
         self._events: deque[Event] = deque(maxlen=MOST_EVENTS)
         try:
@@ -183,14 +179,11 @@ class StreamSource:
 
     def _is_time(self, now_ns: int) -> bool:
         """Return whether everything must be sent again."""
-        if now_ns - self._joined_ns >= JOIN_NS:
-            self._joined_ns, self._joins = now_ns, 0
-        joined = self._streams.joined and self._joins < MOST_JOINS
+        joined = self._streams.joined
+        if now_ns - self._repeat_ns < (JOIN_NS if joined else REPEAT_NS):
+            return False
         if joined:
             self._streams.joined, self._states = False, 0
-            self._joins += 1
-        if not joined and now_ns - self._repeat_ns < REPEAT_NS:
-            return False
         self._repeat_ns = now_ns
         return True
 

@@ -41,6 +41,7 @@ from eitskin.touches.touch import KEYS, LAYOUT
 HEAD_END: Final = 6
 """Bytes of a message up to its version."""
 
+SHORT_HEAD: Final = bytes(msgpack.packb("v") + msgpack.packb(VERSION))
 TOUCH_HEAD: Final = bytes(msgpack.packb("v") + msgpack.packb(TOUCH_VERSION))
 TOUCHES_KEY: Final = bytes(msgpack.packb("touches"))
 BYTES_ENTRY: Final = bytes(msgpack.packb("touch_bytes") + msgpack.packb(LAYOUT.size))
@@ -61,7 +62,7 @@ class FramePacker:
 
     __slots__ = (
         "_arguments", "_at", "_buffer", "_constant", "_end", "_entries", "_extra", "_layout", "_map", "_map_at",
-        "_short", "_short_end", "_short_view", "_slots", "_tail_at", "_tails", "_texts", "_view", "_whole_map",
+        "_slots", "_tail_at", "_tails", "_texts", "_view", "_whole_map",
     )  # fmt: skip
 
     _KINDS: Final = {"u": (0xCF, ">Q", 8), "f": (0xCB, ">d", 8), "b": (0xC2, ">B", 0)}
@@ -111,15 +112,10 @@ class FramePacker:
         self._buffer = bytearray(head) + bytes(map_bytes + LARGEST_REST - len(head))
         self._view = memoryview(self._buffer)
         self._map = self._view[map_at : self._tail_at]
-        self._short = bytearray(LARGEST_REST)
-        self._short[: self._map_at] = head[: self._map_at]
-        struct.pack_into(">H", self._short, 1, entries - 2)
-        self._short_view = memoryview(self._short)
         self._at, self._layout, self._arguments = self._whole()
         self._tails: dict[tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]], bytes] = {}
         self._texts: object = None
         self._end = self._tail_at
-        self._short_end = self._map_at
 
     def _whole(self) -> tuple[int, struct.Struct, list[Any]]:
         """Return the numbers' offset, and the struct and arguments that write them with the names between them."""
@@ -182,7 +178,6 @@ class FramePacker:
                 self._tails[wanted] = tail
         self._end = self._tail_at + len(tail)
         self._view[self._tail_at : self._end] = tail
-        self._short_end = self._map_at + len(tail)
 
     def put_touches(self, touches: tuple[bytes, bytes, int] | None) -> None:
         """Replace the touches, behind the texts.
@@ -201,25 +196,23 @@ class FramePacker:
         self._extra = len(extra)
         self._view[self._end : self._end + len(extra)] = extra
         struct.pack_into(">H", self._buffer, 1, entries)
-        struct.pack_into(">H", self._short, 1, entries - 2)
 
     def message(self) -> memoryview:
         """Return the present message; the next ``put`` changes it."""
         return self._view[: self._end + self._extra]
 
-    def short_message(self) -> memoryview:
-        """Return the present message without shape and map; the next call changes it."""
-        short, whole, at = self._short_view, self._view, self._map_at
-        short[3:at] = whole[3:at]
-        end = self._short_end + self._extra
-        short[at:end] = whole[self._tail_at : self._end + self._extra]
-        return short[:end]
+    def short_message(self) -> bytes:
+        """Return the present message without shape and map."""
+        return self._without_map(FIRST_BYTE, ">H", SHORT_HEAD)
 
     def touch_message(self) -> bytes:
         """Return the message of those that take touches without maps."""
+        return self._without_map(TOUCH_FIRST_BYTE, ">I", TOUCH_HEAD)
+
+    def _without_map(self, first: bytes, count: str, version: bytes) -> bytes:
         head, tail = self._view[HEAD_END : self._map_at], self._view[self._tail_at : self._end + self._extra]
         entries = self._entries - 2 + (KEYS if self._extra else 0)
-        return b"".join((TOUCH_FIRST_BYTE, struct.pack(">I", entries), TOUCH_HEAD, head, tail))
+        return b"".join((first, struct.pack(count, entries), version, head, tail))
 
 
 MAP_UNCHANGED: Final = ("map:unchanged",)
@@ -292,7 +285,7 @@ class FrameMessages:
              record.cloud, record.weak_rows, record.map_sequence, *record.drift, *stamps, record.lost,
              record.corrupt, record.withheld, record.overrun)
         )  # fmt: skip
-        return packer.short_message() if self._short else packer.message()
+        return memoryview(packer.short_message()) if self._short else packer.message()
 
     def touch_message(self) -> bytes:
         """Return the message, of the frame that was finished last, of those that take touches without maps."""

@@ -12,8 +12,7 @@ Later frames may take any time.
 """
 
 from collections.abc import AsyncGenerator
-from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from eitskin.errors import Closed, StaleFrame
 from eitskin.messaging.curve_keys import ClientKeys
@@ -27,53 +26,11 @@ from eitskin.messaging.frame import (
 )
 from eitskin.messaging.regions import ALWAYS, EVERYWHERE, TOUCHES, UNCHANGED, WHOLE, Region, other_skin
 from eitskin.messaging.subscriber import Subscriber
-from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.skin import Skin as SkinDescription
 
 QUEUE_FRAMES: Final = 2000
 """Frames that wait in mode ``all``: 10 s at 200 frames/s, 12 MB."""
-
-
-@dataclass(frozen=True, slots=True)
-class SubscriptionOptions:
-    """The options of a subscriber (:mod:`eitskin.messaging.publish` lists the topics)."""
-
-    region: Region
-    """The needed part of the map."""
-    grid: Grid | None
-    """Whose pixels the region means; None without one."""
-    topics: tuple[bytes, ...]
-    """To subscribe to, in this order: the frames last, when all that is needed has been said."""
-    touches: bool
-    """Whether a frame without touches is of no use."""
-    skip_unchanged: bool
-    """Whether frames that are not returned must be read too, because a later one may lack their map."""
-
-    @classmethod
-    def of(
-        cls,
-        region_mm: tuple[float, float, float, float] | None,
-        skin: SkinDescription | None,
-        *,
-        skip_unchanged: bool,
-        touches: bool,
-        maps: bool,
-    ) -> Self:
-        """Return the options for the arguments of :class:`Subscription`.
-
-        Raises:
-            ValueError: The region is not on the sheet, or something is asked of maps that are not wanted.
-        """
-        if not maps and (region_mm is not None or skip_unchanged):
-            raise ValueError("maps=False receives no maps: leave out region_mm and skip_unchanged")
-        grid = None if region_mm is None else (skin or PAPER).grid
-        region = EVERYWHERE if region_mm is None or grid is None else Region.from_mm(*region_mm, grid)
-        topics = (EVERY_FRAME,) if maps else (TOUCH_FIRST_BYTE,)
-        if maps and (skip_unchanged or touches):
-            needed = (TOUCHES,) if touches else ()
-            topics = (WHOLE, UNCHANGED if skip_unchanged else ALWAYS, *needed, FIRST_BYTE)
-        return cls(region, grid, topics, touches or not maps, skip_unchanged)
 
 
 class Subscription(Subscriber[Frame]):
@@ -126,11 +83,17 @@ class Subscription(Subscriber[Frame]):
     ) -> None:
         if max_age_s is not None and not max_age_s > 0:
             raise ValueError(f"max_age_s is {max_age_s}, expected more than 0")
-        self._options = options = SubscriptionOptions.of(
-            region_mm, skin, skip_unchanged=skip_unchanged, touches=touches, maps=maps
-        )
-        self.region = options.region
+        if not maps and (region_mm is not None or skip_unchanged):
+            raise ValueError("maps=False receives no maps: leave out region_mm and skip_unchanged")
+        grid = (skin or PAPER).grid
+        self._grid = None if region_mm is None else grid
+        self.region = EVERYWHERE if region_mm is None else Region.from_mm(*region_mm, grid)
         """The requested rectangle, in pixels; ``frame.map[region.slices]``."""
+        self._needs_touches, self._skip_unchanged = touches or not maps, skip_unchanged
+        topics = (EVERY_FRAME,) if maps else (TOUCH_FIRST_BYTE,)
+        if maps and (skip_unchanged or touches):  # the frames last, when all that is needed has been said
+            needed = (TOUCHES,) if touches else ()
+            topics = (WHOLE, UNCHANGED if skip_unchanged else ALWAYS, *needed, FIRST_BYTE)
         self._max_age_s = max_age_s
         self.lost = 0
         """Published frames that this side did not take in time; in mode ``latest`` this is intended."""
@@ -141,9 +104,8 @@ class Subscription(Subscriber[Frame]):
         self._known: Frame | None = None
         self._run, self._number = "", 0
         super().__init__(
-            endpoint, options.topics, QUEUE_FRAMES, mode=mode, conflate=len(options.topics) == 1, timeout_s=timeout_s,
-            keys=keys,
-        )  # fmt: skip
+            endpoint, topics, QUEUE_FRAMES, mode=mode, conflate=len(topics) == 1, timeout_s=timeout_s, keys=keys
+        )
 
     def next_frame(self) -> Frame:
         """Wait for the next frame and return it.
@@ -171,20 +133,19 @@ class Subscription(Subscriber[Frame]):
         return frame
 
     def _item(self, message: bytes) -> Frame | None:
-        options = self._options
-        if self._newest_only and not options.skip_unchanged and self.waits:
+        if self._newest_only and not self._skip_unchanged and self.waits:
             return None  # a newer one waits
         try:
             frame = unpack_frame(message, self._heard_ns, self._known)
         except MapMissing:
             self.mapless += 1
             return None
-        if options.touches and frame.touch_list is None:
+        if self._needs_touches and frame.touch_list is None:
             self.passed_over += 1
             return None
         self._known = frame
-        if options.grid is not None and frame.map.shape != options.grid.shape:
-            raise other_skin(self.endpoint, frame.map.shape, options.grid)
+        if self._grid is not None and frame.map.shape != self._grid.shape:
+            raise other_skin(self.endpoint, frame.map.shape, self._grid)
         return frame
 
     def _why(self, waited_s: float) -> str:

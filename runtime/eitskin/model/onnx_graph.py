@@ -525,8 +525,8 @@ def _take_constant(tensor: memoryview, shapes: dict[str, Shape], values: dict[st
         raise BundleError(f"a graph's constant {quoted(name)} claims {size} elements and holds fewer")
     stored = [content(field) for field in fields if field.number == RAW]
     if kinds[0] == FLOAT32 and len(shape) > 1:
-        for data in stored + [content(field) for field in fields if field.number == FLOATS]:
-            if is_small(np.frombuffer(data[: len(data) // 4 * 4], dtype="<f4")).any():
+        for part in stored + [content(field) for field in fields if field.number == FLOATS]:
+            if is_small(np.frombuffer(part[: len(part) // 4 * 4], dtype="<f4")).any():
                 raise BundleError(f"a graph's constant {quoted(name)} holds numbers below {SMALLEST:g}, expected 0")
     shapes[name] = shape
     if kinds[0] == 7 and size <= LONGEST_INDEX:

@@ -9,7 +9,7 @@ from bisect import bisect_right
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -199,7 +199,7 @@ class Script:
                 )
             for place, entry in wires:
                 try:
-                    frame = WireFrame.of(entry.data, n=entry.sequence)
+                    frame = replace(WireFrame.of(entry.data), n=entry.sequence)
                 except FrameError:
                     self._malformed.add((number, place))
                     continue

@@ -8,6 +8,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -174,7 +175,7 @@ class Overview:
         self.at_ms = max(self.at_ms, at_ms)
         try:
             if entry.topic == WIRE.topic:
-                self._wire(at_ms, WireFrame.of(entry.data, n=entry.sequence))
+                self._wire(at_ms, replace(WireFrame.of(entry.data), n=entry.sequence))
             else:
                 self._note(at_ms, unpack_json(entry.data))
         except (FrameError, RecordingError):

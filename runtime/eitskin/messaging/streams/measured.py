@@ -38,15 +38,26 @@ Finding = tuple[int, str, int | None]
 """An electrode that is not well: its number, its state, and the other one of a short or an exchange."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Received:
+    """How an item of a stream came."""
+
+    n: int = 0
+    """Number of this message in its stream; a gap means that this side missed messages."""
+    run: str = ""
+    """Id of this run of the runtime; it differs after each start."""
+    received_ns: int = 0
+    """``perf_counter_ns`` of this machine when it took the message from the socket."""
+
+
 @dataclass(frozen=True, slots=True)
-class WireFrame:
+class WireFrame(Received):
     """One intact FRAME from the wire, and its processing.
 
     Attributes:
         payload: The packet's payload (SPEC.md, section 4), with a correct checksum; of a driver, VOLTS (section 10).
         seq: Unwrapped ``sequence``; None if the payload is malformed.
         read_ns: ``perf_counter_ns`` of the runtime's machine after it read the last byte.
-        n: Number of this message in its stream; a gap means that this side missed messages.
         device_us: Device clock at the end of the scan, unwrapped; None if the payload is malformed.
         withheld: Why the frame was withheld; empty if it was fit to publish.
         frame: ``number`` of the published frame; None if none was published.
@@ -55,14 +66,11 @@ class WireFrame:
         solver: Solver of the published map; ``none`` if the map is 0.
         map_seq: ``seq`` of the frame that the map was computed for; None if no frame was published.
         conditions: ``revision`` of the :class:`Conditions` of this frame.
-        run: Id of this run of the runtime; it differs after each start.
-        received_ns: ``perf_counter_ns`` of this machine when it took the message from the socket.
     """
 
     payload: bytes
     seq: int | None
     read_ns: int
-    n: int = 0
     device_us: int | None = None
     withheld: str = ""
     frame: int | None = None
@@ -71,8 +79,6 @@ class WireFrame:
     solver: str = "none"
     map_seq: int | None = None
     conditions: int = 0
-    run: str = ""
-    received_ns: int = 0
 
     def body(self) -> bytes:
         """Return it as a stream carries it."""
@@ -80,7 +86,7 @@ class WireFrame:
         return found
 
     @classmethod
-    def of(cls, body: bytes, *, n: int = 0, run: str = "", received_ns: int = 0) -> Self:
+    def of(cls, body: bytes) -> Self:
         """Return the frame of a body.
 
         Raises:
@@ -91,7 +97,6 @@ class WireFrame:
             payload=fields.raw("payload", least=1, most=LARGEST_PAYLOAD),
             seq=_or_none(fields, "seq", fields.whole),
             read_ns=fields.whole("read_ns"),
-            n=n,
             device_us=_or_none(fields, "device_us", fields.whole),
             withheld=_text(fields, "withheld"),
             frame=_or_none(fields, "frame", fields.whole),
@@ -100,13 +105,11 @@ class WireFrame:
             solver=_text(fields, "solver"),
             map_seq=_or_none(fields, "map_seq", fields.whole),
             conditions=fields.whole("conditions"),
-            run=run,
-            received_ns=received_ns,
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CloudInUse:
+class CloudInUse(Received):
     """The surface in use.
 
     Attributes:
@@ -119,9 +122,6 @@ class CloudInUse:
         log_predicted: (rows,) float32, the solvers' input from the prediction; zeros without.
         seq: ``seq`` of the first frame computed with it; None if that was before the stream began.
         utc_ns: Wall clock when the runtime accepted the cloud.
-        n: Number of this message in its stream.
-        run: Id of this run of the runtime; it differs after each start.
-        received_ns: ``perf_counter_ns`` of this machine when it took the message from the socket.
     """
 
     revision: int
@@ -133,9 +133,6 @@ class CloudInUse:
     log_predicted: npt.NDArray[np.float32]
     seq: int | None
     utc_ns: int = 0
-    n: int = 0
-    run: str = ""
-    received_ns: int = 0
 
     def body(self) -> bytes:
         """Return it as a stream carries it."""
@@ -148,7 +145,7 @@ class CloudInUse:
         return found
 
     @classmethod
-    def of(cls, body: bytes, *, n: int = 0, run: str = "", received_ns: int = 0) -> Self:
+    def of(cls, body: bytes) -> Self:
         """Return the cloud of a body.
 
         Raises:
@@ -170,14 +167,11 @@ class CloudInUse:
             log_predicted=fields.array("log_predicted", "<f4", (rows,)),
             seq=_or_none(fields, "seq", fields.whole),
             utc_ns=fields.whole("utc_ns"),
-            n=n,
-            run=run,
-            received_ns=received_ns,
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Conditions:
+class Conditions(Received):
     """What determines a map in addition to voltages, reference, cloud and bundle.
 
     Attributes:
@@ -192,9 +186,6 @@ class Conditions:
         missing_rows: Rows that are filled in from the others.
         skip_unchanged: Whether the runtime keeps a map while only noise changes.
         volts_per_count: V of one count.
-        n: Number of this message in its stream.
-        run: Id of this run of the runtime; it differs after each start.
-        received_ns: ``perf_counter_ns`` of this machine when it took the message from the socket.
     """
 
     revision: int
@@ -208,9 +199,6 @@ class Conditions:
     missing_rows: tuple[int, ...]
     skip_unchanged: bool
     volts_per_count: float
-    n: int = 0
-    run: str = ""
-    received_ns: int = 0
 
     def body(self) -> bytes:
         """Return them as a stream carries them."""
@@ -224,7 +212,7 @@ class Conditions:
         return found
 
     @classmethod
-    def of(cls, body: bytes, *, n: int = 0, run: str = "", received_ns: int = 0) -> Self:
+    def of(cls, body: bytes) -> Self:
         """Return the conditions of a body.
 
         Raises:
@@ -250,9 +238,6 @@ class Conditions:
             missing_rows=fields.wholes("missing_rows", high=MAX_ROWS - 1, most=MAX_ROWS),
             skip_unchanged=fields.truth("skip_unchanged"),
             volts_per_count=fields.number("volts_per_count"),
-            n=n,
-            run=run,
-            received_ns=received_ns,
         )
 
 

@@ -9,7 +9,7 @@ from typing import Any, Final, Self
 import msgpack  # type: ignore[import-untyped]
 
 from eitskin.messaging.streams.envelope import STATE
-from eitskin.messaging.streams.measured import MAX_TEXT
+from eitskin.messaging.streams.measured import MAX_TEXT, Received
 from eitskin.messaging.unpacking import fields_of, require
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.fields import Fields
@@ -33,7 +33,7 @@ _TEXTS: Final = ("host", "serial", "configuration", "bundle", "skin", "protocol_
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SkinState:
+class SkinState(Received):
     """The device, the runtime and their status.
 
     Attributes:
@@ -53,9 +53,6 @@ class SkinState:
         events: Events of frames since the previous message, the last 64.
         made_ns: ``perf_counter_ns`` of the runtime's machine when it made this message.
         utc_ns: Wall clock at the same moment.
-        n: Number of this message in its stream; a gap means that this side missed messages.
-        run: Id of this run of the runtime; it differs after each start.
-        received_ns: ``perf_counter_ns`` of this machine when it took the message from the socket.
     """
 
     hello: bytes
@@ -74,9 +71,6 @@ class SkinState:
     events: tuple[Event, ...]
     made_ns: int
     utc_ns: int
-    n: int = 0
-    run: str = ""
-    received_ns: int = 0
 
     def body(self) -> bytes:
         """Return it as a stream carries it."""
@@ -88,7 +82,7 @@ class SkinState:
         return found
 
     @classmethod
-    def of(cls, body: bytes, *, n: int = 0, run: str = "", received_ns: int = 0) -> Self:
+    def of(cls, body: bytes) -> Self:
         """Return the state of a body.
 
         Raises:
@@ -109,8 +103,9 @@ class SkinState:
         if not isinstance(status, dict) or not _is_plain(status, DEEPEST):
             raise fields.wrong("status", "a map of plain values")
         events = fields.entries("events", most=MOST_EVENTS, of="events")
+        texts: dict[str, Any] = {name: fields.text(name, least=0, longest=MAX_TEXT) for name in _TEXTS}
         return cls(
-            **{name: fields.text(name, least=0, longest=MAX_TEXT) for name in _TEXTS},
+            **texts,
             hello=hello,
             solvers=fields.texts("solvers", most=16),
             status=status,
@@ -119,9 +114,6 @@ class SkinState:
             events=tuple(_event(events, place) for place in events),
             made_ns=fields.whole("made_ns"),
             utc_ns=fields.whole("utc_ns"),
-            n=n,
-            run=run,
-            received_ns=received_ns,
         )
 
     def as_dict(self) -> dict[str, Any]:

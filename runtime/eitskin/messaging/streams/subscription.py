@@ -6,7 +6,7 @@ counts them for each stream.
 """
 
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.streams.envelope import (
@@ -29,6 +29,9 @@ QUEUE: Final = 4000
 
 Item = WireFrame | CloudInUse | Conditions | SkinState
 """The items of a subscription."""
+
+CLASSES: Final[dict[str, type[Item]]] = {WIRE: WireFrame, CLOUD: CloudInUse, CONDITIONS: Conditions, STATE: SkinState}
+"""By their streams."""
 
 
 class StreamSubscription(Subscriber[Item]):
@@ -96,19 +99,13 @@ class StreamSubscription(Subscriber[Item]):
         body = self._joiner.add(found)
         if body is None:
             return None
-        origin: Any = {"n": found.number, "run": found.run, "received_ns": self._heard_ns}
-        if found.name == WIRE:
-            return WireFrame.of(body, **origin)
-        if found.name == CLOUD:
-            return CloudInUse.of(body, **origin)
-        if found.name == CONDITIONS:
-            return Conditions.of(body, **origin)
-        state = SkinState.of(body, **origin)
-        if state.reference is not None:
-            self._reference = state.reference_sha256, state.reference
-        elif self._reference[0] == state.reference_sha256:
-            state = replace(state, reference=self._reference[1])
-        return state
+        item = replace(CLASSES[found.name].of(body), n=found.number, run=found.run, received_ns=self._heard_ns)
+        if isinstance(item, SkinState):
+            if item.reference is not None:
+                self._reference = item.reference_sha256, item.reference
+            elif self._reference[0] == item.reference_sha256:
+                item = replace(item, reference=self._reference[1])
+        return item
 
 
 subscribe_streams = StreamSubscription

@@ -58,7 +58,7 @@ def same(one, other):
 @ALL
 def test_what_goes_in_comes_out(item):
     item = replace(item, n=12, run="r", received_ns=5)
-    found = type(item).of(item.body(), n=12, run="r", received_ns=5)
+    found = replace(type(item).of(item.body()), n=12, run="r", received_ns=5)
     for field in fields(item):
         assert same(getattr(found, field.name), getattr(item, field.name)), field.name
 
