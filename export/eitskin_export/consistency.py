@@ -35,10 +35,16 @@ def row_statistics(data: TrainingData, recipe: Recipe, bends: Bends) -> dict[str
         data: The data set.
         recipe: Its noise.
         bends: Untouched sheets.
+
+    Raises:
+        ValueError: The training data has a single deformation.
     """
+    trained = np.unique(data.deformation[data.train])
+    if trained.size < 2:
+        raise ValueError(f"the training data has {trained.size} deformation, expected 2 or more; draw more of them")
     found = consistency_of(data, recipe)
     logs = np.concatenate([bends.train, np.zeros((1, N_ROWS))])
-    left = unpredicted(data, np.unique(data.deformation[data.train]))
+    left = unpredicted(data, trained)
     return {
         "mean": found.mean,
         "covariance": found.covariance,

@@ -1,6 +1,7 @@
 """What a bundle says of healthy frames, from the data that its network learned from."""
 
 import io
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -80,6 +81,13 @@ def test_weights_beyond_half_precision_are_refused(data: TrainingData) -> None:
     arrays["filling_third_bias"] = np.full(104, 1e5, dtype=np.float32)
     with pytest.raises(ValueError, match="adapt again"):
         healthy(data, recipe("tiny"), bends_of(data), INVERSE, arrays)
+
+
+def test_a_single_deformation_is_refused(data: TrainingData) -> None:
+    deformation = data.deformation[data.train]
+    single = replace(data, train=data.train[deformation == deformation[0]])
+    with pytest.raises(ValueError, match="has 1 deformation, expected 2 or more"):
+        healthy(single, recipe("tiny"), bends_of(data), INVERSE)
 
 
 def test_thresholds_hold_on_frames_that_did_not_choose_them(data: TrainingData, found: MeasuredConsistency) -> None:

@@ -213,8 +213,9 @@ def lines(found: dict[str, Any]) -> list[str]:
         partner = "" if one["partner"] is None else f" with {one['partner']}"
         gap = "" if one["reciprocity_gap"] is None else f"  reciprocity {one['reciprocity_gap']:.2%}"
         shown.append(
-            f"electrode {one['electrode']:2d}  {_in_words(one['state'])}{partner}  surprise {one['surprise']:g} of "
-            f"{found['surprise_limit']:g}  pair at {one['pair_ratio']:.0%}  jumps {one['jumping']:.0%}{gap}  "
+            f"electrode {one['electrode']:2d}  {_in_words(one['state'])}{partner}  "
+            f"rows deviate by {one['surprise'] / found['surprise_limit']:.0%} of the limit  "
+            f"pair at {one['pair_ratio']:.0%}  jumps {one['jumping']:.0%}{gap}  "
             f"{one['to_do']}"
         )
     shown += [f"front end: {fault}" for fault in found["front_end"]]

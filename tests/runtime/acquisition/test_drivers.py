@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import re
 import sys
 import threading
 import time
@@ -356,13 +357,34 @@ def test_half_frames_are_counted_as_lost():
     numbers = itertools.count()
 
     def form(voltages):
-        return text(voltages[:100] if next(numbers) in (20, 21) else voltages)
+        number = next(numbers)
+        if number == 30:
+            return text(voltages).replace(", ", ", nan, ", 1)[: len(text(voltages))].rpartition(",")[0]
+        return text(voltages[:100] if number in (20, 21) else voltages)
 
     with Lines(at_rest, form, rate_hz=50.0) as device:
         line = open_line(f"line:{device.port}?numbers=208&rate=50")
         _, found = scans(line, 40)
         line.close()
-    assert np.diff([number for number, _, _ in found]).tolist().count(3) == 1
+    steps = np.diff([number for number, _, _ in found]).tolist()
+    assert (steps.count(3), steps.count(2)) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("last", "trouble"),
+    [("1, nan, 3", "had 3 numbers, expected 208"), (", ".join(["1", "nan", *["2"] * 206]), "column 2 .* is 'nan'"),
+     ("", "it stopped after [1-9][0-9]* lines, [0-9]+ s ago")],
+)  # fmt: skip
+def test_a_device_that_sends_nothing_useful_any_more_is_described(last, trouble):
+    broken = threading.Event()
+    with Lines(at_rest, lambda voltages: last if broken.is_set() else text(voltages)) as device:
+        line = open_line(f"line:{device.port}?numbers=208&rate=200")
+        scans(line, 20)
+        broken.set()
+        while line.read(0.5):
+            pass
+        assert re.search(trouble, line.trouble)
+        line.close()
 
 
 def started(port):

@@ -44,6 +44,7 @@ def test_a_report_says_of_each_phantom_how_sure_it_is_and_of_all_what_went_unsee
     every = found["verified"]
     assert isinstance(every, dict)
     assert (every["wrong"], every["wrong_unflagged"], every["right_flagged"]) == (2, 1, 1)
+    assert every["flagged"] == 0.5
     assert (every["extra_ms_median"], every["setup_ms_median"]) == (4.0, 600.0)
 
 

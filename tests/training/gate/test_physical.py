@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from eitskin.model.gate import Gate
 from eitskin_proto.sensor.normalise import relative_change
@@ -31,3 +32,5 @@ def test_a_gate_of_physics_tells_touches_from_bends_and_drift_that_it_never_saw(
     assert 5.0 <= facts["felt_mm"] < 15.0
     _, faint = physical_gate(Untouched(learn, choose, measure), 0.03 * touches, sizes_mm, reference, PAPER, rng)
     assert faint["felt_mm"] > 1.5 * facts["felt_mm"]
+    with pytest.raises(ValueError, match="no touch changes rows"):
+        physical_gate(Untouched(learn, choose, measure), 1e-4 * touches, sizes_mm, reference, PAPER, rng)

@@ -351,6 +351,7 @@ def touched_trial(
         from eitskin_tools.evaluation.verified.solver import summary_of
 
         found["verified"] = summary_of([(phantom, scores, checked[id(phantom)]) for phantom, scores in results])
+        found["flagged"] = found["verified"]["flagged"]
     return found
 
 

@@ -95,10 +95,19 @@ def physical_gate(
         reference: (104,) V of the flat sheet.
         skin: Whose noise and mirror images.
         rng: Draws frames.
+
+    Raises:
+        ValueError: No touch has a pattern to speak of.
     """
+    seen = filters.seen(touches)
+    if not len(seen):
+        raise ValueError(
+            f"no touch changes rows by {filters.MIN_TOUCH_MEAN_LOG:.1%} or more, so there is nothing to find; give the "
+            "skin larger touches, or contrasts further from 1"
+        )
     mean, whitening = filters.whitening_of(_frames(untouched.learn, reference, skin, rng), without_common())
     mean[:] = 0.0  # the flat sheet is the usual one
-    bank = filters.bank(filters.seen(touches) @ whitening, rng)
+    bank = filters.bank(seen @ whitening, rng)
     choose, measure = (
         filters.ratios(_frames(logs, reference, skin, rng) @ whitening, bank)
         for logs in (untouched.choose, untouched.measure)

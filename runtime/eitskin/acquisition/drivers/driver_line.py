@@ -126,8 +126,8 @@ class DriverLine:
                 return b""
             if ready:
                 self._take_scans()
-            elif left_s <= 0.0:
-                return b""
+            if left_s <= 0.0:  # what comes may be no scan
+                break
         found = bytes(self._out)
         self._out.clear()
         return found

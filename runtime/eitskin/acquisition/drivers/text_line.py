@@ -100,7 +100,10 @@ class TextLine:
 
     def __init__(self, source: Any, options: Any) -> None:
         self._source, self._buffer, self._damaged = source, b"", 0
-        self._last = b""
+        self._damage = ""
+        """What is wrong with the last damaged line."""
+        self._lines, self._came_s = 0, time.monotonic()
+        """Whole lines so far, and when the last one came."""
         self._start = str(options.value("start", "")).encode()
         values = options.choice("values", ("signed", "amounts", "complex"), "signed")
         self._complex, self.signed = values == "complex", values == "signed"
@@ -137,7 +140,8 @@ class TextLine:
                     return line
             self._buffer = self._buffer[-LARGEST_LINE:]
         wanted = f"a line of {numbers} numbers" if numbers else "a line of numbers"
-        found = f"the last line had {len(_words(seen))} words" if seen else "no line came"
+        found = _damage(_words(seen), numbers) or f"the last line had {len(_words(seen))} words"
+        found = found if seen else "no line came"
         raise NotReady(
             f"{self._source.name} sent no {wanted[2:]} within {PROBE_S:g} s: {found}; check numbers and baud"
         )
@@ -161,9 +165,9 @@ class TextLine:
     @property
     def trouble(self) -> str:
         """What came in place of scans."""
-        if not self._last:
-            return "no line came"
-        return f"the last line had {len(_words(self._last))} numbers, expected {self._numbers}"
+        if self._damage or not self._lines:
+            return self._damage or "no line came"
+        return f"it stopped after {self._lines} lines, {time.monotonic() - self._came_s:.0f} s ago"
 
     def fileno(self) -> int:
         """Return the port's descriptor."""
@@ -181,11 +185,14 @@ class TextLine:
         self._buffer = self._buffer[-LARGEST_LINE:]
         for line in lines:
             words = _words(line)
-            found = _parsed(words) if len(words) == self._numbers else None
-            if words and found is None:
-                self._damaged, self._last = self._damaged + 1, line
-            if found is None:
+            if not words:
                 continue
+            self._damage = _damage(words, self._numbers)
+            found = None if self._damage else _parsed(words)
+            if found is None:
+                self._damaged += 1
+                continue
+            self._lines, self._came_s = self._lines + 1, time.monotonic()
             if self._complex:
                 found = found[0::2] + 1j * found[1::2]
             lost, self._damaged = self._damaged, 0
@@ -235,10 +242,22 @@ def _words(line: bytes) -> list[bytes]:
 
 
 def _parsed(words: list[bytes]) -> npt.NDArray[Any] | None:
+    """Return the numbers; None if one of them is none."""
     try:
-        return np.array([float(word) for word in words])
+        found = np.array([float(word) for word in words])
     except ValueError:
         return None
+    return found if np.isfinite(found).all() else None
+
+
+def _damage(words: list[bytes], numbers: int) -> str:
+    """Return what is wrong with a line; empty if it has so many numbers (for 0, any)."""
+    if numbers and len(words) != numbers:
+        return f"the last line had {len(words)} numbers, expected {numbers}"
+    at = next((at for at, word in enumerate(words) if _parsed([word]) is None), None)
+    return (
+        "" if at is None else f"column {at + 1} of the last line is {words[at].decode(errors='replace')!r}, no number"
+    )
 
 
 def _step_of(line: bytes) -> float:

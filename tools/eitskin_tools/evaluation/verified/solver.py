@@ -273,6 +273,7 @@ def summary_of(every: list[tuple[Phantom, list[Score], list[MapVerdict]]]) -> di
         "maps": len(all_),
         "not_verified": sum(bool(one.not_verified) for one in all_),
         "exact": float(exact.mean()),
+        "flagged": float(flagged.mean()),
         "wrong": int((~exact).sum()),
         "wrong_unflagged": int((~exact & ~flagged).sum()),
         "right_flagged": int((exact & flagged).sum()),
