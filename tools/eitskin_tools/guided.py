@@ -8,8 +8,9 @@ import select
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Final, Protocol
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -135,23 +136,6 @@ class GuideError(SkinError):
     """A guided recording ended early; the text says why."""
 
 
-class Dialogue(Protocol):
-    """A person at a terminal."""
-
-    def say(self, text: str) -> None:
-        """Say what to do."""
-
-    def show(self, text: str) -> None:
-        """Say how it is going; may be overwritten."""
-
-    def answer(self) -> str | None:
-        """Return a line that was typed, without waiting; None where there is none."""
-
-    @property
-    def ended(self) -> bool:
-        """Whether nothing will be typed any more."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """What is asked for."""
@@ -174,15 +158,6 @@ class Plan:
         return f"disc of {size} mm" if len(self.stamp_mm) == 1 else f"stamp of {size} mm"
 
 
-@dataclass(slots=True)
-class GuidedRecording:
-    """What was recorded so far."""
-
-    reference: Array | None = None
-    bents: dict[int, tuple[Array, Array]] = field(default_factory=dict)
-    presses: dict[int, Array] = field(default_factory=dict)
-
-
 class Guide:
     """Goes through steps with a person: forward, back, past one.
 
@@ -196,7 +171,7 @@ class Guide:
 
     again = "starts again"
 
-    def __init__(self, frames: Iterator[Array], talk: Dialogue) -> None:
+    def __init__(self, frames: Iterator[Array], talk: "Terminal | Silent") -> None:
         self._frames, self._talk = frames, talk
         self._watch, self._size = FrameWindow(), 0.0
 
@@ -285,10 +260,12 @@ class CalibrationGuide(Guide):
         load_scan: Reads the scan of a bend.
     """
 
-    def __init__(self, plan: Plan, frames: Iterator[Array], talk: Dialogue, load_scan: LoadScan) -> None:
+    def __init__(self, plan: Plan, frames: Iterator[Array], talk: "Terminal", load_scan: LoadScan) -> None:
         super().__init__(frames, talk)
         self._plan, self._load_scan = plan, load_scan
-        self._found = GuidedRecording()
+        self._reference_V: Array | None = None
+        self._bents: dict[int, tuple[Array, Array]] = {}
+        self._presses: dict[int, Array] = {}
 
     def run(self) -> dict[str, Any]:
         """Go through all steps and return the arrays of ``docs/calibrate.md``.
@@ -296,30 +273,11 @@ class CalibrationGuide(Guide):
         Raises:
             GuideError: The person gave up, or the frames ended.
         """
-        steps: list[Callable[[], str | None]] = [self._bend_or_press(k) for k in range(self._plan.bends)]
+        steps = [partial(self._bend, k) for k in range(self._plan.bends)]
         if self._plan.stamp_mm:
-            steps += [self._bend_or_press(self._plan.bends + k) for k in range(len(self._plan.places_mm))]
+            steps += [partial(self._press, k) for k in range(len(self._plan.places_mm))]
         self.go_through([self._reference, *steps])
         return self._arrays()
-
-    def _bend_or_press(self, number: int) -> Callable[[], str | None]:
-        """Return the step of a bend, or of a press, where presses are counted on from the bends."""
-
-        def step() -> str | None:
-            bends = self._plan.bends
-            word = self._bend(number) if number < bends else self._press(number - bends)
-            if word == SKIP:
-                self._discard(number)
-            return word
-
-        return step
-
-    def _discard(self, number: int) -> None:
-        """Forget what came of a step that was gone back to, of those after the reference."""
-        bends, found = self._plan.bends, self._found
-        gone = found.bents.pop(number, None) if number < bends else found.presses.pop(number - bends, None)
-        if gone is not None:
-            self._talk.say("discarding what this step recorded before")
 
     def _reference(self) -> str | None:
         how = "Lay the sheet flat" if self._plan.lying_mm is None else "Leave the sheet as it was scanned"
@@ -330,13 +288,13 @@ class CalibrationGuide(Guide):
             self._talk.say("the reference cannot be skipped: everything is compared with it")
             return self._reference()
         if word is None:
-            self._found.reference = frames.mean(axis=0)
-            noise = step_noise(frames)
-            self._watch.set_reference(self._found.reference, noise)
+            self._reference_V = frames.mean(axis=0)
+            self._watch.set_reference(self._reference_V, step_noise(frames))
             self._talk.say(f"reference: mean of {len(frames)} frames of {frames.shape[1]} rows")
         return word
 
     def _bend(self, number: int) -> str | None:
+        self._bents.pop(number, None)  # of a step that was gone back to
         of = f"Bend {number + 1} of {self._plan.bends}"
         self._talk.say(f"{of}: bend the sheet without touching its surface, hold it still, and scan it. ({ANSWERS})")
         word = self._wait_until(lambda: self._watch.steady and self._watch.away > self._watch.floor)
@@ -360,11 +318,12 @@ class CalibrationGuide(Guide):
                 self._talk.say(f"{error}; name another file")
         frames, word = self._steady_frames(self._plan.frames, lambda: self._watch.away > self._watch.floor)
         if word is None:
-            self._found.bents[number] = (frames.mean(axis=0), cloud)
+            self._bents[number] = (frames.mean(axis=0), cloud)
             self._talk.say(f"bend {number + 1}: mean of {len(frames)} frames")
         return word
 
     def _press(self, number: int) -> str | None:
+        self._presses.pop(number, None)
         x, y = self._plan.places_mm[number]
         of = f"Press {number + 1} of {len(self._plan.places_mm)}"
         how = "flat" if self._plan.lying_mm is None else "as it was scanned first,"
@@ -373,22 +332,22 @@ class CalibrationGuide(Guide):
         if word:
             return word
         asked = f"press the {self._plan.stamp} at ({x:g}, {y:g}) mm, and hold it"
-        keep = self._found.presses.__setitem__
+        keep = self._presses.__setitem__
         return self._take_press(asked, f"press {number + 1}", self._plan.frames, lambda mean_V: keep(number, mean_V))
 
     def _arrays(self) -> dict[str, Any]:
-        found, plan = self._found, self._plan
-        arrays: dict[str, Any] = {"reference_V": found.reference, "reference_frames": np.array(plan.reference_frames)}
+        bents, presses, plan = self._bents, self._presses, self._plan
+        arrays: dict[str, Any] = {"reference_V": self._reference_V, "reference_frames": np.array(plan.reference_frames)}
         if plan.lying_mm is not None:
             arrays["reference_cloud_mm"] = plan.lying_mm
-        if found.bents:
-            volts, clouds = zip(*(found.bents[k] for k in sorted(found.bents)), strict=True)
+        if bents:
+            volts, clouds = zip(*(bents[k] for k in sorted(bents)), strict=True)
             arrays |= {"bent_V": np.array(volts), "bent_cloud_mm": np.array(clouds)}
             arrays["bent_frames"] = np.array(plan.frames)
-        if found.presses:
-            order = sorted(found.presses)
+        if presses:
+            order = sorted(presses)
             arrays |= {
-                "press_V": np.array([found.presses[k] for k in order]),
+                "press_V": np.array([presses[k] for k in order]),
                 "press_xy_mm": np.array([plan.places_mm[k] for k in order]),
                 "stamp_mm": np.array(plan.stamp_mm),
                 "press_frames": np.array(plan.frames),
@@ -437,6 +396,22 @@ class Terminal:
     def end(self) -> None:
         """Leave the last line."""
         self._line.end()
+
+
+class Silent:
+    """Nobody: a recording answers by itself."""
+
+    ended = True
+
+    def say(self, text: str) -> None:
+        """Say nothing."""
+
+    def show(self, text: str) -> None:
+        """Show nothing."""
+
+    def answer(self) -> str | None:
+        """Return None."""
+        return None
 
 
 FRAME_TIMEOUT_S: Final = 10.0

@@ -21,7 +21,6 @@ TAKING_A_FILE = {
     "virtual-skin --config": ["virtual-skin", "--config", ABSENT],
     "virtual-skin --scene": ["virtual-skin", "--scene", ABSENT],
     "virtual-skin --log": ["virtual-skin", "--log", f"{ABSENT}/log"],
-    "demo --scene": ["demo", "--scene", ABSENT],
     "demo --bundle": ["demo", "--bundle", ABSENT],
     "run --bundle": ["run", "--port", "/dev/null", "--bundle", ABSENT],
     "run --skin": ["run", "--port", "/dev/null", "--skin", ABSENT],

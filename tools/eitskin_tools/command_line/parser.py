@@ -117,7 +117,7 @@ class Parser(argparse.ArgumentParser):
 
     def _get_value(self, action: argparse.Action, text: str) -> Any:
         try:
-            return super()._get_value(action, text)  # type: ignore[misc]  # not in the stubs
+            return super()._get_value(action, text)
         except argparse.ArgumentError:
             if not isinstance(action.type, Bounded):
                 raise

@@ -4,8 +4,7 @@ import argparse
 import signal
 import sys
 
-from eitskin_tools.command_line import files, options
-from eitskin_tools.command_line.options import SEED
+from eitskin_tools.command_line import options
 from eitskin_tools.command_line.parser import positive
 from eitskin_tools.console.terminal import answer
 from eitskin_tools.processes.signals import endings
@@ -26,14 +25,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "bundle's card says that it shows the same, else vd2t)",
     )
     parser.add_argument(
-        "--scene", metavar="FILE", help="show this scene only (a file, or sample); default: touches come and go"
-    )
-    parser.add_argument(
         "--device", default="virtual", choices=("virtual", "qemu"),
         help="qemu: the real firmware on an emulated board (needs qemu-system-arm and gcc-arm-none-eabi)",
     )  # fmt: skip
     parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="at 50 dB (default N2)")
-    parser.add_argument("--seed", type=SEED, default=0, help="of the noise (default 0)")
     parser.add_argument("--view", action="store_true", help="show it in the browser, until Ctrl-C")
 
 
@@ -43,7 +38,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     seconds = arguments.seconds if arguments.seconds is not None else 3600.0 if arguments.view else 20.0
     options.check_solver(arguments)
-    scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
     bundle, kind = choose(arguments.bundle, options.chosen_touches(arguments))
     for number in endings():
         signal.signal(number, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind
@@ -54,10 +48,8 @@ def run(arguments: argparse.Namespace) -> int:
         bundle=bundle,
         touches=kind,
         solver=arguments.solver,
-        scene=scene,
         noise=arguments.noise,
         device=arguments.device,
-        seed=arguments.seed,
         draw=draw,
         view=arguments.view,
         talk=not draw and not arguments.json,

@@ -43,8 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Serve until stopped."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy is first imported, below
+    from eitskin_tools.scripted_scene.script import script_of
     from eitskin_tools.virtual_skin.faults import parse
-    from eitskin_tools.virtual_skin.process import Options, serve
+    from eitskin_tools.virtual_skin.process import serve
 
     if arguments.scene is not None and arguments.touches is not None:
         raise UsageError(
@@ -60,20 +61,5 @@ def run(arguments: argparse.Namespace) -> int:
         faults = tuple(parse(text) for text in arguments.fault)
     except ValueError as error:
         raise UsageError(str(error)) from error
-    return serve(
-        Options(
-            rate_hz=arguments.rate,
-            configuration=arguments.config,
-            scene=scene,
-            skin=skin if kind is None else skin.touched(kind),
-            seconds=arguments.seconds,
-            seed=arguments.seed,
-            noise=arguments.noise,
-            snr_db=arguments.snr_db,
-            faults=faults,
-            serial_number=arguments.serial_number,
-            json=arguments.json,
-            log=arguments.log,
-            wire_times=arguments.wire_times,
-        )
-    )
+    script = script_of(scene, skin if kind is None else skin.touched(kind))
+    return serve(arguments, script, faults)

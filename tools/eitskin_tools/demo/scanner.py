@@ -25,27 +25,23 @@ NICENESS: Final = 2
 """Of this process; see nice(2). With 10, on cores that other programs fill, a cloud came every four seconds."""
 
 
-def send_clouds(
-    control: str, log: Path, rate_hz: float, scene: Path | None, seed: int, predict: bool, skin: Skin = PAPER
-) -> None:
+def send_clouds(control: str, log: Path, rate_hz: float, predict: bool, skin: Skin = PAPER) -> None:
     """Send clouds until the process is stopped.
 
     Args:
         control: Endpoint of the runtime.
         log: Of the virtual skin; says when the script began.
         rate_hz: Clouds a second.
-        scene: What the virtual skin holds, or None for the demonstration.
-        seed: Of the scanner's noise.
         predict: Send the predicted voltages too.
         skin: What is scanned.
 
     Raises:
         SkinError: The runtime refuses a cloud.
     """
-    from eitskin_tools.scripted_scene.script import script_of
+    from eitskin_tools.scripted_scene.script import demonstration
 
-    script = script_of(scene, skin)
-    rng = np.random.default_rng(seed)
+    script = demonstration(skin)
+    rng = np.random.default_rng(0)
     if predict:
         _predicted(script.cloud_at(0.0), skin)  # the first one solves the flat sheet finely
     start_ns = script_start(log)["host_ns"]
@@ -84,18 +80,14 @@ def main() -> int:
     parser.add_argument("control")
     parser.add_argument("log", type=Path)
     parser.add_argument("--rate", type=float, default=4.0)
-    parser.add_argument("--scene", type=Path)
     parser.add_argument("--skin", type=Path)
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--predict", action="store_true")
     arguments = parser.parse_args()
     raise_stopped_on_signals()
     os.nice(NICENESS)
     try:
         skin = PAPER if arguments.skin is None else load(arguments.skin)
-        send_clouds(
-            arguments.control, arguments.log, arguments.rate, arguments.scene, arguments.seed, arguments.predict, skin
-        )
+        send_clouds(arguments.control, arguments.log, arguments.rate, arguments.predict, skin)
     except Stopped:
         pass
     except (eitskin.SkinError, OSError, ValueError) as error:

@@ -18,7 +18,6 @@ import webbrowser
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Any, Final
 
@@ -63,11 +62,9 @@ class Options:
     bundle: Path | None = None
     solver: str | None = None
     """The most accurate solver to use, as for ``eitskin run``."""
-    scene: Path | None = None
     noise: str = "N2"
     device: str = "virtual"
     """"virtual" for eitskin virtual-skin, "qemu" for the firmware on an emulated board."""
-    seed: int = 0
     draw: bool = False
     talk: bool = False
     """Say on standard error how far it is."""
@@ -168,7 +165,7 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     """Start everything."""
     # The skin ends this much after the demonstration if it was not stopped, which should never happen.
     longest = options.seconds + START_S + READY_S
-    scene, sheet = ["--scene", str(options.scene)] if options.scene else [], list[str]()
+    sheet = list[str]()
     if (described := skin_of(options.bundle, options.touches)) != PAPER:
         (description := folder / "skin.toml").write_text(to_toml(described), encoding="utf-8")
         sheet = ["--skin", str(description)]
@@ -177,8 +174,7 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
         module, command, environment = (EMULATED_SKIN, [], {"PYTHONPATH": str(checkout())})
     skin = Child(
         "virtual-skin", module,
-        [*command, "--json", f"--rate={options.rate_hz:g}", f"--noise={options.noise}", f"--seed={options.seed}",
-         *scene, *sheet,
+        [*command, "--json", f"--rate={options.rate_hz:g}", f"--noise={options.noise}", *sheet,
          f"--seconds={longest:g}", f"--log={folder / 'skin.log'}", f"--wire-times={folder / 'wire.npy'}"], folder,
         environment,
     )  # fmt: skip
@@ -200,7 +196,7 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     )  # fmt: skip
     children.append(subscriber)
     if options.clouds:
-        children.append(_scanner(options, control, folder, scene + sheet))
+        children.append(_scanner(options, control, folder, sheet))
     runtime.line(runtime.err, "ready ", READY_S, children)
     if options.view:
         words = ["view", f"--endpoint={publish}", "--port=0", "--no-open", *sheet]
@@ -230,11 +226,11 @@ def checkout() -> Path:
     return root
 
 
-def _scanner(options: Options, control: str, folder: Path, scene: list[str]) -> Child:
+def _scanner(options: Options, control: str, folder: Path, sheet: list[str]) -> Child:
     predict = ["--predict"] if uses_prediction(options.bundle) else []
     return Child(
         "scanner", "eitskin_tools.demo.scanner",
-        [control, str(folder / "skin.log"), f"--rate={CLOUDS_HZ}", f"--seed={options.seed}", *scene, *predict], folder,
+        [control, str(folder / "skin.log"), f"--rate={CLOUDS_HZ}", *sheet, *predict], folder,
     )  # fmt: skip
 
 
@@ -261,7 +257,9 @@ def _going_on(children: list[Child], end: float) -> bool:
 
 def _script_of(options: Options) -> Any:
     """Return the script that the virtual skin plays."""
-    return script_of(options.scene, options.bundle, options.touches)
+    from eitskin_tools.scripted_scene.script import demonstration
+
+    return demonstration(skin_of(options.bundle, options.touches))
 
 
 def _last_object(child: Child) -> dict[str, Any]:
@@ -326,19 +324,10 @@ def uses_prediction(bundle: Path | None) -> bool:
     return bool(load_bundle(bundle, lazily=True).uses_prediction)
 
 
-def script_of(scene: Path | None, bundle: Path | None, touches: TouchKind) -> Any:
-    """Return the script that the virtual skin plays."""
-    from eitskin_tools.scripted_scene import script
-
-    return script.script_of(scene, skin_of(bundle, touches))
-
-
 def touches_in_words(script: Any) -> str:
-    """Return for people what the demonstration's touches do to conductance; nothing of a scene's, which says itself."""
+    """Return for people what the demonstration's touches do to conductance."""
     from eitskin_tools.scripted_scene.choreography import LOWERED_CONTRAST, RAISED_CONTRAST
 
-    if not isfinite(script.period_s):
-        return ""
     if script.skin.touch_kind == "raise":
         return f", where conductance is {RAISED_CONTRAST:g} times as high"
     return f", as of a finger: conductance falls to {100 * LOWERED_CONTRAST:g} %"

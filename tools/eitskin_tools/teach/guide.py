@@ -12,7 +12,7 @@ import numpy as np
 
 from eitskin_proto.files.arrays import save_arrays
 from eitskin_proto.files.writing import replacing
-from eitskin_tools.guided import ANSWERS, Array, Dialogue, FrameWindow, Guide, GuideError, step_noise
+from eitskin_tools.guided import ANSWERS, Array, FrameWindow, Guide, GuideError, Silent, Terminal, step_noise
 from eitskin_tools.teach.places import Place
 from eitskin_tools.teach.presses import load_presses
 
@@ -100,7 +100,7 @@ class PressGuide(Guide):
         self,
         recorder: PressRecorder,
         frames: Iterator[Array],
-        talk: Dialogue,
+        talk: "Terminal | Silent",
         shown: Callable[[Place | None], None] = lambda place: None,
         *,
         count: int = 40,
@@ -147,22 +147,6 @@ class PressGuide(Guide):
             self._recorder.add(place, untouched, pressed)
 
         return self._take_press(f"{which}: press {place} and hold", which, self._count, keep)
-
-
-class Silent:
-    """Nobody: a recording answers by itself."""
-
-    ended = True
-
-    def say(self, text: str) -> None:
-        """Say nothing."""
-
-    def show(self, text: str) -> None:
-        """Show nothing."""
-
-    def answer(self) -> str | None:
-        """Return None."""
-        return None
 
 
 def places_of(path: Path) -> list[Place]:

@@ -8,7 +8,8 @@ import numpy as np
 
 from eitskin_proto.sensor.row_table import RowTable
 from eitskin_proto.skin.skin import Skin
-from eitskin_tools.teach.guide import PressGuide, PressRecorder, Silent, places_of
+from eitskin_tools.guided import Silent
+from eitskin_tools.teach.guide import PressGuide, PressRecorder, places_of
 from eitskin_tools.teach.places import Place, grid_places
 
 

@@ -5,12 +5,13 @@ device clock showed 0. Everything that happens later goes to the log file, one J
 plug, stop.
 """
 
+import argparse
 import json
 import os
 import sys
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from time import perf_counter_ns
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,6 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.sensor.ids import PROTOCOL_ID
-from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.wire import config_toml
 from eitskin_proto.wire.config import Configuration
 from eitskin_proto.wire.frames import full_scale
@@ -103,57 +103,38 @@ WIRE_CAPACITY = 1 << 20
 """Frames whose times on the wire are kept: 87 minutes at 200 frames/s, 8 MiB."""
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
-    """What a virtual skin is like."""
-
-    rate_hz: float = 200.0
-    configuration: str = "paper"
-    scene: Path | None = None
-    """A scene to hold; the demonstration's script if None."""
-    skin: Skin = PAPER
-    seconds: float | None = None
-    """Of serving, from when the port appears; for ever if None."""
-    seed: int = 0
-    noise: str = "N2"
-    snr_db: float = 50.0
-    faults: tuple[Fault, ...] = ()
-    serial_number: str = "VIRTUAL-0001"
-    json: bool = False
-    log: Path | None = None
-    wire_times: Path | None = None
-    """File of the host time of every frame, :func:`eitskin_tools.virtual_skin.server.wire_times`."""
-
-
-def serve(options: Options) -> int:
+def serve(arguments: argparse.Namespace, script: "Script", faults: Sequence[Fault]) -> int:
     """Run a virtual skin until it is stopped or its time is over; return the exit status.
 
+    Args:
+        arguments: Of ``eitskin virtual-skin``.
+        script: What it shows.
+        faults: What happens to it.
+
     Raises:
-        ValueError: A rate that the electronics cannot reach, or another option that makes no sense.
-        SceneError: The scene's file is no scene.
-        OSError: A file cannot be read or written.
+        ValueError: A rate that the electronics cannot reach.
+        OSError: A file cannot be written.
     """
     with met_by(stop, *endings()), suppress(Stopped), ExitStack() as stack:
-        server = _build(options, stack)
-        until = None if options.seconds is None else perf_counter_ns() + int(options.seconds * 1e9)
+        server = _build(arguments, script, faults, stack)
+        until = None if arguments.seconds is None else perf_counter_ns() + int(arguments.seconds * 1e9)
         server.run(until)
     return 0
 
 
-def _build(options: Options, stack: ExitStack) -> SkinServer:
-    from eitskin_tools.scripted_scene.script import prepare, script_of
+def _build(arguments: argparse.Namespace, script: "Script", faults: Sequence[Fault], stack: ExitStack) -> SkinServer:
+    from eitskin_tools.scripted_scene.script import prepare
 
-    configuration = configuration_for(options.rate_hz, options.configuration)
-    player = FaultPlayer(options.faults, options.seed)
-    script = script_of(options.scene, options.skin)
-    until_s = script.period_s if options.seconds is None else options.seconds
+    configuration = configuration_for(arguments.rate, arguments.config)
+    player = FaultPlayer(faults, arguments.seed)
+    until_s = script.period_s if arguments.seconds is None else arguments.seconds
     solved = prepare(script, until_s)
     count_V = CONVERTER_V / configuration.gain / full_scale(configuration.sample_bytes)
-    noise = Noise(options.noise, options.snr_db, options.seed, script.voltages_at(0.0, solved), count_V)
-    log = stack.enter_context(options.log.open("w", buffering=1)) if options.log else None
-    times = wire_times(options.wire_times, WIRE_CAPACITY) if options.wire_times else None
+    noise = Noise(arguments.noise, arguments.snr_db, arguments.seed, script.voltages_at(0.0, solved), count_V)
+    log = stack.enter_context(arguments.log.open("w", buffering=1)) if arguments.log else None
+    times = wire_times(arguments.wire_times, WIRE_CAPACITY) if arguments.wire_times else None
     port = stack.enter_context(PtyPort())
-    identity = Identity(options.serial_number, FOREIGN_ID if player.foreign else PROTOCOL_ID)
+    identity = Identity(arguments.serial_number, FOREIGN_ID if player.foreign else PROTOCOL_ID)
     device = VirtualDevice(ScriptSource(script, solved, noise), configuration, perf_counter_ns(), identity)
 
     def write(event: dict[str, Any]) -> None:
@@ -167,23 +148,25 @@ def _build(options: Options, stack: ExitStack) -> SkinServer:
         write({"event": "stop", "host_ns": perf_counter_ns(), **told})
 
     stack.callback(last)
-    _announce(options, port, device, script.name)
+    _announce(arguments, port, device, player, script.name)
     return server
 
 
-def _announce(options: Options, port: PtyPort, device: VirtualDevice, script: str) -> None:
-    if options.json:
+def _announce(
+    arguments: argparse.Namespace, port: PtyPort, device: VirtualDevice, player: FaultPlayer, script: str
+) -> None:
+    if arguments.json:
         found = {
             "port": str(port.path),
             "pid": os.getpid(),
             "script": script,
             "rate_hz": device.rate_mHz / 1000,
-            "serial_number": options.serial_number,
+            "serial_number": arguments.serial_number,
             "clock_epoch_ns": device.epoch_ns,
-            "noise": options.noise,
-            "snr_db": options.snr_db,
-            "seed": options.seed,
-            "faults": [fault.kind for fault in options.faults],
+            "noise": arguments.noise,
+            "snr_db": arguments.snr_db,
+            "seed": arguments.seed,
+            "faults": [fault.kind for fault in player.faults],
         }
         print(json.dumps(found), flush=True)
     else:
