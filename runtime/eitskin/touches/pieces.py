@@ -164,6 +164,9 @@ def divided(at: Sequence[int], values: Sequence[float], width: int) -> list[int]
     for index in order:
         pixel, value = at[index], values[index]
         met = {part_of[pixel + step] for step in around if pixel + step in part_of}
+        if len(met) == 1:  # nearly all pixels touch one part, or a saddle alone
+            part_of[pixel] = met.pop()
+            continue
         parts = {root(part) for part in met if part >= 0}
         if not parts:
             if met:
