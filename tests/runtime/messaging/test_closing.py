@@ -2,17 +2,17 @@
 
 import asyncio
 import copy
-import errno
 import pickle
 import random
 import threading
 import time
 
 import pytest
-import zmq
 
 import eitskin
-from eitskin.errors import Closed, EndpointError
+from eitskin.errors import Closed
+from eitskin.messaging.frame import unpack_frame
+from eitskin.messaging.streams import verified_subscription
 
 from .publishing import send
 
@@ -123,10 +123,19 @@ def test_asyncio_receives_frames_beside_other_tasks_and_ends_when_cancelled(publ
     assert frame.number > numbers[-1]
 
 
-def test_a_lack_of_sockets_is_an_endpoint_error(monkeypatch, published):
-    def fail(*_):
-        raise zmq.ZMQError(errno.EMFILE)
+def test_a_reader_that_is_slower_than_its_publisher_ends_too(monkeypatch, published):
+    begun = threading.Event()
 
-    monkeypatch.setattr(zmq.Context, "socket", fail)
-    with pytest.raises(EndpointError, match="close some"):
-        eitskin.subscribe(published)
+    def unpack(*message):
+        begun.set()
+        time.sleep(0.01)  # a frame comes each millisecond
+        return unpack_frame(*message)
+
+    monkeypatch.setattr(verified_subscription, "unpack_frame", unpack)
+    items = eitskin.subscribe_verified(published)
+    thread = threading.Thread(target=list, args=(items,))
+    thread.start()
+    assert begun.wait(60)
+    items.close()
+    thread.join(60)
+    assert not thread.is_alive()
