@@ -5,11 +5,8 @@ They are drawn on the alternate screen, so that the terminal afterwards shows wh
 bottom.
 """
 
-import os
 import shutil
-import textwrap
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self, TextIO
 
 import numpy as np
@@ -53,98 +50,62 @@ def palette() -> npt.NDArray[np.intp]:
     return np.rint(np.stack(channels, axis=1)).astype(np.intp)
 
 
-def _codes() -> tuple[list[str], list[str]]:
-    colours = palette()
-    if os.environ.get("COLORTERM", "") in ("truecolor", "24bit"):
-        return [f"\x1b[38;2;{r};{g};{b}m" for r, g, b in colours], [f"\x1b[48;2;{r};{g};{b}m" for r, g, b in colours]
-    cube = [16 + 36 * round(r / 51) + 6 * round(g / 51) + round(b / 51) for r, g, b in colours]
-    return [f"\x1b[38;5;{n}m" for n in cube], [f"\x1b[48;5;{n}m" for n in cube]
-
-
 HALF: Final = "▀"
-SHADES: Final = " .+*#"
-"""What a terminal shows that has no colours, or whose encoding has no blocks."""
 
 
 class Painter:
-    """Owns the screen while it is open.
+    """Owns the screen of a terminal while it is open.
 
     Args:
-        stream: The terminal.
+        stream: The terminal: of 256 colours, in UTF-8.
     """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
-        self._above, self._below = _codes()
-        self._plain = bool(os.environ.get("NO_COLOR")) or "utf" not in (stream.encoding or "utf-8").lower()
+        self._colours = [16 + round(r / 51) * 36 + round(g / 51) * 6 + round(b / 51) for r, g, b in palette()]
 
     def __enter__(self) -> Self:
-        self._stream.write("\x1b[?1049h\x1b[?25l\x1b[2J")
-        self._stream.flush()
+        self._write("\x1b[?1049h\x1b[?25l\x1b[2J")
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stream.write("\x1b[0m\x1b[?25h\x1b[?1049l")
-        self._stream.flush()
+    def __exit__(self, *_: object) -> None:
+        self._write("\x1b[0m\x1b[?25h\x1b[?1049l")
 
-    def lines(self, image: npt.NDArray[np.floating]) -> list[str]:
-        """Return the lines of one map, one for two of its rows."""
-        shades = len(SHADES) if self._plain else LEVELS
-        levels = np.clip((np.asarray(image)[::-1] * shades).astype(int), 0, shades - 1)
-        if self._plain:
-            return ["".join(SHADES[level] for level in row) for row in np.maximum(levels[0::2], levels[1::2])]
-        found = []
-        for top, bottom in zip(levels[0::2], levels[1::2], strict=True):
-            cells, before = [], (-1, -1)
-            for pair in zip(top.tolist(), bottom.tolist(), strict=True):
-                if pair != before:  # most of a map has one colour
-                    cells.append(f"{self._above[pair[0]]}{self._below[pair[1]]}")
-                    before = pair
-                cells.append(HALF)
-            found.append("".join(cells) + "\x1b[0m")
-        return found
-
-    def show(
-        self, title: str, image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating], footer: list[str]
-    ) -> None:
+    def show(self, title: str, image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating]) -> None:
         """Draw one picture over the one before.
 
         Args:
-            title: First line; it is wrapped where it is too long.
+            title: First line; it is cut where it is too long.
             image: (rows, columns) the streamed map.
             truth: (rows, columns) what it should be.
-            footer: Lines below, wrapped as well.
         """
-        text = self.picture(*shutil.get_terminal_size(), title, image, truth, footer)
-        body = "\n".join(line + "\x1b[K" for line in text)
-        self._stream.write("\x1b[H" + body + "\x1b[J")
-        self._stream.flush()
+        lines = self.picture(*shutil.get_terminal_size(), title, image, truth)
+        self._write("\x1b[H" + "\n".join(f"{line}\x1b[K" for line in lines) + "\x1b[J")
 
     def picture(
-        self,
-        width: int,
-        height: int,
-        title: str,
-        image: npt.NDArray[np.floating],
-        truth: npt.NDArray[np.floating],
-        footer: list[str],
+        self, width: int, height: int, title: str, image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating]
     ) -> list[str]:
         """Return the lines of one picture, at most ``height`` of at most ``width`` characters; see :meth:`show`."""
-        above, below = _wrapped([title], width), _wrapped(footer, width)
-        rows, columns = image.shape
-        zoom = min((width - GAP) / 2 / columns, 2 * (height - len(above) - len(below) - 1) / rows)
-        across, lines = max(int(zoom * columns), 2), max(int(zoom * rows / 2), 1)
-        maps = [self.lines(fitted(one, across, lines)) for one in (image, truth)]
+        zoom = min((width - GAP) / 2 / image.shape[1], 2 * (height - 2) / image.shape[0])
+        across, lines = max(int(zoom * image.shape[1]), 2), max(int(zoom * image.shape[0] / 2), 1)
         gap = " " * GAP
-        captions = f"{'streamed'.ljust(across)}{gap}truth"[:width]
-        return [*above, captions, *(a + gap + b for a, b in zip(*maps, strict=True)), *below][: max(height, 1)]
+        drawn = [self._lines(fitted(one, across, lines)) for one in (image, truth)]
+        captions = f"{'streamed'.ljust(across)}{gap}truth"
+        return [title[:width], captions[:width], *(a + gap + b for a, b in zip(*drawn, strict=True))][:height]
 
+    def _lines(self, image: npt.NDArray[np.floating]) -> list[str]:
+        """Return the lines of one map, one for two of its rows."""
+        levels = np.clip((image[::-1] * LEVELS).astype(int), 0, LEVELS - 1)
+        colours = np.array(self._colours)[levels]
+        pairs = zip(colours[0::2].tolist(), colours[1::2].tolist(), strict=True)
+        return [
+            "".join(f"\x1b[38;5;{a};48;5;{b}m{HALF}" for a, b in zip(top, bottom, strict=True)) + "\x1b[0m"
+            for top, bottom in pairs
+        ]
 
-def _wrapped(lines: list[str], width: int) -> list[str]:
-    """Return lines of limited width."""
-    return [part for line in lines for part in textwrap.wrap(line, max(width, 8)) or [""]]
+    def _write(self, text: str) -> None:
+        self._stream.write(text)
+        self._stream.flush()
 
 
 def draw_map(

@@ -1,6 +1,7 @@
 """``eitskin demo``: the main job in one command."""
 
 import argparse
+import os
 import signal
 import sys
 
@@ -41,7 +42,8 @@ def run(arguments: argparse.Namespace) -> int:
     bundle, kind = choose(arguments.bundle, options.chosen_touches(arguments))
     for number in endings():
         signal.signal(number, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind
-    draw = sys.stdout.isatty() and not (arguments.view or arguments.json)
+    able = sys.stdout.isatty() and sys.stdout.encoding.lower() == "utf-8" and not os.environ.get("NO_COLOR")
+    draw = able and not (arguments.view or arguments.json)
     wanted = Options(
         seconds=seconds,
         rate_hz=arguments.rate,

@@ -342,34 +342,22 @@ def live(publish: str, script: Any, start_us: int, going_on: Callable[[], bool])
         start_us: Device clock when the script began.
         going_on: Says whether to draw on.
     """
-    begin = time.monotonic()
     with eitskin.subscribe(publish, timeout_s=0.5) as frames, Painter(sys.stdout) as painter:
         while going_on():
             due = time.monotonic() + 1.0 / RATE_HZ
             with suppress(eitskin.NoFrame):
                 frame = frames.next_frame()
                 time_s = (frame.device_us - start_us) % (1 << 32) * 1e-6
-                painter.show(_title(script, time_s), frame.map, script.truth_at(time_s), _footer(frame, begin))
+                painter.show(_title(script, time_s, frame), frame.map, script.truth_at(time_s))
             time.sleep(max(due - time.monotonic(), 0.0))
 
 
-def _title(script: Any, time_s: float) -> str:
+def _title(script: Any, time_s: float, frame: Any) -> str:
     scene = script.scene_at(time_s)
-    bend, touches = scene.bend, len(scene.touches)
-    turned = f"bent by {bend.angle_deg:.0f} deg, its axis at {bend.axis_deg:+.0f}"
-    shape = "flat" if bend == type(bend)() else f"{turned}, stretched {100 * (bend.stretch_along - 1):.1f} %"
-    number = f"{touches} {'press' if script.skin.touch_kind == 'lower' else 'touch'}{'' if touches == 1 else 'es'}"
-    return f"eitskin demo   {time_s:5.1f} s   the sheet is {shape}; {number}{touches_in_words(script)}"
-
-
-def _footer(frame: Any, begin: float) -> list[str]:
-    skipped = f", skipped {', '.join(frame.skipped)}" if frame.skipped else ""
-    return [
-        f"frame {frame.sequence}, {'touched' if frame.touched else 'untouched'}, by {frame.solver}{skipped}, "
-        f"cloud {frame.cloud}",
-        f"last byte to here {frame.latency_s * 1e3:.2f} ms   lost {frame.counts['lost']}   "
-        f"corrupt {frame.counts['corrupt']}   {time.monotonic() - begin:.0f} s   Ctrl-C ends",
-    ]
+    return (
+        f"{time_s:5.1f} s   bent by {scene.bend.angle_deg:3.0f} deg, touches {len(scene.touches)}   {frame.solver}   "
+        f"{frame.latency_s * 1e3:5.2f} ms   lost {frame.counts['lost']}   Ctrl-C ends"
+    )
 
 
 def lines_of(summary: dict[str, Any]) -> list[str]:
@@ -400,5 +388,5 @@ def lines_of(summary: dict[str, Any]) -> list[str]:
         split = shown("{:.3f}", flat="cc_median_flat", bent="cc_median_bent")
         lines.append(f"maps: correlation with the truth {summary['cc_median']:.3f}, median of {summary['scored']} "
                      f"touched frames ({split})")  # fmt: skip
-    gate = shown("{:.2%}", missed_touches="missed", false_alarms="false_alarms")
+    gate = shown("{:.2%}", missed_touches="missed", false_alarms="false_alarms").replace("%", " %")
     return [*lines, f"touches: {summary['touches']}", f"touch detection: {gate}; clouds used: {summary['clouds']}"]
