@@ -102,14 +102,11 @@ LINE_REST_S: Final = 0.001
 MAX_GREETINGS: Final = 5
 """Most handshakes in a row without a frame of the device's configuration in between."""
 
-FIRST_AGAIN_S: Final = 0.1
-"""After which a device is greeted a second time that sends frames of another generation; doubles up to a second."""
+AGAIN_S: Final = 1.0
+"""After which a device is greeted once more that goes on sending frames of another generation."""
 
-FIRST_BAD_S: Final = 5.0
-"""The handshake is repeated, which restarts the stream, if all frames have been unusable for this long ..."""
-
-LONGEST_BAD_S: Final = 60.0
-"""... and again after twice as long, up to this."""
+BAD_S: Final = 5.0
+"""The handshake is repeated, which restarts the stream, whenever all frames have been unusable for this long."""
 
 LOOK_NS: Final = 50_000_000
 """Without a usable frame for this long, the cause is examined."""
@@ -143,7 +140,6 @@ class FrameSource:
         self._fruitless = 0
         self._fit_ns = self._greeted_ns = self._patient_ns = self._looked_ns = time.perf_counter_ns()
         self._withheld = 0
-        self._bad_s = FIRST_BAD_S
         self.payload = b""
         """Of the frame in hand."""
         self.waits = True
@@ -246,20 +242,18 @@ class FrameSource:
         """Repeat the handshake if no usable frame came for too long."""
         intake, silence_ns = self._pipeline.intake, self._device.silence_s * 1e9
         if self._fit_ns != self._looked_ns:  # a frame came that could be used, since the last look
-            self._looked_ns, self._fruitless, self._failed, self._bad_s = self._fit_ns, 0, False, FIRST_BAD_S
+            self._looked_ns, self._fruitless, self._failed = self._fit_ns, 0, False
         since_ns = now_ns - max(self._greeted_ns, self._fit_ns)
         quiet_ns = now_ns - max(self._greeted_ns, intake.heard_ns)
         if self._stopping:
             return
         if intake.generation_differs:
-            again_s = min(FIRST_AGAIN_S * 2 ** min(self._fruitless, 4), 1.0)
-            if not self._fruitless or now_ns - self._greeted_ns >= 1e9 * again_s:
+            if not self._fruitless or now_ns - self._greeted_ns >= 1e9 * AGAIN_S:
                 self._recover()
         elif quiet_ns >= silence_ns:
             if quiet_ns >= silence_ns + 1e9 * self._device.pause_s:
                 self._recover()
-        elif since_ns >= 1e9 * max(self._bad_s, self._device.silence_s):  # frames come, and none can be used
-            self._bad_s = min(2.0 * self._bad_s, LONGEST_BAD_S)
+        elif since_ns >= 1e9 * max(BAD_S, self._device.silence_s):  # frames come, and none can be used
             self._fruitless = 0
             self._recover()
 

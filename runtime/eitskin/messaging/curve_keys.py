@@ -8,13 +8,11 @@ A folder of keys, as made by :func:`make_keys`; the format of the files is ZeroM
     DIR/client.key_secret     a first client's own key, to be carried to its machine
 
 The runtime accepts only clients whose public key is in ``clients``: knowing the server's key is not enough. So it
-refuses a folder or a key that other users can write to. It reads keys once, when it starts. A damaged key excludes its
-own client only.
+refuses a folder or a key that other users can write to. It reads keys once, when it starts.
 """
 
 import os
 import re
-import stat
 import threading
 from contextlib import suppress
 from dataclasses import dataclass
@@ -24,15 +22,15 @@ from typing import Any, Final
 import zmq
 
 from eitskin.errors import EndpointError
-
-MOST_FILES: Final = 1000
-"""In ``clients``; a runtime serves a hundred clients at once."""
+from eitskin_proto.files.reading import FileError, read_bytes
 
 LARGEST_KEY: Final = 4096
 """Bytes of a key's file, which has some hundreds."""
 
-PUBLIC_KEY: Final = re.compile(rb'^\s*public-key\s*=\s*"([0-9a-zA-Z.:+=^!/*?&<>()\[\]{}@%$#-]{40})"', re.MULTILINE)
-"""Of a file; the key is in Z85."""
+KEY: Final = re.compile(rb'^\s*(public|secret)-key\s*=\s*"([0-9a-zA-Z.:+=^!/*?&<>()\[\]{}@%$#-]{40})"', re.MULTILINE)
+"""A key in a file, in Z85."""
+
+MAKE: Final = "'eitskin doctor --make-curve-keys DIR' makes keys"
 
 DOMAIN: Final = "eitskin"
 """ZAP domain of the runtime's sockets."""
@@ -44,12 +42,8 @@ class ServerKeys:
 
     public: bytes
     secret: bytes
-    clients: Path
-    """Folder of public keys."""
-    admitted: frozenset[bytes] = frozenset()
-    """Those keys, in Z85."""
-    damaged: tuple[str, ...] = ()
-    """Faults of files in this folder that hold no key, a line each."""
+    admitted: frozenset[bytes]
+    """Public keys of clients, in Z85."""
 
     def apply(self, socket: Any) -> None:
         """Make a ZeroMQ socket a CURVE server; before it is bound."""
@@ -109,57 +103,16 @@ def load_server_keys(folder: str | Path) -> ServerKeys:
     """
     where = Path(folder)
     secret_file, clients = where / "server.key_secret", where / "clients"
-    public, secret = _certificate(secret_file)
+    public, secret = _pair(secret_file)
     if secret_file.stat().st_mode & 0o077:
         raise EndpointError(f"{secret_file} can be read by others; run: chmod 600 {secret_file}")
-    for path in (where, secret_file, *([clients] if clients.is_dir() else [])):
+    listed = sorted(clients.glob("*.key"))
+    admitted = frozenset(_keys_of(path)["public"] for path in listed)
+    for path in (where, secret_file, *([clients] if clients.is_dir() else []), *listed):
         _refuse_if_others_write(path, path.stat())
-    admitted, damaged = _admitted(clients)
     if not admitted:
-        why = f" ({damaged[0]})" if damaged else ""
-        raise EndpointError(
-            f"{clients} holds no client's public key{why}, so no client could connect: put NAME.key there"
-        )
-    return ServerKeys(public, secret, clients, frozenset(admitted), tuple(damaged))
-
-
-def _admitted(clients: Path) -> tuple[set[bytes], list[str]]:
-    """Return the keys of a folder, in Z85, and the faults of files that hold none."""
-    try:
-        with os.scandir(clients) as entries:
-            names = [entry.name for entry, _ in zip(entries, range(MOST_FILES + 1), strict=False)]
-    except FileNotFoundError:
-        return set(), []
-    if len(names) > MOST_FILES:
-        raise EndpointError(f"{clients} holds more than {MOST_FILES} files; remove the keys of clients that are gone")
-    admitted, damaged = set(), []
-    for name in sorted(name for name in names if name.endswith(".key")):
-        path = clients / name
-        try:
-            admitted.add(_public_key(path))
-        except (OSError, ValueError) as error:
-            what = error.strerror if isinstance(error, OSError) else error
-            damaged.append(f"{path} is left out: {what}; copy the client's .key there again, or remove it")
-    return admitted, damaged
-
-
-def _public_key(path: Path) -> bytes:
-    """Return the public key of a file, in Z85.
-
-    Raises:
-        EndpointError: Others can write to it.
-        OSError: It cannot be read.
-        ValueError: It holds none.
-    """
-    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
-        found = os.fstat(file.fileno())
-        if not stat.S_ISREG(found.st_mode):
-            raise ValueError("it is not a file")
-        _refuse_if_others_write(path, found)
-        match = PUBLIC_KEY.search(file.read(LARGEST_KEY))
-    if match is None:
-        raise ValueError("it holds no public key")
-    return match[1]
+        raise EndpointError(f"{clients} holds no client's public key, so no client could connect: put NAME.key there")
+    return ServerKeys(public, secret, admitted)
 
 
 def _refuse_if_others_write(path: Path, found: os.stat_result) -> None:
@@ -185,12 +138,7 @@ def load_client_keys(server_key: str | Path, client_secret: str | Path) -> Clien
     Raises:
         EndpointError: A file is missing or holds no key.
     """
-    public, secret = _certificate(Path(client_secret))
-    try:
-        server, _ = _auth().load_certificate(server_key)
-    except (OSError, ValueError) as error:
-        raise EndpointError(f"{server_key} is not a CURVE key: {error}") from error
-    return ClientKeys(public, secret, server)
+    return ClientKeys(*_pair(Path(client_secret)), _keys_of(Path(server_key))["public"])
 
 
 class CurveAuthenticator:
@@ -236,13 +184,24 @@ def _auth() -> Any:
     return auth
 
 
-def _certificate(path: Path) -> tuple[bytes, bytes]:
+def _keys_of(path: Path) -> dict[str, bytes]:
+    """Return the keys of a file in Z85: ``public`` and, of a secret one, ``secret``.
+
+    Raises:
+        EndpointError: It cannot be read, or holds no public key.
+    """
     try:
-        public, secret = _auth().load_certificate(path)
-    except (OSError, ValueError) as error:
-        raise EndpointError(
-            f"{path} is not a CURVE key ({error}); 'eitskin doctor --make-curve-keys DIR' makes keys"
-        ) from error
-    if secret is None:
+        found = {kind.decode(): key for kind, key in KEY.findall(read_bytes(path, LARGEST_KEY))}
+    except (OSError, FileError) as error:
+        raise EndpointError(f"{path} is not a CURVE key: {error}; {MAKE}") from error
+    if "public" not in found:
+        raise EndpointError(f"{path} is not a CURVE key: it holds no public key; copy it there again, or remove it")
+    return found
+
+
+def _pair(path: Path) -> tuple[bytes, bytes]:
+    """Return the public and the secret key of a file."""
+    found = _keys_of(path)
+    if "secret" not in found:
         raise EndpointError(f"{path} holds no secret key; expected a file that ends in .key_secret")
-    return public, secret
+    return found["public"], found["secret"]

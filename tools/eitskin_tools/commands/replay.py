@@ -60,8 +60,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     log = RunLog(sys.stderr, quiet=arguments.quiet, command="replay")
     keys = None if arguments.curve_keys is None else load_server_keys(arguments.curve_keys)
-    for line in keys.damaged if keys is not None else ():
-        log.warn(line)
     script = Script(arguments.file)
     say = log.warn if script.ending else log.say
     say(f"{script.path}: {script.seconds:.1f} s of {script.head_text('serial')}{script.ending}")

@@ -130,8 +130,6 @@ def run(arguments: argparse.Namespace) -> int:
         stack.callback(supervisor.close)
         watchdog = stack.enter_context(Watchdog(log.failed, supervisor))
         keys = _check_endpoints(arguments)
-        for line in keys.damaged if keys is not None else ():
-            log.warn(line)
         open_files = realtime.more_files()  # said once the port is open, so that a missing port is one line
         if arguments.affinity:
             log.say(realtime.pin([int(cpu) for cpu in arguments.affinity.split(",")]))
