@@ -16,7 +16,7 @@ session, and of every thread made there later, numpy and the caller's own sums i
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -27,77 +27,47 @@ from eitskin.model.denormals import SMALLEST, is_small
 from eitskin_proto.files.plain import quoted
 
 GRAPH: Final = 7
-"""Field of ModelProto; those of GraphProto and TensorProto follow."""
+"""Field of ModelProto; those of GraphProto, NodeProto and TensorProto follow."""
 NODE, INITIALISER, OUTPUT, VALUE_INFO = 1, 5, 12, 13
+USED, MADE, KIND, ATTRIBUTE, DOMAIN = 1, 2, 4, 5, 7
 DIMS, DATA_TYPE, FLOATS, INT32S, INT64S, NAME, RAW = 1, 2, 4, 5, 7, 8, 9
 
 LONGEST_VARINT: Final = 10
 """Bytes of a number."""
 
 
-@dataclass(frozen=True, slots=True)
-class Field:
-    """One field of a message."""
+Value = int | memoryview
+"""A number, or the bytes of a text, a message or packed numbers."""
 
-    number: int
-    value: memoryview | int
-    """Its content: a number, or the bytes of a text, a message or packed values."""
+Fields = Mapping[int, Sequence[Value]]
+"""The values of a message by the numbers of their fields."""
 
 
-@dataclass(frozen=True, slots=True)
-class Node:
-    """An operator of a graph, with the names of its inputs and outputs."""
-
-    kind: str
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-
-
-def node_of(field: Field) -> Node | None:
-    """Return the node that a field of a graph is; None for any other."""
-    if field.number != NODE:
-        return None
-    inside = list(fields_of(content(field)))
-
-    def texts(number: int) -> tuple[str, ...]:
-        return tuple(decoded(content(item)) for item in inside if item.number == number)
-
-    kinds = texts(4)
-    if len(kinds) != 1:
-        raise unreadable()  # which of several counts is the library's secret
-    return Node(kinds[0], texts(1), texts(2))
-
-
-def dims_of(tensor: memoryview) -> list[int]:
-    """Return a tensor's shape."""
-    return [value for field in fields_of(tensor) if field.number == DIMS for value in integers(field)]
-
-
-def fields_of(data: memoryview) -> Iterator[Field]:
-    """Yield the fields of a message.
+def fields_of(data: Value) -> Fields:
+    """Return the fields of a message.
 
     Raises:
         BundleError: These bytes are none.
     """
-    at = 0
+    found: dict[int, list[Value]] = {}
+    at, data = 0, content(data)
     while at < len(data):
         key, at = _varint(data, at)
-        if key & 7 == 2:
-            size, at = _varint(data, at)
-            at += size
-            if at > len(data):
-                raise unreadable()
-            yield Field(key >> 3, data[at - size : at])
-        elif key & 7 == 0:
+        value: Value = 0
+        if key & 7 == 0:
             value, at = _varint(data, at)
-            yield Field(key >> 3, value)
+        elif key & 7 == 2:
+            size, start = _varint(data, at)
+            at = start + size
+            value = data[start:at]
         elif key & 7 in (1, 5):
             at += 8 if key & 7 == 1 else 4
-            if at > len(data):
-                raise unreadable()
-            yield Field(key >> 3, 0)
         else:
             raise unreadable()
+        if at > len(data):
+            raise unreadable()
+        found.setdefault(key >> 3, []).append(value)
+    return found
 
 
 def _varint(data: memoryview, at: int) -> tuple[int, int]:
@@ -114,48 +84,54 @@ def unreadable() -> BundleError:
     return BundleError("a graph is not a readable ONNX model")
 
 
-def decoded(data: memoryview) -> str:
-    """Return a text of a message.
-
-    Raises:
-        BundleError: It is none.
-    """
-    try:
-        return bytes(data).decode()
-    except UnicodeDecodeError as error:
-        raise unreadable() from error
-
-
-def integers(field: Field) -> list[int]:
-    """Return the unsigned numbers of a repeated field, packed or not."""
-    if isinstance(field.value, int):
-        return [field.value]
-    found, at = [], 0
-    while at < len(field.value):
-        value, at = _varint(field.value, at)
-        found.append(value)
-    return found
-
-
-def signed(value: int) -> int:
-    """Return the signed number of 64 bits."""
-    return (value ^ 1 << 63) - (1 << 63)
-
-
-def content(field: Field) -> memoryview:
-    """Return the bytes of a field.
+def content(value: Value) -> memoryview:
+    """Return the bytes of a value.
 
     Raises:
         BundleError: It is a number.
     """
-    if isinstance(field.value, int):
+    if isinstance(value, int):
         raise unreadable()
-    return field.value
+    return value
 
 
-def text(field: Field, number: int) -> str:
-    """Return a text inside a message, "" if it has none."""
-    return next((decoded(content(item)) for item in fields_of(content(field)) if item.number == number), "")
+def numbers(fields: Fields, number: int) -> list[int]:
+    """Return the signed numbers of a repeated field, packed or not."""
+    found = list[int]()
+    for value in fields.get(number, ()):
+        if isinstance(value, int):
+            found.append(value)
+            continue
+        at = 0
+        while at < len(value):
+            one, at = _varint(value, at)
+            found.append(one)
+    return [(one ^ 1 << 63) - (1 << 63) for one in found]
+
+
+def last_number(fields: Fields, number: int) -> int:
+    """Return a number of a message, 0 if it has none."""
+    return (numbers(fields, number) or [0])[-1]
+
+
+def texts(fields: Fields, number: int) -> list[str]:
+    """Return the texts of a repeated field.
+
+    Raises:
+        BundleError: One is none.
+    """
+    try:
+        return [bytes(content(value)).decode() for value in fields.get(number, ())]
+    except UnicodeDecodeError as error:
+        raise unreadable() from error
+
+
+def text(fields: Fields, number: int) -> str:
+    """Return a text of a message, "" if it has none; which of several counts is the library's secret."""
+    found = texts(fields, number)
+    if len(found) > 1:
+        raise unreadable()
+    return found[0] if found else ""
 
 
 Shape = tuple[int, ...]
@@ -413,26 +389,25 @@ def check_graph(model: bytes) -> None:
     Raises:
         BundleError: It is none, or holds what exported networks do not have; the message names it.
     """
-    fields = list(fields_of(memoryview(model)))
-    if {field.number for field in fields} - MODEL_FIELDS:
+    fields = fields_of(memoryview(model))
+    if fields.keys() - MODEL_FIELDS:
         raise BundleError("a graph has functions or training of its own, expected operators only")
-    for field in fields:
-        if field.number == OPSETS:
-            domain, version = text(field, 1), _number(content(field), 2)
-            if domain not in ("", "ai.onnx") or not 1 <= version <= NEWEST_OPSET:
-                raise BundleError(
-                    f"a graph needs operators of {quoted(domain)} {version}, expected ONNX's own up to {NEWEST_OPSET}"
-                )
-    graphs = [content(field) for field in fields if field.number == GRAPH]
+    for needed in map(fields_of, fields.get(OPSETS, ())):
+        domain, version = text(needed, 1), last_number(needed, 2)
+        if domain not in ("", "ai.onnx") or not 1 <= version <= NEWEST_OPSET:
+            raise BundleError(
+                f"a graph needs operators of {quoted(domain)} {version}, expected ONNX's own up to {NEWEST_OPSET}"
+            )
+    graphs = fields.get(GRAPH, ())
     if len(graphs) != 1:
         raise unreadable()
-    _check(list(fields_of(graphs[0])))
+    _check(fields_of(graphs[0]))
 
 
-def _check(graph: list[Field]) -> None:
-    if {field.number for field in graph} - GRAPH_FIELDS:
+def _check(graph: Fields) -> None:
+    if graph.keys() - GRAPH_FIELDS:
         raise BundleError("a graph holds sparse constants, expected dense ones")
-    nodes, constants = ([field for field in graph if field.number == kind] for kind in (NODE, INITIALISER))
+    nodes, constants = graph.get(NODE, ()), graph.get(INITIALISER, ())
     if len(nodes) > MOST_NODES or len(constants) > MOST_CONSTANTS:
         raise BundleError(
             f"a graph has {len(nodes)} operators and {len(constants)} constants, expected at most {MOST_NODES} and "
@@ -440,26 +415,24 @@ def _check(graph: list[Field]) -> None:
         )
     shapes: dict[str, Shape] = {}
     values: dict[str, list[int]] = {}
-    for field in constants:
-        _take_constant(content(field), shapes, values)
-    for field in graph:
-        if field.number == INPUT:
-            name, shape = _declared(field)
-            if shapes.setdefault(name, shape) != shape:
-                raise BundleError(f"a graph declares {quoted(name)} in two shapes")
+    for value in constants:
+        _take_constant(content(value), shapes, values)
+    for value in graph.get(INPUT, ()):
+        name, shape = _declared(fields_of(value))
+        if shapes.setdefault(name, shape) != shape:
+            raise BundleError(f"a graph declares {quoted(name)} in two shapes")
     elements = work = 0
-    for field in nodes:
-        node = node_of(field)
-        assert node is not None
-        found, cost = _shapes(node, field, shapes, values)
-        for name, shape in zip(node.outputs, found, strict=False):
+    for node in map(fields_of, nodes):
+        kind = text(node, KIND)
+        found, cost = _shapes(kind, node, shapes, values)
+        for name, shape in zip(texts(node, MADE), found, strict=False):
             if name in shapes:
                 raise BundleError(f"a graph makes {quoted(name)} twice")
             size = math.prod(shape)
             elements, cost = elements + size, cost + size
             if size > LARGEST_VALUE or elements > LARGEST_SUM:
                 raise BundleError(
-                    f"a graph's {node.kind} makes {size} elements, expected at most {LARGEST_VALUE}, and "
+                    f"a graph's {kind} makes {size} elements, expected at most {LARGEST_VALUE}, and "
                     f"{LARGEST_SUM} in all"
                 )
             if name:
@@ -470,62 +443,49 @@ def _check(graph: list[Field]) -> None:
 
 
 def _shapes(
-    node: Node, field: Field, shapes: Mapping[str, Shape], values: Mapping[str, list[int]]
+    kind: str, node: Fields, shapes: Mapping[str, Shape], values: Mapping[str, list[int]]
 ) -> tuple[list[Shape], int]:
     """Return the shapes of an operator's outputs, and its multiplications."""
-    rule = RULES.get(node.kind)
-    if rule is None or text(field, 7) not in ("", "ai.onnx"):
-        raise BundleError(f"a graph uses the operator {quoted(node.kind)}, which no exported network has")
-    unknown = [name for name in node.inputs if name and name not in shapes]
+    rule = RULES.get(kind)
+    if rule is None or text(node, DOMAIN) not in ("", "ai.onnx"):
+        raise BundleError(f"a graph uses the operator {quoted(kind)}, which no exported network has")
+    inputs = texts(node, USED)
+    unknown = [name for name in inputs if name and name not in shapes]
     if unknown:
-        raise BundleError(f"a graph's {node.kind} reads {quoted(unknown[0])} before anything makes it")
-    attributes = [content(item) for item in fields_of(content(field)) if item.number == 5]
-    given = [shapes[name] if name else None for name in node.inputs]
-    known = [values.get(name) for name in node.inputs]
+        raise BundleError(f"a graph's {kind} reads {quoted(unknown[0])} before anything makes it")
+    attributes = map(_attribute, map(fields_of, node.get(ATTRIBUTE, ())))
+    given = [shapes[name] if name else None for name in inputs]
     try:
-        return rule(Operands(given, known, dict(map(_attribute, attributes))))
+        return rule(Operands(given, [values.get(name) for name in inputs], dict(attributes)))
     except UnknownShapeError as error:
-        raise BundleError(f"a graph's {node.kind} {error}, expected a shape that its constants tell") from error
+        raise BundleError(f"a graph's {kind} {error}, expected a shape that its constants tell") from error
     except (IndexError, TypeError, ValueError, ZeroDivisionError, OverflowError) as error:
-        raise BundleError(f"a graph's {node.kind} has operands that do not fit each other") from error
+        raise BundleError(f"a graph's {kind} has operands that do not fit each other") from error
 
 
-def _attribute(data: memoryview) -> tuple[str, int | list[int] | str]:
-    fields = list(fields_of(data))
-    if {field.number for field in fields} - ATTRIBUTE_FIELDS:
+def _attribute(fields: Fields) -> tuple[str, int | list[int] | str]:
+    if fields.keys() - ATTRIBUTE_FIELDS:
         raise BundleError("an operator of a graph holds a graph or a constant of its own, expected numbers and texts")
-    name = _one_text(fields, 1)
-    several = [signed(value) for field in fields if field.number == 8 for value in integers(field)]
-    if several:
-        return name, several
-    single = [signed(value) for field in fields if field.number == 3 for value in integers(field)]
-    return name, single[-1] if single else _one_text(fields, 4)
-
-
-def _one_text(fields: list[Field], number: int) -> str:
-    found = [decoded(content(field)) for field in fields if field.number == number]
-    if len(found) > 1:
-        raise unreadable()
-    return found[0] if found else ""
+    single = numbers(fields, 3)
+    return text(fields, 1), numbers(fields, 8) or (single[-1] if single else text(fields, 4))
 
 
 def _take_constant(tensor: memoryview, shapes: dict[str, Shape], values: dict[str, list[int]]) -> None:
-    fields = list(fields_of(tensor))
-    if {field.number for field in fields} - TENSOR_FIELDS or _number(tensor, LOCATION) != 0:
+    fields = fields_of(tensor)
+    if fields.keys() - TENSOR_FIELDS or last_number(fields, LOCATION) != 0:
         raise BundleError("a constant of a graph is in another file, or of an unknown kind")
-    name, shape = _one_text(fields, NAME), tuple(map(signed, dims_of(tensor)))
-    kinds = [value for field in fields if field.number == DATA_TYPE for value in integers(field)]
+    name, shape, kinds = text(fields, NAME), tuple(numbers(fields, DIMS)), numbers(fields, DATA_TYPE)
     if not name or name in shapes or len(kinds) != 1 or kinds[0] not in ITEM_BYTES or min(shape, default=0) < 0:
         raise BundleError(f"a graph's constant {quoted(name)} has a shape or a type that cannot be")
     size = math.prod(shape)
-    raw = sum(len(content(field)) for field in fields if field.number == RAW)
+    stored = [content(value) for value in fields.get(RAW, ())]
+    raw = sum(map(len, stored))
     if raw and raw != size * ITEM_BYTES[kinds[0]]:
         raise BundleError(f"a graph's constant {quoted(name)} has {raw} bytes, and another number of elements")
     if not raw and size > len(tensor):  # an element that is stored singly takes a byte at least
         raise BundleError(f"a graph's constant {quoted(name)} claims {size} elements and holds fewer")
-    stored = [content(field) for field in fields if field.number == RAW]
     if kinds[0] == FLOAT32 and len(shape) > 1:
-        for part in stored + [content(field) for field in fields if field.number == FLOATS]:
+        for part in stored + [content(value) for value in fields.get(FLOATS, ())]:
             if is_small(np.frombuffer(part[: len(part) // 4 * 4], dtype="<f4")).any():
                 raise BundleError(f"a graph's constant {quoted(name)} holds numbers below {SMALLEST:g}, expected 0")
     shapes[name] = shape
@@ -534,25 +494,17 @@ def _take_constant(tensor: memoryview, shapes: dict[str, Shape], values: dict[st
             data = bytes(stored[-1])
             values[name] = [int.from_bytes(data[at : at + 8], "little", signed=True) for at in range(0, len(data), 8)]
         else:
-            values[name] = [signed(value) for field in fields if field.number == INT64S for value in integers(field)]
+            values[name] = numbers(fields, INT64S)
 
 
-def _declared(field: Field) -> tuple[str, Shape]:
+def _declared(fields: Fields) -> tuple[str, Shape]:
     """Return name and shape of an input; no size may be left open."""
-    fields = list(fields_of(content(field)))
-    name = _one_text(fields, 1)
-    level = [content(item) for item in fields if item.number == 2]
+    name, level = text(fields, 1), list(fields.get(2, ()))
     for number in (1, 2):  # TypeProto.tensor_type, then its shape
-        level = [content(item) for part in level for item in fields_of(part) if item.number == number]
+        level = [value for part in level for value in fields_of(part).get(number, ())]
     if len(level) != 1:
         raise BundleError(f"a graph's input {quoted(name)} has no shape")
-    dims = [_number(content(item), 1) for item in fields_of(level[0]) if item.number == 1]
+    dims = [last_number(fields_of(value), 1) for value in fields_of(level[0]).get(1, ())]
     if min(dims, default=1) < 1:
         raise BundleError(f"a graph's input {quoted(name)} leaves a size open, expected numbers")
     return name, tuple(dims)
-
-
-def _number(data: memoryview, number: int) -> int:
-    """Return a number inside a message, 0 if it has none."""
-    found = [value for field in fields_of(data) if field.number == number for value in integers(field)]
-    return signed(found[-1]) if found else 0
