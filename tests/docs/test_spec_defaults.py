@@ -30,6 +30,7 @@ def code(raw):
     return raw.hex(" ")
 
 
+PATIENT, PATIENT_TOUCHES = frame.patient_topics(frame.FIRST_BYTE), frame.patient_topics(frame.TOUCH_FIRST_BYTE)
 ROWS, COLUMNS = PAPER.grid.shape
 PITCH_MM = PAPER.grid.pixel_mm
 ARC = np.asarray(PAPER.electrodes.arc_length_mm.value)
@@ -51,6 +52,9 @@ TOPICS = [
     f"`{regions.UNCHANGED.decode()}` if it does without `shape` and `map`",
     f"else `{regions.ALWAYS.decode()}`",
     f"to a fourth one, `{regions.TOUCHES.decode()}`",
+    f"the twelve prefixes {code(PATIENT[0])} to {code(PATIENT[-1])} in place of the byte de",
+    f"a frame has {frame.KEYS.start} to {frame.KEYS.stop - 1}",
+    f"For touches without maps these are {code(PATIENT_TOUCHES[0])} to {code(PATIENT_TOUCHES[-1])}.",
     f"a subscriber to the byte 0x{frame.TOUCH_FIRST_BYTE.hex()} alone gets touch messages",
     *(f"| {name} | {code(topic)} |" for name, topic in envelope.TOPICS.items()),
     f"The byte {envelope.FIRST_BYTE.hex()} alone selects all four.",
@@ -160,6 +164,7 @@ def test_what_the_code_does_is_what_is_stated(group):
 def test_numbers_that_are_written_in_words_are_the_codes():
     assert (pieces.HALF, pieces.SADDLE) == (1 / 2, 1 / 4)
     assert normaliser.NO_SIGNAL == 1e-3
+    assert len(PATIENT) == 12
     assert stream_source.REPEAT_NS == 1e9
     assert stream_source.FILE_REPEATS == 10
     assert greeting.VOLTS_PER_COUNT[1] == 1e3

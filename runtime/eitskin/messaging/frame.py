@@ -58,6 +58,20 @@ FIRST_BYTE: Final = b"\xde"
 EVERY_FRAME: Final = FIRST_BYTE + b"\x00"
 """Topic of every frame with its whole map, and of nothing else: a frame has fewer than 256 keys."""
 
+KEYS: Final = range(24, 36)
+"""How many keys a frame may have; the byte behind ``EVERY_FRAME`` counts them."""
+
+
+def patient_topics(first_byte: bytes) -> tuple[bytes, ...]:
+    """Return the longest prefixes of frames: libzmq serves shorter ones first, so these subscribers come last.
+
+    Args:
+        first_byte: Of frames with maps, or of touch messages.
+    """
+    between = {FIRST_BYTE: b"\x00", TOUCH_FIRST_BYTE: bytes(3)}[first_byte]
+    return tuple(first_byte + between + bytes([keys]) for keys in KEYS)
+
+
 LARGEST_MESSAGE: Final = 68608
 """Bytes; a frame of the paper's skin has about 6000, of the largest map about 58,200."""
 

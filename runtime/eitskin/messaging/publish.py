@@ -5,11 +5,14 @@ subscriber has a bounded queue; a slow one loses frames there, and neither the l
 
 Topics say what a subscriber needs. A topic of the first two bytes of a frame selects every frame with its whole map.
 The empty topic does too, and also selects everything that others ask for. A subscriber to the first byte alone declares
-by further topics whether it needs unchanged maps (:mod:`eitskin.messaging.regions`). ::
+by further topics whether it needs unchanged maps (:mod:`eitskin.messaging.regions`). So does a patient one, with topics
+of three bytes: libzmq hands a message to the shortest topic first, so robots, whose topics are shorter, do not wait for
+it. ::
 
     b"\xde\x00"                    every frame with its map, always
     b""                            all that is sent
     b"\xde"                        every frame, and then one of each:
+    b"\xde\x00\x18"                ... likewise, after the others; and so on to b"\xde\x00\x23"
     b"eitskin/region/..."          nothing: earlier releases computed only a part of the map
     b"eitskin/unchanged"           ... or b"eitskin/always"
     b"eitskin/touches"             also: the list of touches, in every frame
@@ -31,7 +34,7 @@ from typing import Any, Final
 import zmq
 
 from eitskin.messaging.curve_keys import CurveAuthenticator, ServerKeys
-from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE
+from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE, patient_topics
 from eitskin.messaging.frame_message import Demand
 from eitskin.messaging.listener import Listener, check_files, sender_of
 from eitskin.messaging.regions import ALWAYS, TOUCHES, UNCHANGED
@@ -65,6 +68,9 @@ _EVENTS, _POLLIN, _NOBLOCK = zmq.EVENTS, int(zmq.POLLIN), int(zmq.NOBLOCK)  # an
 
 DESERTED_S: Final = 2.0
 """Time without any connection after which all topics are forgotten."""
+
+DECLARING: Final = frozenset((FIRST_BYTE, *patient_topics(FIRST_BYTE)))
+"""Topics of frames for subscribers that declare their needs by further topics."""
 
 
 class Publisher:
@@ -150,9 +156,9 @@ class Publisher:
         """Derive the loop's flags from the topics."""
         topics = self._topics
         plain = len(topics) >= MOST_TOPICS or any(
-            topic == b"" or (topic[:1] == FIRST_BYTE and topic != FIRST_BYTE) for topic in topics
+            topic == b"" or (topic[:1] == FIRST_BYTE and topic not in DECLARING) for topic in topics
         )
-        frames = plain or FIRST_BYTE in topics
+        frames = plain or any(topic in DECLARING for topic in topics)
         alone = any(topic[:1] == TOUCH_FIRST_BYTE for topic in topics)
         self.asked = Demand(frames, alone or TOUCHES in topics, alone)
         self.verified = any(map(asked_for, topics))

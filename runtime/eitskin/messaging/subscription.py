@@ -22,6 +22,7 @@ from eitskin.messaging.frame import (
     TOUCH_FIRST_BYTE,
     Frame,
     MapMissing,
+    patient_topics,
     unpack_frame,
 )
 from eitskin.messaging.regions import ALWAYS, EVERYWHERE, TOUCHES, UNCHANGED, WHOLE, Region, other_skin
@@ -60,6 +61,7 @@ class Subscription(Subscriber[Frame]):
         skip_unchanged: Accept frames without a map if only noise changed; ``frame.map`` is then the previous map.
         touches: Request the list of touches, ``frame.touches``, in each frame.
         maps: False requests touches without maps, a sixth of the bytes; ``frame.map`` then has shape (0, 0).
+        patient: Receive frames after other subscribers, for programs that display or store frames.
         keys: CURVE keys, required for TCP.
 
     Raises:
@@ -79,6 +81,7 @@ class Subscription(Subscriber[Frame]):
         skip_unchanged: bool = False,
         touches: bool = False,
         maps: bool = True,
+        patient: bool = False,
         keys: ClientKeys | None = None,
     ) -> None:
         if max_age_s is not None and not max_age_s > 0:
@@ -90,10 +93,13 @@ class Subscription(Subscriber[Frame]):
         self.region = EVERYWHERE if region_mm is None else Region.from_mm(*region_mm, grid)
         """The requested rectangle, in pixels; ``frame.map[region.slices]``."""
         self._needs_touches, self._skip_unchanged = touches or not maps, skip_unchanged
-        topics = (EVERY_FRAME,) if maps else (TOUCH_FIRST_BYTE,)
-        if maps and (skip_unchanged or touches):  # the frames last, when all that is needed has been said
+        first = FIRST_BYTE if maps else TOUCH_FIRST_BYTE
+        topics = patient_topics(first) if patient else (first,)
+        if maps and (skip_unchanged or touches or patient):  # the frames last, when all that is needed has been said
             needed = (TOUCHES,) if touches else ()
-            topics = (WHOLE, UNCHANGED if skip_unchanged else ALWAYS, *needed, FIRST_BYTE)
+            topics = (WHOLE, UNCHANGED if skip_unchanged else ALWAYS, *needed, *topics)
+        elif maps:
+            topics = (EVERY_FRAME,)
         self._max_age_s = max_age_s
         self.lost = 0
         """Published frames that this side did not take in time; in mode ``latest`` this is intended."""

@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         return Series(arguments.out, head, most_bytes=most_bytes, most_s=most_s)
 
     def frames() -> Any:
-        return subscribe(arguments.endpoint, "all", timeout_s=POLL_S, skip_unchanged=True, keys=keys)
+        return subscribe(arguments.endpoint, "all", timeout_s=POLL_S, skip_unchanged=True, patient=True, keys=keys)
 
     def streams() -> Any:
         return subscribe_streams(arguments.endpoint, timeout_s=POLL_S, keys=keys)

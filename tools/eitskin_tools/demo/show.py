@@ -342,7 +342,7 @@ def live(publish: str, script: Any, start_us: int, going_on: Callable[[], bool])
         start_us: Device clock when the script began.
         going_on: Says whether to draw on.
     """
-    with eitskin.subscribe(publish, timeout_s=0.5) as frames, Painter(sys.stdout) as painter:
+    with eitskin.subscribe(publish, timeout_s=0.5, patient=True) as frames, Painter(sys.stdout) as painter:
         while going_on():
             due = time.monotonic() + 1.0 / RATE_HZ
             with suppress(eitskin.NoFrame):

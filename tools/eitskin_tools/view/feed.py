@@ -104,7 +104,7 @@ class Feed:
         """Post frames and streams until no page is open."""
         touches, keys = TouchLister(self._source.skin.grid), self._source.keys
         with (
-            eitskin.subscribe(self.endpoint, timeout_s=SILENCE_S, keys=keys) as frames,
+            eitskin.subscribe(self.endpoint, timeout_s=SILENCE_S, patient=True, keys=keys) as frames,
             eitskin.subscribe_streams(
                 self.endpoint, wire=False, clouds=True, state=True, timeout_s=math.inf, keys=keys
             ) as items,
