@@ -11,8 +11,8 @@ import math
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Final, Literal
+from dataclasses import replace
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -57,17 +57,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Measure and print; return 0 if every published map is finite and from 0 to 1."""
     start = time.process_time()
-    bundle, tally, quick = load_bundle(arguments.bundle or default_path("units")), Tally(), arguments.quick
+    bundle, counts, quick = load_bundle(arguments.bundle or default_path("units")), Counter[str](), arguments.quick
     sheets = touched_sheets(
         "units" if bundle.labels == "units" else "area", 2 if quick else 8, element_size_mm=6.0 if quick else 3.0
     )
-    rows = noise_rows(Stream(bundle, sheets[0][0].flat_reference, tally), sheets, quick=quick)
-    summary = {
-        "rows": len(rows), "broken": sum(row["breaks_at"] is not None for row in rows), **tally.summary(),
-        "cpu_s": round(time.process_time() - start, 1),
-    }  # fmt: skip
+    rows = noise_rows(Stream(bundle, sheets[0][0].flat_reference, counts), sheets, quick=quick)
+    broken, spent_s = sum(row["breaks_at"] is not None for row in rows), round(time.process_time() - start, 1)
+    summary = {"rows": len(rows), "broken": broken, **counts, "withheld": counts["withheld"], "cpu_s": spent_s}
     report(arguments, rows, summary)
-    return 0 if tally.is_sound else 1
+    return 1 if counts["published_not_finite"] or counts["published_out_of_range"] else 0
 
 
 def touched_sheets(labels: Literal["units", "area"], count: int, element_size_mm: float) -> list[TouchedSheet]:
@@ -88,42 +86,15 @@ def touched_sheets(labels: Literal["units", "area"], count: int, element_size_mm
     return found
 
 
-@dataclass(slots=True)
-class Tally:
-    """Counts of the maps that were published, and of the frames that were not."""
-
-    published: int = 0
-    """Maps."""
-    not_finite: int = 0
-    """Maps with a value that is NaN or infinite."""
-    out_of_range: int = 0
-    """Maps with a value below 0 or above 1."""
-    withheld: Counter[str] = field(default_factory=Counter)
-    """Frames that were not published, by reason."""
-
-    def count(self, image: npt.NDArray[np.floating]) -> None:
-        """Count a published map, of any shape."""
-        self.published += 1
-        low, high = float(np.min(image)), float(np.max(image))  # both NaN if any value is
-        if not (np.isfinite(low) and np.isfinite(high)):
-            self.not_finite += 1
-        elif low < 0.0 or high > 1.0:
-            self.out_of_range += 1
-
-    @property
-    def is_sound(self) -> bool:
-        """Whether every published map is finite and from 0 to 1."""
-        return not (self.not_finite or self.out_of_range)
-
-    def summary(self) -> dict[str, Any]:
-        """Return the counts as one flat object."""
-        return {
-            "published": self.published,
-            "published_not_finite": self.not_finite,
-            "published_out_of_range": self.out_of_range,
-            "withheld": sum(self.withheld.values()),
-            **{f"withheld_{reason}": count for reason, count in sorted(self.withheld.items())},
-        }
+def judged(image: npt.NDArray[np.floating]) -> dict[str, int]:
+    """Return what a published map, of any shape, adds to the counts."""
+    low, high = float(np.min(image)), float(np.max(image))  # both NaN if any value is
+    finite = bool(np.isfinite(low) and np.isfinite(high))
+    return {
+        "published": 1,
+        "published_not_finite": int(not finite),
+        "published_out_of_range": int(finite and (low < 0.0 or high > 1.0)),
+    }
 
 
 class Stream:
@@ -132,11 +103,11 @@ class Stream:
     Args:
         bundle: The solvers.
         flat_V: (104,) V of the flat, untouched sheet.
-        tally: Counts what is published.
+        counts: Of published maps and withheld frames, in the words of the summary.
     """
 
-    def __init__(self, bundle: Bundle, flat_V: Array, tally: Tally) -> None:
-        self.bundle, self.tally = without_gate(bundle), tally
+    def __init__(self, bundle: Bundle, flat_V: Array, counts: Counter[str]) -> None:
+        self.bundle, self.counts = without_gate(bundle), counts
         self._frames = Frames(flat_V, np.zeros_like(flat_V))
         self.pipeline = self._frames.pipeline(self.bundle)
         self._engines = {engine.name: engine for engine in engines(self.bundle, self.pipeline.buffers)}
@@ -166,10 +137,11 @@ class Stream:
         before = Counter(pipeline.intake.withheld)
         payload = self._frames.payload(case.voltages, self._sequence)
         if not (pipeline.accept(payload, time.perf_counter_ns()) and pipeline.compute(True)):
-            self.tally.withheld += Counter(pipeline.intake.withheld) - before
+            reasons = Counter(pipeline.intake.withheld) - before
+            self.counts.update(withheld=reasons.total(), **{f"withheld_{why}": n for why, n in reasons.items()})
             return None
         image = np.frombuffer(pipeline.record.map, dtype=np.float32).reshape(skin.grid.shape)
-        self.tally.count(image)
+        self.counts.update(judged(image))
         return image.astype(np.float64)
 
 

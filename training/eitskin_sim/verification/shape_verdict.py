@@ -28,7 +28,6 @@ from eitskin_sim.shapes.parameters import (
 from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.fit import Fit
 from eitskin_sim.verification.network_map import map_of
-from eitskin_sim.verification.touch_prior import Joints, count_bodies
 from eitskin_sim.verification.verdict import Verdict
 
 Likely = tuple[tuple[float, Array], ...]
@@ -73,15 +72,6 @@ class ShapeVerdict(Verdict[ShapeTouch]):
     """(n, 8) the touches as a table."""
     likely: Likely = ()
     """Shares of belief, and touches as they are drawn: ``pieces``, and those of other contrasts that the data allow."""
-    scatter: Array = field(default_factory=lambda: np.zeros((0, 0, N_PARAMETERS)))
-    """(k, n, 7) independent ways in which the parameters of ``pieces`` may be off, of one standard deviation each."""
-    joints: Joints = ()
-    """Which of ``pieces`` hang together, as the network shows them and the frame allows."""
-
-    @property
-    def bodies(self) -> int:
-        """How many touches there are, shapes that hang together counted once."""
-        return count_bodies(len(self.pieces), self.joints)
 
     def map(self, grid: Grid = PAPER.grid) -> Array:
         """Return the (rows, columns) map: parts that depend on an unknown contrast have reduced values."""

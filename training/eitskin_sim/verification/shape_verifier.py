@@ -137,8 +137,6 @@ class ShapeVerifier:
             unfinished,
             fit.pieces,
             tuple((share, without_cracks(pieces, shares, grid)) for share, pieces in likely),
-            scatter,
-            fit.frame.joints,
         )
 
     def _explained(self, change: Array, rows: Rows, starts: list[Array], shares: Array, budget: Budget) -> Fit:

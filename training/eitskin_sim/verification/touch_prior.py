@@ -118,14 +118,6 @@ def fitted_parameters(pieces: Array, turning: bool) -> Free:
     return found
 
 
-def count_bodies(count: int, joints: Joints) -> int:
-    """Return how many touches some shapes are, if some of them hang together."""
-    owner = np.arange(count)
-    for i, j in joints:
-        owner[owner == owner[i]] = owner[j]
-    return len(np.unique(owner))
-
-
 def crack_mm(values: Array, pair: tuple[int, int]) -> tuple[float, int]:
     """Return how far two upright rectangles are apart, below 0 where they overlap, and along which axis."""
     i, j = pair

@@ -2,8 +2,8 @@
 
 The search starts from the touches of the network's map, as the stream finds them
 (:mod:`eitskin_sim.verification.shape_verifier`). The map is drawn from the shapes that were found, with a share of the
-network's own (:mod:`eitskin_tools.evaluation.verified.share`): the two err in part independently, so both together are
-nearer to the truth than either. A map of units is snapped to units (:mod:`eitskin_sim.verification.snapped_units`). If
+network's own (``NETWORK_SHARE``): the two err in part independently, so both together are nearer to the truth than
+either. A map of units is snapped to units (:mod:`eitskin_sim.verification.snapped_units`). If
 the verifier cannot explain the frame, or the network shows too many units, the network's own map stays, and the frame
 is flagged.
 
@@ -36,12 +36,14 @@ from eitskin_sim.verification.shape_verifier import BUDGET_S, ShapeVerifier
 from eitskin_sim.verification.snapped_units import UnitFrame, UnitVerdict, too_many, unit_shares, unverified
 from eitskin_sim.verification.touch_prior import touch_prior
 from eitskin_sim.verification.verdict import Verdict
-from eitskin_tools.evaluation.verified.share import network_share
 
 Array = npt.NDArray[np.float64]
 
 SEED: Final = 7041
 """Of the noise of untouched frames."""
+
+NETWORK_SHARE: Final = 0.3
+"""Of a verified map. Without it presses on lab devices lose 0.008 of CC, and touches of contrast 2 0.009."""
 
 SPREADS: Final = (1e-5, 0.01)
 """Of a row's voltage: what noise a reference is believed to have shown, as in :mod:`eitskin.pipeline.stillness`."""
@@ -72,8 +74,6 @@ class MapVerifier:
         self._prior = touch_prior(touches, skin)
         self._finder = TouchFinder(skin.grid)
         self.shapes = ShapeVerifier(reference_V, noise, touches, skin, clock=clock)
-        self.shown = 0
-        """Touches that the last map shows."""
 
     def refused(self, image: Array) -> str:
         """Return why a (rows, columns) map is not verified; nothing where it is."""
@@ -92,7 +92,6 @@ class MapVerifier:
         """
         budget, grid = Budget(budget_s, self._clock), self._skin.grid
         touches = self._finder.find(image)
-        self.shown = touches.count
         shares = shares_of(touches.pixels, touches.touch, touches.weights, touches.count, grid)
         before_s = self.shapes.deformation.spent_s
         found = self.shapes.verify(voltages_V, shares, budget_s, rows)
@@ -184,8 +183,7 @@ class VerifiedNetwork:
             touched = np.zeros(grid.n_units)
             touched[[one.unit for one in verdict.touches]] = 1.0
             return np.asarray(grid.map_from_units(touched), dtype=np.float64)
-        share = network_share(verdict, image, verifier.shown, grid)
-        return (1.0 - share) * verdict.map(grid) + share * np.clip(image, 0.0, 1.0)
+        return (1.0 - NETWORK_SHARE) * verdict.map(grid) + NETWORK_SHARE * np.clip(image, 0.0, 1.0)
 
     def _verifier(self, case: Case) -> tuple[MapVerifier, float]:
         """Return the verifier of a case's shape, and CPU seconds that its models took: 0 for the shape in use."""
