@@ -91,7 +91,7 @@ def read_wiring(readings_V: Array, model_V: Array) -> Wiring:
     stated = (TABLE if len(read) == N_ROWS else FULL_TABLE).astype(np.intp)
     expected = levels[stated[:, 0], stated[:, 1]]
     sign = np.sign(np.median(read)) or 1.0
-    found = _rank_correlation(sign * read, expected)
+    found = rank_correlation(sign * read, expected)
     inverted = bool(sign * np.sign(np.median(model)) < 0.0)
     apart = None
     if len(read) == N_FULL_ROWS:
@@ -171,7 +171,7 @@ def _better_orders(read: Array, stated: Table, levels: Array, found: float) -> l
             others.append((name, other))
     if not others:
         return []
-    scores = [_rank_correlation(read, other) for _, other in others]
+    scores = [rank_correlation(read, other) for _, other in others]
     best = max(scores)
     left = [max(1.0 - rank * abs(rank), 1e-9) for rank in (found, best)]
     gain = 0.5 * N_ROWS * float(np.log(left[0] / left[1]))
@@ -184,11 +184,11 @@ def _better_orders(read: Array, stated: Table, levels: Array, found: float) -> l
 
 def _without_two(read: Array, stated: Table, expected: Array) -> float:
     """Return the best rank correlation without the rows of two neighbours, which may have failed."""
-    best = _rank_correlation(read, expected)
+    best = rank_correlation(read, expected)
     for electrode in range(N_ELECTRODES):
         pairs = (electrode - 1, electrode, (electrode + 1) % N_ELECTRODES)
         kept = ~np.isin(stated, np.array(pairs) % N_ELECTRODES).any(axis=1)
-        best = max(best, _rank_correlation(read[kept], expected[kept]))
+        best = max(best, rank_correlation(read[kept], expected[kept]))
     return best
 
 
@@ -204,7 +204,8 @@ def _structured_share(read: Array, stated: Table) -> float:
     return float(1.0 - left @ left / (logs @ logs + 1e-300))
 
 
-def _rank_correlation(one: Array, other: Array) -> float:
+def rank_correlation(one: Array, other: Array) -> float:
+    """Return Spearman's correlation of two (n,) arrays."""
     first, second = (np.argsort(np.argsort(values)).astype(np.float64) for values in (one, other))
     return float(np.corrcoef(first, second)[0, 1])
 

@@ -20,10 +20,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.errors import BundleError
+from eitskin.errors import BundleError, MismatchError
 from eitskin.model.bundle import Bundle
 from eitskin.model.response_field import HINT, LARGEST, ResponseField, TaughtTouch, finite
 from eitskin.touches.moments import Found
+from eitskin_proto.sensor.row_table import MIN_ELECTRODES
+from eitskin_proto.sensor.wiring import rank_correlation
 from eitskin_proto.skin.grid import Grid
 
 MOST_AVERAGED: Final = 50
@@ -47,6 +49,9 @@ RELEASED: Final = 0.02
 
 SMALLEST_RATIO: Final = 1e-6
 """V / V0 is not taken for less before the logarithm."""
+
+LEAST_ALIKE: Final = 0.7
+"""Rank correlation of the levels of a reference and of the taught sheet; rows in another order have much less."""
 
 NEARER: Final = 20.0
 """Squared distance by which the level of another shape must be nearer: a log likelihood of ten."""
@@ -130,6 +135,9 @@ class TaughtField:
             voltages_V: (rows,), 0 where a row carries no information.
             spread_V: (rows,) standard deviation of a frame; None where only taught readings say it.
             shared_V: (rows, k) the part of it that rows share.
+
+        Raises:
+            MismatchError: Its rows have other levels than the sheet that was taught.
         """
         carries = voltages_V != 0.0
         known = carries & (self._levels != 0.0).all(axis=0)
@@ -137,6 +145,7 @@ class TaughtField:
             apart = np.where(known, self._levels - np.log(np.abs(np.where(known, voltages_V, 1.0))), 0.0)
             apart -= np.where(known, np.median(apart[:, known], axis=1, keepdims=True), 0.0)  # another current
             self._home = int(((apart @ self._project[:, self._parts[-1]]) ** 2).sum(axis=1).argmin())
+            self._check_order(self._levels[self._home, known], np.log(np.abs(voltages_V[known])))
         levels = np.where(known, self._levels - self._levels[self._home], 0.0)
         np.matmul(levels, self._project, out=self._offsets[:-1], casting="same_kind")
         self.use_prediction(levels[self._home])
@@ -146,6 +155,22 @@ class TaughtField:
         own = np.zeros(len(carries)) if spread_V is None else np.maximum(spread_V**2 - (shared**2).sum(axis=1), 0.0)
         noise = float((own @ project**2).sum() + ((shared.T @ project) ** 2).sum())
         self._usual = noise or self._field.noise
+
+    @staticmethod
+    def _check_order(taught: npt.NDArray[np.float64], found: npt.NDArray[np.float64]) -> None:
+        """Refuse rows of another order, which no table need show.
+
+        Raises:
+            MismatchError: Levels of rows that are large in one are small in the other.
+        """
+        alike = rank_correlation(taught, found) if len(found) >= MIN_ELECTRODES else 1.0
+        if alike < LEAST_ALIKE:
+            raise MismatchError(
+                "the reference: the order of its rows",
+                found=f"a rank correlation of {alike:.2f} with the taught sheet's voltages",
+                expected=f"at least {LEAST_ALIKE:g}",
+                hint="print rows in the taught order, or teach this sheet again",
+            )
 
     def use_prediction(self, log_predicted: npt.NDArray[np.floating]) -> None:
         """Take the level that the forward model predicts, (rows,) log(V_pred / V_reference); zeros for none."""

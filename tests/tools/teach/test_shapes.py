@@ -5,6 +5,7 @@ import pytest
 
 from eitskin.model.bundle import load_bundle
 from eitskin.model.taught import field_of
+from eitskin_proto.errors import MismatchError
 from eitskin_proto.sensor.row_table import ADJACENT_104
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.solve import factorise_scene
@@ -65,6 +66,8 @@ def test_a_prediction_takes_the_bend_out_of_a_field_that_was_taught_flat(sheet):
             assert (field.look() > field.threshold) == np.isfinite(pressed[0])
             assert field.shape == shape
     assert np.hypot(field.strongest().x_mm - 75.0, field.strongest().y_mm - 50.0) < 5.0
+    with pytest.raises(MismatchError, match="order of its rows: found a rank correlation of"):
+        field.use_reference(np.roll(flat, 5))
 
 
 @pytest.mark.parametrize(

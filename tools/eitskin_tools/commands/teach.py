@@ -81,6 +81,8 @@ def run(arguments: argparse.Namespace) -> int:
     reports = {name: one.report for name, one in taught.items()}
     if arguments.picture is not None:
         card.draw(arguments.picture, taught)
+    if presses.logarithmic and presses.is_change and presses.table.electrodes is None:
+        say("eitskin teach: no run can check the order of its rows: the file has no table, nor voltages", error=True)
     after = "Wrote {}. Next: eitskin run --port PORT --bundle {}"
     if not presses.logarithmic:
         after = "Wrote {}. Its changes have no known unit, so it works with 'eitskin evaluate --measured' alone ({})."
