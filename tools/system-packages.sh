@@ -7,7 +7,7 @@ board="gcc libc6-dev make gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-
 bus="libusb-1.0-0 umockdev gir1.2-umockdev-1.0 python3-gi"
 calls="strace"
 certificates="openssl"
-client="cmake g++ libzmq3-dev cppzmq-dev libmsgpack-cxx-dev"
+client="cmake g++ libzmq3-dev cppzmq-dev"
 wanted=${*:-"$board $bus $calls $certificates $client"}
 missing=""
 for package in $wanted; do

@@ -24,7 +24,7 @@ class Robot(Node):
         """Subscribe."""
         super().__init__("robot")
         self.calm_frames = int(self.declare_parameter("calm_frames", 20).value)  # 0.1 s at 200 frames/s
-        quality = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+        quality = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
         self.create_subscription(PointCloud2, "/eitskin/touches", self.on_touches, quality)
         self.create_timer(OLDEST_S / 4, self.on_timer)
         self.moving, self.calm, self.came_s = False, 0, 0.0
@@ -42,7 +42,7 @@ class Robot(Node):
         self.came_s = time.monotonic()
         self.calm = 0 if message.width else self.calm + 1
         if self.moving and message.width:
-            self.drive(False, "touched")
+            self.drive(False, f"touched {1e-6 * age.nanoseconds:.2f} ms ago")
         elif not self.moving and self.calm >= self.calm_frames:
             self.drive(True, "untouched")
 

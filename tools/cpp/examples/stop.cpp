@@ -26,6 +26,7 @@ int main(int count, char **words) {
     std::signal(SIGTERM, [](int) { running = false; });
     try {
         eitskin::Options options;
+        options.all = true;  // a touch of one frame counts
         if (count > 1) options.endpoint = words[1];
         const int calm_frames = count > 2 ? std::atoi(words[2]) : 20;  // 0.1 s at 200 frames/s
         zmq::context_t context;
@@ -37,7 +38,9 @@ int main(int count, char **words) {
                 if (!blind && running) drive(false, skin.why());
                 moving = false, blind = true, calm = 0;
             } else if (!frame.touches.empty()) {
-                if (moving) drive(false, "touched");
+                char why[40];
+                std::snprintf(why, sizeof why, "touched %.2f ms ago", 1e3 * frame.age_s());
+                if (moving) drive(false, why);
                 moving = blind = false, calm = 0;
             } else if (blind = false, !moving && ++calm >= calm_frames) {
                 drive(true, "untouched");

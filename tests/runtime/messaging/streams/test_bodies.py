@@ -2,8 +2,10 @@
 
 import hashlib
 import json
+import re
 from contextlib import suppress
 from dataclasses import fields, replace
+from pathlib import Path
 
 import msgpack
 import numpy as np
@@ -61,6 +63,15 @@ def test_what_goes_in_comes_out(item):
     found = replace(type(item).of(item.body()), n=12, run="r", received_ns=5)
     for field in fields(item):
         assert same(getattr(found, field.name), getattr(item, field.name)), field.name
+
+
+@ALL
+def test_the_specification_lists_its_keys(item):
+    spec = (Path(__file__).parents[4] / "firmware_proto/SPEC.md").read_text(encoding="utf-8")
+    name = {WireFrame: "wire", CloudInUse: "cloud", Conditions: "conditions", SkinState: "state"}[type(item)]
+    (rows,) = re.findall(rf"^\*\*{name}\*\*[^|]*\| key \|.*\n\|[-|]+\n((?:\|.*\n)+)", spec, re.MULTILINE)
+    listed = [key for keys in re.findall(r"^\| ([\w, ]+) \|", rows, re.MULTILINE) for key in keys.split(", ")]
+    assert sorted(listed) == sorted(msgpack.unpackb(item.body()))
 
 
 @ALL
