@@ -56,7 +56,7 @@ if TYPE_CHECKING:
         TransportError,
     )
     from eitskin.messaging.control import ControlServer
-    from eitskin.messaging.control_client import request, send_cloud
+    from eitskin.messaging.control_client import RuntimeClock, measure_clock, request, send_cloud
     from eitskin.messaging.curve_keys import ClientKeys, load_client_keys, make_keys
     from eitskin.messaging.frame import Frame
     from eitskin.messaging.publish import Publisher
@@ -114,6 +114,7 @@ __all__ = [
     "RobotError",
     "RobotSkin",
     "RobotSubscription",
+    "RuntimeClock",
     "SilentSkin",
     "Skin",
     "SkinError",
@@ -136,6 +137,7 @@ __all__ = [
     "load_client_keys",
     "load_robot",
     "make_keys",
+    "measure_clock",
     "pixel_centres_mm",
     "reconstruct",
     "request",
@@ -153,7 +155,7 @@ _HOMES: Final = {
     "eitskin.acquisition.drivers.feed": ("Feed",),
     "eitskin.acquisition.transport": ("Transport",),
     "eitskin.messaging.control": ("ControlServer",),
-    "eitskin.messaging.control_client": ("request", "send_cloud"),
+    "eitskin.messaging.control_client": ("RuntimeClock", "measure_clock", "request", "send_cloud"),
     "eitskin.messaging.curve_keys": ("ClientKeys", "load_client_keys", "make_keys"),
     "eitskin.messaging.frame": ("Frame",),
     "eitskin.messaging.publish": ("Publisher",),

@@ -49,6 +49,13 @@ def test_frames_are_read_without_eitskin_installed(example, runtime, tmp_path):
         assert "at row, column" in program.until("highest pixel")
 
 
+def test_touches_cross_zenoh(example, runtime):
+    pytest.importorskip("zenoh", reason="pip install eclipse-zenoh")
+    with example("zenoh_bridge.py", "out", runtime.frames), example("zenoh_bridge.py", "in") as program:
+        program.until(": 1 touches")
+        program.until("since publishing: p50")
+
+
 def test_a_robot_goes_stops_where_it_is_touched_and_stops_when_it_is_blind(example, runtime):
     with example("react.py", runtime.frames) as robot:
         robot.until("go")

@@ -1,8 +1,10 @@
 """How soon a robot's loop stops after a touch is on the wire: in Python, and in C++ or ROS 2 beside it in one run.
 
 A virtual skin is touched again and again, at four places in turn. Each loop goes on when the skin has been untouched
-for some frames, and stops at the next touch. A stop counts for the touch of the frame that caused it. Build the loop in
-C++ first (docs/cpp.md), or install the ROS 2 package in an environment of its own (docs/ros2.md).
+for some frames, and stops at the next touch. A stop counts for the touch of the frame that caused it. A loop that is
+blind, because no fresh frame came for 0.2 s, stands still before the touch or stops for that reason. A touch is missed
+if the loop goes on. Build the loop in C++ first (docs/cpp.md), or install the ROS 2 package in an environment of its
+own (docs/ros2.md).
 """
 
 import argparse
@@ -99,18 +101,19 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _row(label: str, text: str, scan_ns: npt.NDArray[np.int64], wire_ns: npt.NDArray[np.int64]) -> dict[str, Any]:
     """Return how soon a robot stopped after each touch, whose first scan ended and was on the wire at these times."""
-    stops = [line.split() for line in text.splitlines() if line.startswith("stop")]
-    touched = [line for line in stops if line[2] == "touched"]
-    stopped_ns = np.array([int(line[1]) for line in touched], dtype=np.int64)
-    scanned_ns = stopped_ns - np.array([1e6 * float(line[3]) for line in touched]).astype(np.int64)
-    of = np.searchsorted(scan_ns - PERIOD_NS // 2, scanned_ns) - 1  # -1: before the first
+    lines = [line.split() for line in text.splitlines() if line.startswith(("go ", "stop "))]
+    times_ns = np.array([int(line[1]) for line in lines], dtype=np.int64)
+    felt = np.array([float(line[3]) if line[2] == "touched" else np.nan for line in lines])  # ms since the scan
+    found = np.flatnonzero(~np.isnan(felt))
+    of = np.searchsorted(scan_ns - PERIOD_NS // 2, times_ns[found] - (1e6 * felt[found]).astype(np.int64)) - 1
     touch, first = np.unique(of[of >= 0], return_index=True)
-    late_ms = 1e-6 * (stopped_ns[of >= 0][first] - wire_ns[touch])
-    p50, p99, most = np.percentile(late_ms, [50, 99, 100]).round(3).tolist() if len(touch) else [np.nan] * 3
-    return {
-        "what": label, "touches": len(wire_ns), "missed": len(wire_ns) - len(touch), "p50_ms": p50, "p99_ms": p99,
-        "max_ms": most, "blind": len(stops) - len(touched),
-    }  # fmt: skip
+    late_ms = 1e-6 * (times_ns[found][of >= 0][first] - wire_ns[touch])
+    counts = {"stopped": len(touch), "blind": 0, "missed": 0}
+    for at in np.searchsorted(times_ns, np.delete(wire_ns, touch)).tolist():
+        stands = at == 0 or lines[at - 1][0] == "stop"
+        counts["blind" if stands or (at < len(lines) and np.isnan(felt[at])) else "missed"] += 1
+    figures = dict(zip(("p50_ms", "p99_ms", "max_ms"), np.percentile(late_ms, [50, 99, 100]).round(3), strict=True))
+    return {"what": label, "touches": len(wire_ns), **counts, **{name: float(one) for name, one in figures.items()}}
 
 
 class Presses:

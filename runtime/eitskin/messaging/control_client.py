@@ -1,10 +1,14 @@
-"""The client's side of control requests: a cloud, a reference, electrodes, its state, stop.
+"""The client's side of control requests: a cloud, a reference, electrodes, its state and its clock, stop.
 
 Requests go to the *control* endpoint of ``eitskin run --control``, not to the one on which frames are published. Both
 sides have the same default (:func:`eitskin.messaging.endpoints.default_control`).
 """
 
+import time
 import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -18,6 +22,7 @@ from eitskin.errors import CloudWarning, ControlError, EndpointError
 from eitskin.messaging.control_commands import LARGEST_REQUEST, unpack_fields
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import CONTROL, ROBOT, check_client_keys, default_control
+from eitskin.messaging.frame import Frame
 from eitskin.messaging.listener import CLIENT_FILES, check_files
 from eitskin.messaging.reachability import other_runtimes
 from eitskin.reference.predicted import check_voltages
@@ -38,7 +43,8 @@ def request(
         endpoint: The runtime's control endpoint (``eitskin run --control``); None for the default.
         command: ``cloud`` (see :func:`send_cloud`); ``reference``, with ``frames`` and ``force``, captures a new
             reference; ``exclude``, with ``electrodes``, a list of numbers from 0 to 15, excludes these, and an empty
-            list includes all again; ``status`` returns counters and ids; ``stop`` ends the runtime.
+            list includes all again; ``status`` returns counters and ids; ``clock`` returns ``now_ns``; ``stop`` ends
+            the runtime.
             :mod:`eitskin.messaging.control` lists the fields of each request and answer.
         timeout_s: How long to wait for the answer.
         keys: CURVE keys, required for TCP.
@@ -49,11 +55,75 @@ def request(
         EndpointError: The endpoint is malformed, or needs keys because it is TCP.
         ValueError: ``timeout_s`` is not positive.
     """
+    with _connected(endpoint, timeout_s, keys) as ask:
+        return ask(command, **fields)
+
+
+@dataclass(frozen=True, slots=True)
+class RuntimeClock:
+    """How the clock of a runtime's machine compares with this machine's.
+
+    Attributes:
+        offset_ns: What the runtime's clock shows, minus this machine's ``perf_counter_ns``.
+        error_ns: How far that may be off: half of the shortest round trip.
+    """
+
+    offset_ns: int
+    error_ns: int
+
+    def age_s(self, frame: Frame) -> float:
+        """Return the seconds from a frame's scan until now, the time on the network included."""
+        return 1e-6 * frame.age_us + 1e-9 * (time.perf_counter_ns() + self.offset_ns - frame.host_ns["publish"])
+
+
+def measure_clock(
+    endpoint: str | None = None, *, rounds: int = 20, timeout_s: float = 10.0, keys: ClientKeys | None = None
+) -> RuntimeClock:
+    """Compare the clock of a runtime on another machine with this one, by requests for it.
+
+    Clocks drift apart by some us a second, so measure again every minute.
+
+    Args:
+        endpoint: The runtime's control endpoint; None for the default.
+        rounds: How many requests; the fastest counts.
+        timeout_s: How long to wait for each answer.
+        keys: CURVE keys, required for TCP.
+
+    Raises:
+        ControlError: The runtime did not answer in time, or is of an older release.
+        EndpointError: As of :func:`request`.
+    """
+    found = []
+    with _connected(endpoint, timeout_s, keys) as ask:
+        for _ in range(rounds):
+            sent_ns = time.perf_counter_ns()
+            now_ns = int(ask("clock")["now_ns"])
+            error_ns = (time.perf_counter_ns() - sent_ns) // 2
+            found.append((error_ns, now_ns - sent_ns - error_ns))
+    error_ns, offset_ns = min(found)
+    return RuntimeClock(offset_ns, error_ns)
+
+
+@contextmanager
+def _connected(
+    endpoint: str | None, timeout_s: float, keys: ClientKeys | None
+) -> Iterator[Callable[..., dict[str, Any]]]:
+    """Give a function that sends a request over one connection and returns the answer's fields."""
     if not timeout_s > 0:
         raise ValueError(f"timeout_s is {timeout_s}, expected more than 0")
     where = default_control() if endpoint is None else endpoint
     check_client_keys(where, keys)
     check_files(where, CLIENT_FILES)
+
+    def ask(command: str, **fields: object) -> dict[str, Any]:
+        socket.send(msgpack.packb({"command": command, **fields}))
+        if not socket.poll(round(timeout_s * 1000)):
+            raise ControlError(f"no answer from {where} within {timeout_s:g} s; {_why_silent(where)}")
+        answer = unpack_fields([socket.recv()])
+        if answer.pop("ok", None) is not True:
+            raise ControlError(str(answer.get("error", "the runtime refused without a reason")))
+        return answer
+
     context: zmq.Context[Any] = zmq.Context()
     try:
         socket = context.socket(zmq.REQ)
@@ -62,17 +132,11 @@ def request(
         if keys is not None:
             keys.apply(socket)
         socket.connect(where)
-        socket.send(msgpack.packb({"command": command, **fields}))
-        if not socket.poll(round(timeout_s * 1000)):
-            raise ControlError(f"no answer from {where} within {timeout_s:g} s; {_why_silent(where)}")
-        answer = unpack_fields([socket.recv()])
+        yield ask
     except zmq.ZMQError as error:
         raise EndpointError(f"{where} cannot be used: {error.strerror}") from error
     finally:
         context.destroy(0)
-    if answer.pop("ok", None) is not True:
-        raise ControlError(str(answer.get("error", "the runtime refused without a reason")))
-    return answer
 
 
 def send_cloud(

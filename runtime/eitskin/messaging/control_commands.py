@@ -1,5 +1,6 @@
 """The commands of control requests, and the checks of their fields."""
 
+import time
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Protocol
 
@@ -97,6 +98,7 @@ class Commands:
             "reference": self._reference,
             "exclude": self._exclude,
             "status": lambda _: self._controlled.status(),
+            "clock": lambda _: {"now_ns": time.perf_counter_ns()},
             "stop": self._stop,
         }
 

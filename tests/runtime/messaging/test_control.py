@@ -1,3 +1,5 @@
+import time
+
 import msgpack
 import pytest
 import zmq
@@ -9,6 +11,7 @@ from eitskin.messaging.control import ControlServer
 from eitskin.messaging.control_client import request
 from eitskin.messaging.control_commands import LARGEST_REQUEST
 from eitskin.messaging.curve_keys import load_client_keys, load_server_keys, make_keys
+from eitskin.messaging.frame import unpack_frame
 from eitskin_proto.skin.cloud import flat_cloud
 
 
@@ -22,6 +25,15 @@ def test_commands_are_answered(server, recorder):
     assert recorder.excluded == (3, 4)
     request(server.endpoint, "stop")
     assert recorder.stopped
+
+
+def test_the_clock_of_a_runtime_on_this_machine_is_its_own_within_the_stated_error(server, packer):
+    clock = eitskin.measure_clock(server.endpoint)
+    assert abs(clock.offset_ns) <= clock.error_ns
+    packer.put("publish", time.perf_counter_ns() - 10**9)
+    frame = unpack_frame(bytes(packer.message()), 0)
+    before, age, after = frame.age_s, clock.age_s(frame), frame.age_s
+    assert before - 1e-9 * clock.error_ns <= age <= after + 1e-9 * clock.error_ns
 
 
 @pytest.mark.parametrize(
