@@ -11,9 +11,10 @@ import stat
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, BinaryIO, Final, TypeVar
+from typing import Any, BinaryIO, Final, Generic, TypeVar
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import quoted
@@ -196,23 +197,6 @@ def _too_long(path: str | Path, largest: int) -> str:
 Content = TypeVar("Content")
 
 
-def text_named(name: str, names: Sequence[str], folder: str, what: str) -> str:
-    """Return the text of a file that comes with the package.
-
-    Args:
-        name: Of the file, without its ending.
-        names: All that there are.
-        folder: Of the package.
-        what: Such a file describes, for people.
-
-    Raises:
-        ValueError: There is none of this name.
-    """
-    if name not in names:
-        raise ValueError(f"{what} {quoted(name)} does not come with the package; {', '.join(names)} do")
-    return resources.files("eitskin_proto").joinpath(folder, f"{name}.toml").read_text(encoding="utf-8")
-
-
 def is_name(path: str | Path, names: Sequence[str]) -> bool:
     """Return whether a path is the name of a file that comes with the package, and no file in this folder has it.
 
@@ -224,15 +208,44 @@ def is_name(path: str | Path, names: Sequence[str]) -> bool:
     return str(path) in names and (own.is_dir() or not own.exists())
 
 
-def parse_file(path: str | Path, parse: Callable[[str], Content]) -> Content:
-    """Return a file's parsed content.
+@dataclass(frozen=True, slots=True)
+class ShippedFiles(Generic[Content]):
+    """TOML files of one kind, of which some come with the package.
 
-    Raises:
-        ValueError: The file's content is wrong; the text names the file, and what ``parse`` says.
-        OSError: There is no such file.
+    Args:
+        names: Of those, without their ending.
+        folder: Of the package.
+        what: Such a file describes, for people.
+        parse: Returns the content of a text; raises ValueError.
     """
-    text = read_text(path, LARGEST_TOML)
-    try:
-        return parse(text)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+
+    names: Sequence[str]
+    folder: str
+    what: str
+    parse: Callable[[str], Content]
+
+    def named(self, name: str) -> Content:
+        """Return the content of one that comes with the package.
+
+        Raises:
+            ValueError: There is none of this name.
+        """
+        if name not in self.names:
+            raise ValueError(f"{self.what} {quoted(name)} does not come with the package; {', '.join(self.names)} do")
+        file = resources.files("eitskin_proto").joinpath(self.folder, f"{name}.toml")
+        return self.parse(file.read_text(encoding="utf-8"))
+
+    def load(self, path: str | Path) -> Content:
+        """Return the content of a file, or of one that comes with the package if only its name is given.
+
+        Raises:
+            ValueError: The file's content is wrong; the text names file and key.
+            OSError: There is no such file.
+        """
+        if is_name(path, self.names):
+            return self.named(str(path))
+        text = read_text(path, LARGEST_TOML)
+        try:
+            return self.parse(text)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error

@@ -43,8 +43,7 @@ def check_arrays_made_for(what: str, skin: Skin, arrays: Arrays, hint: str) -> N
     Args:
         what: Name of the file in the message, such as its path.
         skin: The skin in use.
-        arrays: Arrays by name; missing ids are not checked. A digest without a ``grid_id`` must belong to a known
-            description of this sheet.
+        arrays: Arrays by name; missing ids are not checked. A digest without a ``grid_id`` must be the skin's.
         hint: What the user can do.
 
     Raises:
@@ -55,17 +54,9 @@ def check_arrays_made_for(what: str, skin: Skin, arrays: Arrays, hint: str) -> N
         raise MismatchError(f"{what}: protocol_id", found=stated(found), expected=PROTOCOL_ID, hint=hint)
     given = {name: text(arrays, name) for name in ("grid_id", "skin_digest") if name in arrays}
     digest = given.get("skin_digest")
-    if digest is not None and "grid_id" not in given and digest not in _of_this_sheet(skin):
+    if digest is not None and "grid_id" not in given and digest not in (skin.digest, skin.calibrated_from):
         why = f"without grid_id nothing shows that it belongs to the same sheet; store grid_id too, or {hint}"
         raise MismatchError(
             f"{what}: skin_digest", found=stated(digest), expected=f"{skin.digest} ({skin.name})", hint=why
         )
     check_made_for(what, skin, grid_id=given.get("grid_id", skin.grid_id), skin_digest=digest, hint=hint)
-
-
-def _of_this_sheet(skin: Skin) -> set[str]:
-    """Return digests of descriptions of a skin's sheet: its own, what it was calibrated from, and shipped ones."""
-    from eitskin_proto.skin.toml import NAMED, named  # noqa: PLC0415 -- few files have a digest alone
-
-    shipped = {one.digest for one in map(named, NAMED) if one.grid_id == skin.grid_id}
-    return {skin.digest, skin.calibrated_from or skin.digest} | shipped

@@ -12,13 +12,12 @@ another outline. Keys and bounds are those of :mod:`eitskin_proto.skin.parts`.
 """
 
 from dataclasses import Field, fields, replace
-from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from eitskin_proto.fields import Fields
-from eitskin_proto.files.reading import is_name, parse_file, parse_toml, text_named
+from eitskin_proto.files.reading import ShippedFiles, parse_toml
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.parts import Deformations, Doubts, Instrument, Layer, Map, Outline, Ring, Touches
 from eitskin_proto.skin.quantity import LAWS, Law, Quantity
@@ -53,27 +52,6 @@ MOST_GAP: Final = 2.5
 
 A_LINE: Final = 8
 """Numbers of a list on one line."""
-
-
-def load(path: str | Path) -> Skin:
-    """Return the skin of a TOML file, or of one that comes with the package if only its name is given.
-
-    Raises:
-        ValueError: The file's content is wrong; the text names file and key.
-        OSError: There is no such file.
-    """
-    if is_name(path, NAMED):
-        return named(str(path))
-    return parse_file(path, parse)
-
-
-def named(name: str) -> Skin:
-    """Return a skin that comes with the package: paper, hydrogel or lab.
-
-    Raises:
-        ValueError: There is none of this name.
-    """
-    return parse(text_named(name, NAMED, "skins", "skin"))
 
 
 def parse(text: str) -> Skin:
@@ -217,3 +195,7 @@ def _quantity(content: Fields, own: Field[Any], bounds: dict[str, float]) -> Qua
             raise content.wrong(key, f"one number, or {N_ELECTRODES}, one {of}")
         return Quantity(content.numbers(key, N_ELECTRODES, **bounds), law, spread)
     return Quantity(content.number(key, **bounds), law, spread)
+
+
+FILES: Final = ShippedFiles(NAMED, "skins", "skin", parse)
+load, named = FILES.load, FILES.named

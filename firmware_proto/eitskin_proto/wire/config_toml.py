@@ -14,12 +14,11 @@
 """
 
 import json
-from pathlib import Path
 from typing import Any, Final
 
 from eitskin_proto.fields import Fields
 from eitskin_proto.files.plain import quoted
-from eitskin_proto.files.reading import is_name, parse_file, parse_toml, text_named
+from eitskin_proto.files.reading import ShippedFiles, parse_toml
 from eitskin_proto.wire import hardware
 from eitskin_proto.wire.config import FORMAT, Configuration
 from eitskin_proto.wire.scan_rows import drives_from_list, drives_to_list
@@ -119,22 +118,5 @@ def in_file(field: str, value: Any) -> tuple[str, Any]:
     return names.get(field, field), value
 
 
-def load(path: str | Path) -> Configuration:
-    """Return the configuration of a TOML file, or of one that comes with the package if only its name is given.
-
-    Raises:
-        ValueError: The file's content is wrong; the text names file and key.
-        OSError: There is no such file.
-    """
-    if is_name(path, NAMED):
-        return named(str(path))
-    return parse_file(path, parse)
-
-
-def named(name: str) -> Configuration:
-    """Return a configuration that comes with the package: paper, full208, idle or fast.
-
-    Raises:
-        ValueError: There is none of this name.
-    """
-    return parse(text_named(name, NAMED, "configurations", "configuration"))
+FILES: Final = ShippedFiles(NAMED, "configurations", "configuration", parse)
+load, named = FILES.load, FILES.named

@@ -193,7 +193,8 @@ def _keys_of(path: Path) -> dict[str, bytes]:
     try:
         found = {kind.decode(): key for kind, key in KEY.findall(read_bytes(path, LARGEST_KEY))}
     except (OSError, FileError) as error:
-        raise EndpointError(f"{path} is not a CURVE key: {error}; {MAKE}") from error
+        why = error.strerror if isinstance(error, OSError) else error
+        raise EndpointError(f"{path} is not a CURVE key: {why}; {MAKE}") from error
     if "public" not in found:
         raise EndpointError(f"{path} is not a CURVE key: it holds no public key; copy it there again, or remove it")
     return found

@@ -24,10 +24,10 @@ each time: a session keeps its own copy of the weights, so a second copy in Pyth
 """
 
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -107,8 +107,8 @@ class Files(Mapping[str, bytes]):
 
     def __getitem__(self, name: str) -> bytes:
         expected = self._digests[name]
-        with _Opened(self._path) as archive:
-            data = _member(archive.members, name, LARGEST_FILE, self._path)
+        with _members(self._path) as archive:
+            data = _member(archive, name, LARGEST_FILE, self._path)
         found = sha256_of(data)
         if found != expected:
             raise BundleError(
@@ -274,9 +274,9 @@ def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bund
         MismatchError: It has another format version or protocol_id, or ids other than its skin's.
     """
     where = default_path() if path is None else HOME / f"{path}.eitskin" if is_name(path, shipped()) else Path(path)
-    with _Opened(where) as archive:
-        raw = _member(archive.members, "manifest.json", LARGEST_MANIFEST, where)
-        sizes = {name: member.entry.file_size for name, member in archive.members.items()}
+    with _members(where) as archive:
+        raw = _member(archive, "manifest.json", LARGEST_MANIFEST, where)
+        sizes = {name: member.entry.file_size for name, member in archive.items()}
     manifest = manifest_of(raw, where, EXPORT_HINT)
     besides = [file for name in EXTRA_NETWORKS if manifest.get(name) is not None for file in graphs_of(name)]
     alone = manifest.get("head") is None
@@ -298,45 +298,29 @@ def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bund
     return Bundle(where, manifest, files, id_of(raw), skin)
 
 
-class _Opened:
-    """The members of an archive, open while the block lasts."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.members: Mapping[str, Member] = {}
-
-    def __enter__(self) -> Self:
-        where = self._path
-        with ExitStack() as held:
-            try:
-                stream = held.enter_context(opened(where, LARGEST_BUNDLE))
-                self.members = members(stream)
-            except FileNotFoundError as error:
-                raise BundleError(
-                    f"no bundle {where}; expected a file, or one of the shipped: {', '.join(shipped())}; "
-                    "'eitskin build' makes one for another sheet"
-                ) from error
-            except OSError as error:
-                raise BundleError(f"{where} cannot be read: {error.strerror or error}") from error
-            except FileError as error:
-                raise BundleError(f"no bundle: {error}") from error
-            except BadArchiveError as error:
-                raise BundleError(f"{where} is not an intact bundle ({error}); {EXPORT_HINT}") from error
-            self._held = held.pop_all()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.members = {}
-        self._held.close()
+@contextmanager
+def _members(where: Path) -> Iterator[Mapping[str, Member]]:
+    """Give the members of an archive, open while the block lasts."""
+    try:
+        with opened(where, LARGEST_BUNDLE) as stream:
+            yield members(stream)
+    except FileNotFoundError as error:
+        raise BundleError(
+            f"no bundle {where}; expected a file, or one of the shipped: {', '.join(shipped())}; "
+            "'eitskin build' makes one for another sheet"
+        ) from error
+    except OSError as error:
+        raise BundleError(f"{where} cannot be read: {error.strerror or error}") from error
+    except FileError as error:
+        raise BundleError(f"no bundle: {error}") from error
+    except BadArchiveError as error:
+        raise BundleError(f"{where} is not an intact bundle ({error}); {EXPORT_HINT}") from error
 
 
 def _member(found: Mapping[str, Member], name: str, largest: int, where: Path) -> bytes:
     if name not in found:
         raise BundleError(f"{where} has no {name}; {EXPORT_HINT}")
-    try:
-        return found[name].read(largest)
-    except BadArchiveError as error:
-        raise BundleError(f"{where} is not an intact bundle ({error}); {EXPORT_HINT}") from error
+    return found[name].read(largest)
 
 
 SKIN_FILE: Final = "skin.toml"

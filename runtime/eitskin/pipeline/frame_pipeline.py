@@ -16,7 +16,7 @@ sheet. Without that number no frame is inferred.
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -86,14 +86,6 @@ def audit_pixels(arrays: Mapping[str, npt.NDArray[np.generic]] | None, n_pixels:
     return int(found.reshape(-1)[0])
 
 
-class MissingRows(Protocol):
-    """An object that knows whether rows are missing."""
-
-    @property
-    def lacks_rows(self) -> bool:
-        """Whether some are filled in."""
-
-
 class GateAudit:
     """Counts untouched frames and judges the maps of the inferred ones; allocates nothing a frame.
 
@@ -112,16 +104,12 @@ class GateAudit:
         self.overruled = 0
         """Frames in which a map overruled the gate so far."""
 
-    def is_due(self, rows: MissingRows | None) -> bool:
-        """Return whether an untouched frame is to be inferred; called once for each of them.
-
-        Args:
-            rows: Knows whether some are missing; None if unknown.
-        """
+    def is_due(self, *, lacks_rows: bool) -> bool:
+        """Return whether an untouched frame is to be inferred; called once for each of them."""
         if self._pixels is None:
             return False
         self._since_look += 1
-        each = AUDIT_FRAMES if rows is None or not rows.lacks_rows else WITHOUT_ROWS
+        each = WITHOUT_ROWS if lacks_rows else AUDIT_FRAMES
         if self._suspicious or self._since_look >= each:
             self._since_look = 0
             return True
@@ -603,7 +591,8 @@ class Pipeline:
 
     def _infers_untouched(self) -> bool:
         """Return whether the map of this untouched frame is to be computed all the same; asked once for each."""
-        found, decided = self.audit.is_due(self.health), self.decisions.inferred_untouched
+        lacks_rows = self.health is not None and self.health.lacks_rows
+        found, decided = self.audit.is_due(lacks_rows=lacks_rows), self.decisions.inferred_untouched
         return found if decided is None else decided
 
     def _infer_untouched(self) -> bool:

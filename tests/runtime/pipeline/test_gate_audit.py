@@ -60,15 +60,9 @@ class Looks(GateAudit):
         return True
 
 
-class Sheet:
-    """Knows whether rows are missing."""
-
-    def __init__(self, lacks_rows):
-        self.lacks_rows = lacks_rows
-
-
-@pytest.mark.parametrize(("sheet", "each"), [(Sheet(True), WITHOUT_ROWS), (Sheet(False), AUDIT_FRAMES)])
-def test_while_rows_are_missing_frames_are_looked_at_more_often(sheet, each):
+@pytest.mark.parametrize(("lacks_rows", "each"), [(True, WITHOUT_ROWS), (False, AUDIT_FRAMES)])
+def test_while_rows_are_missing_frames_are_looked_at_more_often(lacks_rows, each):
     audit = GateAudit(9, 1350)
-    assert [audit.is_due(sheet) for _ in range(3 * each)] == [n % each == each - 1 for n in range(3 * each)]
-    assert not any(GateAudit(None, 1350).is_due(sheet) for _ in range(3 * each))
+    due = [audit.is_due(lacks_rows=lacks_rows) for _ in range(3 * each)]
+    assert due == [n % each == each - 1 for n in range(3 * each)]
+    assert not any(GateAudit(None, 1350).is_due(lacks_rows=lacks_rows) for _ in range(3 * each))
