@@ -32,11 +32,6 @@ def test_subscribe_prints_frame_after_frame(example, runtime):
     assert second > first
 
 
-def test_a_region_shows_its_rows_and_columns(example, runtime):
-    with example("region.py", runtime.frames) as program:
-        assert "(30, 9)" in program.until("left edge")
-
-
 def test_touches_come_without_maps(example, runtime):
     with example("touches.py", runtime.frames) as program:
         assert "born" in program.until(": touch ")

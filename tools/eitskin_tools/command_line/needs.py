@@ -49,16 +49,9 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
 LEAST_MB: Final = 256
 """Address space that a command needs, and twice as much for scipy; with less, libraries abort or wait forever."""
 
-PHYSICS: Final = ("scipy",)
-"""All that ``--physics`` needs."""
-
-OPTION_NEEDS: Final[dict[str, tuple[str, ...]]] = {
-    "plot": ("matplotlib",), "scheduler": ("distributed",),
-}  # fmt: skip
-"""Modules by option, whichever command has it."""
-
-GIVEN_NEEDS: Final[dict[str, dict[str, tuple[str, ...]]]] = {
-    "view": {"file": RECORDINGS}, "teach": {"picture": ("matplotlib",)},
+OPTION_NEEDS: Final[dict[tuple[str, str], tuple[str, ...]]] = {
+    ("bench tradeoff", "plot"): ("matplotlib",), ("dataset", "scheduler"): ("distributed",),
+    ("teach", "picture"): ("matplotlib",), ("view", "file"): RECORDINGS,
 }  # fmt: skip
 """Modules by command and what it was given."""
 
@@ -75,8 +68,7 @@ def check(arguments: argparse.Namespace) -> None:
         SkinError: The memory is limited.
     """
     name = " ".join(str(part) for part in (arguments.command, getattr(arguments, "benchmark", None)) if part)
-    by_physics = getattr(arguments, "physics", False)
-    modules = PHYSICS if by_physics else NEEDS.get(name, ())
+    modules = ("scipy",) if getattr(arguments, "physics", False) else NEEDS.get(name, ())
     require(name, modules)
     allowed, least_mb = resource.getrlimit(resource.RLIMIT_AS)[0], LEAST_MB * (2 if "scipy" in modules else 1)
     if 0 <= allowed < least_mb << 20:
@@ -84,11 +76,8 @@ def check(arguments: argparse.Namespace) -> None:
             f"only {allowed >> 20} MB of memory are allowed, expected at least {least_mb} MB: allow more with "
             f"'ulimit -v {least_mb << 10}'"
         )
-    for option, modules in OPTION_NEEDS.items():
-        if getattr(arguments, option, None):
-            require(f"--{option}", modules)
-    for given, modules in GIVEN_NEEDS.get(name, {}).items():
-        if (value := getattr(arguments, given)) is not None:
+    for (command, option), modules in OPTION_NEEDS.items():
+        if command == name and (value := getattr(arguments, option)) is not None:
             require(f"{name} {value}", modules)
 
 

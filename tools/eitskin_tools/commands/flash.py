@@ -1,7 +1,6 @@
 """``eitskin flash``: show, compare, write, verify or roll back the configuration of a device."""
 
 import argparse
-import sys
 from typing import Any
 
 from eitskin.acquisition.drivers.driver import driver_name
@@ -12,7 +11,7 @@ from eitskin_proto.wire import config_toml
 from eitskin_proto.wire.codes import HelloFlag
 from eitskin_proto.wire.config import Configuration
 from eitskin_tools.command_line import files
-from eitskin_tools.console.terminal import answer, in_words
+from eitskin_tools.console.terminal import answer, in_words, note
 from eitskin_tools.errors import UsageError
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
@@ -91,19 +90,17 @@ def _written(
     """Write; an interrupted write says what the device is left with."""
     begun = "begin"
 
-    def progress(step: str, done: int, total: int) -> None:
+    def progress(step: str) -> None:
         nonlocal begun
         begun = step
-        _progress(step, done, total)
+        note(f"{step} ...")
 
     try:
         return procedure.write(
             exchange, configuration, allow_downgrade=arguments.allow_downgrade, progress=progress, reopen=opened
         )
     except KeyboardInterrupt:
-        end_of_bar = "\n" if sys.stderr.isatty() else ""
-        left = procedure.STATE_AFTER[begun]
-        print(f"{end_of_bar}eitskin flash: interrupted; {left}; see 'eitskin flash show'", file=sys.stderr)
+        note(f"eitskin flash: interrupted; {procedure.STATE_AFTER[begun]}; see 'eitskin flash show'")
         raise
 
 
@@ -131,16 +128,6 @@ def _device(shown: procedure.Shown) -> dict[str, Any]:
         "other_state": shown.other_state,
         "other": described(shown.other),
     }
-
-
-def _progress(step: str, done: int, total: int) -> None:
-    """Draw a bar on a terminal, and a line a step elsewhere."""
-    if sys.stderr.isatty():
-        width = 30 * done // total
-        end = "\n" if done == total else ""
-        print(f"\r[{'#' * width}{'.' * (30 - width)}] {step:<8}", end=end, file=sys.stderr, flush=True)
-    else:
-        print(f"{done}/{total} {step}", file=sys.stderr)
 
 
 def _print(arguments: argparse.Namespace, report: dict[str, Any]) -> int:

@@ -138,8 +138,8 @@ STATE_AFTER: Final = {
 }
 """What an interrupted :func:`write` leaves, by the step that was begun last."""
 
-Progress = Callable[[str, int, int], None]
-"""Called with the step's name, the steps done and their number."""
+Progress = Callable[[str], None]
+"""Called with the name of the step that begins."""
 
 
 def differences(old: Configuration, new: Configuration) -> list[tuple[str, object, object]]:
@@ -173,7 +173,7 @@ def write(
     configuration: Configuration,
     *,
     allow_downgrade: bool = False,
-    progress: Progress = lambda step, done, total: None,
+    progress: Progress = lambda step: None,
     reopen: Callable[[], Transport] | None = None,
 ) -> Stored:
     """Flash a configuration and return it as the device holds it afterwards.
@@ -195,28 +195,27 @@ def write(
         exchange.command(messages.Stop)
     blob, token = configuration.to_blob(), secrets.randbelow(0xFFFFFFFF) + 1
     pieces = range(0, len(blob), messages.CHUNK_BYTES)
-    total = len(pieces) + 6
-    progress("begin", 0, total)
+    progress("begin")
     exchange.command(
         messages.ConfigBegin, token=token, size=len(blob), digest=configuration.digest, format=FORMAT,
         hardware_id=configuration.hardware_id, revision=configuration.revision, name=configuration.name,
         allow_downgrade=int(allow_downgrade),
     )  # fmt: skip
     try:
-        for number, at in enumerate(pieces):
-            progress("write", 1 + number, total)
+        progress("write")
+        for at in pieces:
             piece = blob[at : at + messages.CHUNK_BYTES]
             written = exchange.command(messages.ConfigWrite, token=token, offset=at, data=piece).detail
             if written != at + len(piece):
                 raise FlashError(f"the device reports {written} bytes, expected {at + len(piece)}")
-        progress("verify", total - 5, total)
+        progress("verify")
         found = exchange.command(messages.ConfigVerify, token=token).detail
         if found != configuration.digest:
             raise FlashError(f"the device found digest {found:08x}, expected {configuration.digest:08x}")
         _, read_back = read_stored(exchange, Slot.OTHER)
         if read_back != blob:
             raise FlashError("the device stored other bytes than were sent")
-        progress("commit", total - 4, total)
+        progress("commit")
         generation = exchange.command(messages.ConfigCommit, token=token, digest=configuration.digest).detail
     except (SkinError, KeyboardInterrupt) as error:
         with suppress(SkinError):  # without it the device would refuse others for ten seconds
@@ -224,14 +223,14 @@ def write(
         if isinstance(error, KeyboardInterrupt):
             raise
         raise FlashError(f"{error}; {UNCHANGED}") from error
-    progress("restart", total - 3, total)
+    progress("restart")
     try:
         restart(exchange, token)
     except SkinError as error:
         raise FlashError(
             f"{error}; the next boot tries the new configuration, the one after that rolls back"
         ) from error
-    _confirm(exchange, generation, configuration.digest, progress, total, reopen)
+    _confirm(exchange, generation, configuration.digest, progress, reopen)
     return Stored(configuration, generation)
 
 
@@ -251,22 +250,21 @@ def _confirm(
     generation: int,
     digest: int,
     progress: Progress,
-    total: int,
     reopen: Callable[[], Transport] | None,
 ) -> None:
-    progress("boot", total - 2, total)
+    progress("boot")
     hello = wait_for_boot(exchange, generation, reopen)
     if (hello.generation, hello.configuration_digest) != (generation, digest):
         raise FlashError(
             f"the device came back with generation {hello.generation} ({hello.configuration_name!r}), expected "
             f"{generation}: it rolled back to its old configuration"
         )
-    progress("confirm", total - 1, total)
+    progress("confirm")
     try:
         exchange.command(messages.ConfigConfirm, generation=generation, digest=digest)
     except SkinError as error:
         raise FlashError(f"{error}; the device rolls back to its old configuration within 30 s") from error
-    progress("done", total, total)
+    progress("done")
 
 
 def wait_for_boot(exchange: Exchange, generation: int, reopen: Callable[[], Transport] | None = None) -> messages.Hello:
