@@ -53,6 +53,12 @@ def one_line(capsys, *words):
     return status, err
 
 
+@pytest.mark.parametrize("name", ["https://robot.example.com", "robot:8443", "", "a b"])
+def test_an_allowed_host_that_no_request_can_state_is_refused(capsys, name):
+    status, said = one_line(capsys, "view", "--no-open", "--allow-host", name)
+    assert (status, "expected a name or an address alone" in said) == (2, True)
+
+
 def test_a_folder_that_takes_no_recordings_is_refused_at_the_start(capsys, monkeypatch, tmp_path):
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path)
     status, said = one_line(capsys, "view", "--recordings", tmp_path)

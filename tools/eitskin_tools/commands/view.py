@@ -4,12 +4,14 @@ import argparse
 import contextlib
 import gc
 import os
+import re
 import signal
 import sys
 import threading
 from pathlib import Path
 from typing import Any
 
+from eitskin_proto.files.plain import quoted
 from eitskin_tools.command_line import options
 from eitskin_tools.command_line.parser import whole
 from eitskin_tools.console.terminal import has_display, say
@@ -78,6 +80,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
+    for name in arguments.allow_host:
+        if not re.fullmatch(r"[\w.-]+|[0-9a-f:]+", name, re.IGNORECASE):
+            raise UsageError(
+                f"--allow-host is {quoted(name)}, expected a name or an address alone, such as robot.example.com: "
+                "leave https:// and the port out"
+            )
     live = {"--endpoint": arguments.endpoint, "--config": arguments.config, "--server-key": arguments.server_key}
     stated = [name for name, value in live.items() if value is not None]
     if arguments.file is not None and stated:
