@@ -1,6 +1,7 @@
 """Recordings made in this process: a device that is played, the tiny bundle, the real frame loop, the real recorder."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +83,7 @@ class Taker:
         found = envelope.opened(message)
         body = self._joiner.add(found)
         if body is not None:
-            self.items.append(STREAMS[found.name].of(body, n=found.number, run=found.run))
+            self.items.append(replace(STREAMS[found.name].of(body), n=found.number, run=found.run))
 
 
 def play(path: Path, bundle: Path = TINY, **options: Any) -> list[Any]:

@@ -1,7 +1,6 @@
 """A recording as a page gets it: the maps that were published, second by second, and what the bar has marks for."""
 
 import json
-import time
 from dataclasses import replace
 from itertools import count
 
@@ -9,10 +8,10 @@ import numpy as np
 import pytest
 
 from eitskin import Frame, WireFrame
-from eitskin_tools.recording.layout import FRAME, WIRE
-from eitskin_tools.recording.reader import Entry, Recording
+from eitskin_tools.recording.layout import FRAME
+from eitskin_tools.recording.reader import Entry
 from eitskin_tools.view import film as parts_module
-from eitskin_tools.view.film import MAX_MARKS, Film, Overview, OverviewThread
+from eitskin_tools.view.film import MAX_MARKS, Film, Overview
 from eitskin_tools.view.messages import unpacked
 
 from ..recording.conftest import TINY, measured, recorded
@@ -73,15 +72,8 @@ def test_a_recording_of_the_wire_alone_has_maps_too(tmp_path, items):
 
 
 def test_the_overview_has_what_happened_when(path, items):
-    film, told = Film(path, TINY), []
-    with OverviewThread(path, Overview(film.seconds, film.first_ns), told.append):
-        while not told:
-            time.sleep(0.01)
-    assert unpacked(told[-1])[0][0]["share"] == 1.0
-    overview = Overview(film.seconds, film.first_ns)
-    for entry in Recording(path).entries({WIRE.topic, FRAME.topic}):
-        overview.add(entry)
-    ((head, _),) = unpacked(overview.message(done=True))
+    film = Film(path, TINY)
+    ((head, _),) = unpacked(list(film.overview())[-1])
     assert head["share"] == 1.0
     touched = [item for item in items if isinstance(item, Frame) and item.touched]
     assert len(head["touched"]) == 1

@@ -45,13 +45,9 @@ class RobotLog:
         fields = {key: value for key, value in event.items() if key not in ("event", "time_utc")}
         self._log.event(kind, f"eitskin run: {name}: {_event_text(kind, fields)}", {"skin": name, **fields})
 
-    def warn(self, name: str, text: str) -> None:
-        """Report something that is wrong and stops no skin."""
-        self._log.event("warning", f"eitskin run: {name}: {text}", {"skin": name, "text": text})
-
-    def failed(self, name: str, text: str) -> None:
-        """Report that a skin's process ended before its time."""
-        self._log.event("error", f"eitskin run: {name}: {text}", {"skin": name, "text": text})
+    def warn(self, name: str, text: str, kind: str = "warning") -> None:
+        """Report something that is wrong; an ``error`` is the end of a skin's process before its time."""
+        self._log.event(kind, f"eitskin run: {name}: {text}", {"skin": name, "text": text})
 
     def ready(self, folder: Path, names: Sequence[str], count: int) -> None:
         """Report that every skin was ready or has failed once."""
@@ -199,7 +195,8 @@ class SkinSupervisor:
         if one.state in ("failed", "waiting") and one.why:
             next_s = "" if one.due_s is None else f"; starts again in {one.due_s - now_s:.3g} s"
             others = sum(other.runs for other in self.skins)
-            self._log.failed(one.settings.name, f"{one.why}{next_s}; {others} of {len(self.skins)} skins run on")
+            said = f"{one.why}{next_s}; {others} of {len(self.skins)} skins run on"
+            self._log.warn(one.settings.name, said, kind="error")
         self._report()
 
     def _write(self) -> None:

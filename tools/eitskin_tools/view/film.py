@@ -7,7 +7,8 @@ import math
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Self
@@ -86,6 +87,17 @@ class Film:
             self._made.move_to_end(number)
             return self._made[number]
 
+    def overview(self) -> Iterator[bytes]:
+        """Yield messages of what happened when: now and then while the file is read, and at its end."""
+        found, told_s = Overview(self.seconds, self.first_ns), time.monotonic()
+        with suppress(OSError, SkinError):  # a page learns why when it asks for a part
+            for entry in Recording(self.path).entries({WIRE.topic, FRAME.topic}):
+                found.add(entry)
+                if (now_s := time.monotonic()) - told_s > REPORT_S:
+                    told_s = now_s
+                    yield found.message(done=False)
+        yield found.message(done=True)
+
     def _make(self, number: int) -> bytes:
         watch = self._watches.pop(number - 1, None) or self._frames.watch()
         messages: list[bytes] = []
@@ -127,12 +139,20 @@ class FilmServer(PageServer):
         self.board.post("status", status_message("live", film.ending))
         self.serve(host, port, allowed, film=film)
 
+        self._left = threading.Event()
+        self._thread = threading.Thread(target=self._post_overview, name="view-overview", daemon=True)
+
     def __enter__(self) -> Self:
-        overview = Overview(self._film.seconds, self._film.first_ns)
-        self.stack.enter_context(
-            OverviewThread(self._film.path, overview, lambda message: self.board.post("overview", message))
-        )
+        self.stack.callback(self._thread.join)
+        self.stack.callback(self._left.set)  # before it is waited for
+        self._thread.start()
         return super().__enter__()
+
+    def _post_overview(self) -> None:
+        for message in self._film.overview():
+            if self._left.is_set():
+                return
+            self.board.post("overview", message)
 
 
 ROWS: Final = 600
@@ -251,39 +271,3 @@ class Overview:
             "events": self._events, "rows": rows, "row_s": self._seconds / ROWS,
         }  # fmt: skip
         return packed(head)
-
-
-class OverviewThread:
-    """A thread that builds the overview; a context.
-
-    Args:
-        path: Of the recording.
-        overview: To build.
-        tell: Receives its messages.
-    """
-
-    def __init__(self, path: Path, overview: Overview, tell: Callable[[bytes], None]) -> None:
-        self._path, self._overview, self._tell = path, overview, tell
-        self._left = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="view-overview", daemon=True)
-
-    def _run(self) -> None:
-        told_s = time.monotonic()
-        try:
-            for entry in Recording(self._path).entries({WIRE.topic, FRAME.topic}):
-                self._overview.add(entry)
-                if self._left.is_set():
-                    return
-                if (now_s := time.monotonic()) - told_s > REPORT_S:
-                    told_s = now_s
-                    self._tell(self._overview.message(done=False))
-        except (OSError, SkinError):
-            pass  # a page learns why when it asks for a part
-        self._tell(self._overview.message(done=True))
-
-    def __enter__(self) -> None:
-        self._thread.start()
-
-    def __exit__(self, *_: object) -> None:
-        self._left.set()
-        self._thread.join()

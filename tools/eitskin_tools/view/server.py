@@ -296,15 +296,6 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def split_host(host: str) -> tuple[str, str]:
-    """Return the name and the port of a Host header; the port may be empty."""
-    if host.startswith("["):
-        name, _, rest = host[1:].partition("]")
-        return name, rest.removeprefix(":")
-    name, _, port = host.partition(":")
-    return name, port
-
-
 def host_allowed(host: str, bound: str, allowed: Collection[str] = ()) -> bool:
     """Return whether a Host header names this server; its port is that of any tunnel or proxy in front.
 
@@ -313,7 +304,8 @@ def host_allowed(host: str, bound: str, allowed: Collection[str] = ()) -> bool:
         bound: Address of the server.
         allowed: Further names, in lower case.
     """
-    name, _ = split_host(host.strip().lower())
+    host = host.strip().lower()
+    name = host[1:].partition("]")[0] if host.startswith("[") else host.partition(":")[0]
     if name in allowed:
         return True
     if is_loopback(bound):
