@@ -20,7 +20,7 @@ def test_a_study_says_what_it_takes(name, capsys):
 
 @pytest.mark.parametrize(
     ("name", "wrong"),
-    [("memory", "--seconds=0"), ("skins", "--counts=x"), ("taught_shapes", "--presses=5")],
+    [("skins", "--counts=x"), ("taught_shapes", "--presses=5")],
 )
 def test_a_wrong_option_is_one_line_and_bad_usage(name, wrong, capsys):
     module = study(name)

@@ -64,11 +64,6 @@ def report(arguments: argparse.Namespace, rows: Iterable[Row], summary: Row, **m
     return 0
 
 
-def show(arguments: argparse.Namespace, found: Mapping[str, Any]) -> None:
-    """Print one JSON object: on one line where ``--json`` asks for it, else indented for people."""
-    print(json.dumps(found, indent=None if arguments.json else 2))
-
-
 def paced(ways: Mapping[str, Callable[[], object]], calls: int) -> dict[str, Any]:
     """Return (calls,) ns that each way took, one call of one way a period, the ways in turn.
 
