@@ -1,4 +1,4 @@
-# make demo    a virtual skin, the runtime and a subscriber, drawn live (installs no torch)
+# make demo    a virtual skin, the runtime and a subscriber, shown live (installs no torch)
 # make test    lint, Python and C tests; five minutes on two cores
 # make test-quick | test-all    without processes and heavy sums, under a minute; with mypy and all that is slow
 # make check   the same, and mypy

@@ -48,7 +48,7 @@ class Command(NamedTuple):
 LIVE, RECORDINGS, SHEET, RESEARCH = "A running skin", "Recordings", "A sheet of your own", "Research and training"
 
 COMMANDS: Final[dict[str, Command]] = {
-    "demo": Command(LIVE, "simulate a skin and show its map; needs no hardware", "demo --view"),
+    "demo": Command(LIVE, "simulate a skin and show what it feels; needs no hardware", "demo --view"),
     "run": Command(LIVE, "read a skin and publish tactile frames", "run --port /dev/ttyACM0 --touches lower"),
     "subscribe": Command(LIVE, "print the frames that a runtime publishes", "subscribe --frames 10"),
     "view": Command(LIVE, "show a running skin or a recording in the browser", "view session.mcap"),
@@ -102,7 +102,7 @@ NOT_AS_JSON: Final = ("bench", "view")
 """Commands that do not print what they found: each benchmark declares ``--json`` itself."""
 
 FIRST_STEPS: Final = {
-    "eitskin demo": "everything at once, with the map drawn live",
+    "eitskin demo": "everything at once, shown live",
     "eitskin virtual-skin": "a simulated skin; it prints its port. Then, each in a terminal of its own:",
     "eitskin run --port PORT": "read that skin and publish frames",
     "eitskin subscribe": "print the frames",

@@ -1,9 +1,7 @@
 """``eitskin demo``: the main job in one command."""
 
 import argparse
-import os
 import signal
-import sys
 
 from eitskin_tools.command_line import options
 from eitskin_tools.command_line.parser import positive
@@ -42,8 +40,6 @@ def run(arguments: argparse.Namespace) -> int:
     bundle, kind = choose(arguments.bundle, options.chosen_touches(arguments))
     for number in endings():
         signal.signal(number, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind
-    able = sys.stdout.isatty() and sys.stdout.encoding.lower() == "utf-8" and not os.environ.get("NO_COLOR")
-    draw = able and not (arguments.view or arguments.json)
     wanted = Options(
         seconds=seconds,
         rate_hz=arguments.rate,
@@ -52,9 +48,8 @@ def run(arguments: argparse.Namespace) -> int:
         solver=arguments.solver,
         noise=arguments.noise,
         device=arguments.device,
-        draw=draw,
         view=arguments.view,
-        talk=not draw and not arguments.json,
+        talk=not arguments.json,
     )
     summary = summarise(wanted, stream(wanted))
     return answer(arguments, summary, *lines_of(summary))

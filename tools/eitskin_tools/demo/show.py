@@ -1,4 +1,4 @@
-"""Runs the demonstration: starts the processes, draws while they run, and prints a summary at the end.
+"""Runs the demonstration: starts the processes, looks on, and prints a summary at the end.
 
 ::
 
@@ -15,8 +15,7 @@ import sys
 import tempfile
 import time
 import webbrowser
-from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -29,10 +28,10 @@ from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import to_toml
 from eitskin_proto.skin.touch_kind import TouchKind, knows
+from eitskin_tools.console.stream_view import StreamView
 from eitskin_tools.console.terminal import has_display
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.demo.score import accuracy, timing
-from eitskin_tools.pictures import RATE_HZ, Painter
 from eitskin_tools.processes.children import GRACE_S, Child, process_group
 from eitskin_tools.processes.skin_log import read_log, script_start
 
@@ -65,9 +64,8 @@ class Options:
     noise: str = "N2"
     device: str = "virtual"
     """"virtual" for eitskin virtual-skin, "qemu" for the firmware on an emulated board."""
-    draw: bool = False
     talk: bool = False
-    """Say on standard error how far it is."""
+    """Say how far it is, and on a terminal what the newest frame shows."""
     clouds: bool = True
     """Send clouds while the sheet bends."""
     view: bool = False
@@ -152,7 +150,7 @@ def _shown(options: Options, folder: Path, publish: str, control: str, children:
         first_s = time.monotonic() - begin_s
         if options.talk:
             print(f"first frame after {first_s:.1f} s; streaming for {options.seconds:g} s", file=sys.stderr)
-        _look_on(options, publish, folder / "skin.log", children)
+        _look_on(options, publish, children)
     except KeyboardInterrupt:
         if len(children) < 3 or FIRST_FRAME_LINE not in children[2].out.read_text():
             raise  # there is nothing to sum up
@@ -234,14 +232,19 @@ def _scanner(options: Options, control: str, folder: Path, sheet: list[str]) -> 
     )  # fmt: skip
 
 
-def _look_on(options: Options, publish: str, log: Path, children: list[Child]) -> None:
-    """Wait for the subscriber to finish; draw meanwhile."""
+def _look_on(options: Options, publish: str, children: list[Child]) -> None:
+    """Wait for the subscriber to finish; on a terminal, show the newest frame in a line meanwhile."""
     end = time.monotonic() + options.seconds + READY_S
-    if options.draw:
-        live(publish, _script_of(options), script_start(log)["device_us"], lambda: _going_on(children, end))
-        return
-    while _going_on(children, end):
-        time.sleep(0.05)
+    with ExitStack() as stack:
+        if shown := options.talk and not options.view and sys.stdout.isatty():
+            frames = stack.enter_context(eitskin.subscribe(publish, timeout_s=0.5, patient=True))
+            line = StreamView(sys.stdout, grid=skin_of(options.bundle, options.touches).grid)
+            stack.callback(line.end)
+        while _going_on(children, end):
+            if shown:
+                with suppress(eitskin.NoFrame):
+                    line.show(frames.next_frame())
+            time.sleep(0.05)
 
 
 def _going_on(children: list[Child], end: float) -> bool:
@@ -331,33 +334,6 @@ def touches_in_words(script: Any) -> str:
     if script.skin.touch_kind == "raise":
         return f", where conductance is {RAISED_CONTRAST:g} times as high"
     return f", as of a finger: conductance falls to {100 * LOWERED_CONTRAST:g} %"
-
-
-def live(publish: str, script: Any, start_us: int, going_on: Callable[[], bool]) -> None:
-    """Draw until the demonstration is over.
-
-    Args:
-        publish: Endpoint of the frames.
-        script: What the virtual skin plays.
-        start_us: Device clock when the script began.
-        going_on: Says whether to draw on.
-    """
-    with eitskin.subscribe(publish, timeout_s=0.5, patient=True) as frames, Painter(sys.stdout) as painter:
-        while going_on():
-            due = time.monotonic() + 1.0 / RATE_HZ
-            with suppress(eitskin.NoFrame):
-                frame = frames.next_frame()
-                time_s = (frame.device_us - start_us) % (1 << 32) * 1e-6
-                painter.show(_title(script, time_s, frame), frame.map, script.truth_at(time_s))
-            time.sleep(max(due - time.monotonic(), 0.0))
-
-
-def _title(script: Any, time_s: float, frame: Any) -> str:
-    scene = script.scene_at(time_s)
-    return (
-        f"{time_s:5.1f} s   bent by {scene.bend.angle_deg:3.0f} deg, touches {len(scene.touches)}   {frame.solver}   "
-        f"{frame.latency_s * 1e3:5.2f} ms   lost {frame.counts['lost']}   Ctrl-C ends"
-    )
 
 
 def lines_of(summary: dict[str, Any]) -> list[str]:
