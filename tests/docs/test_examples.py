@@ -8,6 +8,7 @@ from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
+from tests.tools.view.unpacking import unpacked
 
 from eitskin.messaging.publish import Publisher
 from eitskin.messaging.streams.verified import VerifiedTouch, pack_head, pack_verdict
@@ -17,7 +18,7 @@ from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.bend import surface
 from eitskin_sim.scene.parts import Scene
 from eitskin_sim.scene.scene import load_scene
-from eitskin_tools.view.messages import packed, unpacked
+from eitskin_tools.view.messages import packed
 
 from .markdown import ROOT
 

@@ -3,13 +3,13 @@
 import time
 
 import pytest
+from tests.tools.view.unpacking import unpacked
 
 import eitskin
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.view import feed as feed_module
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.feed import Feed
-from eitskin_tools.view.messages import unpacked
 from eitskin_tools.view.source import Source
 
 from .scripted import Runtime, Scene, cylinder, disc

@@ -6,13 +6,13 @@ from itertools import count
 
 import numpy as np
 import pytest
+from tests.tools.view.unpacking import unpacked
 
 from eitskin import Frame, WireFrame
 from eitskin_tools.recording.layout import FRAME
 from eitskin_tools.recording.reader import Entry
 from eitskin_tools.view import film as parts_module
 from eitskin_tools.view.film import MAX_MARKS, Film, Overview
-from eitskin_tools.view.messages import unpacked
 
 from ..recording.conftest import TINY, measured, recorded
 

@@ -1,10 +1,11 @@
 """Messages to the page, with the sheet and its colours."""
 
 import numpy as np
+from tests.tools.view.unpacking import unpacked
 
 from eitskin.robot.pose import Pose
 from eitskin_proto.skin.skin import PAPER
-from eitskin_tools.view.messages import electrode_places_mm, packed, skin_message, unpacked
+from eitskin_tools.view.messages import electrode_places_mm, packed, skin_message
 
 
 def test_a_message_cut_anywhere_is_no_message_yet():

@@ -3,11 +3,12 @@ import socket
 import threading
 
 import pytest
+from tests.tools.view.unpacking import unpacked
 
 from eitskin_tools.view import board as board_module
 from eitskin_tools.view import server as server_module
 from eitskin_tools.view.board import Board
-from eitskin_tools.view.messages import packed, status_message, unpacked
+from eitskin_tools.view.messages import packed, status_message
 from eitskin_tools.view.server import PortUnavailable, ViewServer, host_allowed, is_loopback, page_address, pages
 
 

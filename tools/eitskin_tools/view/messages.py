@@ -47,19 +47,6 @@ def packed(head: dict[str, Any], body: bytes = b"") -> bytes:
     return HEAD.pack(4 + len(text) + len(body), len(text)) + text + body
 
 
-def unpacked(data: bytes) -> list[tuple[dict[str, Any], bytes]]:
-    """Return the whole messages at the beginning of some bytes: head and body of each."""
-    found, at = [], 0
-    while at + HEAD.size <= len(data):
-        rest, size = HEAD.unpack_from(data, at)
-        end = at + 4 + rest
-        if end > len(data):
-            break
-        found.append((json.loads(data[at + 8 : at + 8 + size]), data[at + 8 + size : end]))
-        at = end
-    return found
-
-
 def frame_message(frame: Frame, of: int, pose: Pose) -> bytes:
     """Return the message of a frame: its numbers, its touches, and its map in 256 levels from 0 to 1.
 
