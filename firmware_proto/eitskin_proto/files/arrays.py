@@ -165,7 +165,8 @@ def _header(raw: bytes, what: str, *, records: bool = False) -> tuple[np.dtype[A
         except ValueError as error:
             raise FileError(f"{what} has fields that contradict each other: {error}") from error
     elif not isinstance(kind, str) or DESCRIPTION.fullmatch(kind) is None:
-        raise FileError(f"{what} holds elements of type {quoted(kind)}, expected plain numbers or texts")
+        expected = "plain numbers, or fields of one number each" if records else "plain numbers or texts"
+        raise FileError(f"{what} holds elements of type {quoted(kind)}, expected {expected}")
     if not isinstance(shape, tuple) or len(shape) > MOST_AXES or not isinstance(fortran, bool):
         raise FileError(f"{what} has the shape {quoted(shape)}, expected at most {MOST_AXES} axes")
     if not all(isinstance(size, int) and not isinstance(size, bool) and 0 <= size < 1 << 48 for size in shape):

@@ -295,7 +295,7 @@ def _check_size(size_mm: tuple[float, float], flat_mm: tuple[float, float]) -> N
         if not low <= found <= high:
             raise PointCloudError(
                 f"the points' sheet is {found:.1f} mm {name}; expected {low:g} to {high:g} mm: "
-                "measure the whole conductive layer, in millimetres, and nothing else"
+                "scan the whole sheet in true millimetres, and cut off the rest with --crop, --plane or --depth"
             )
 
 
