@@ -184,6 +184,12 @@ def test_matlab_and_text_hold_the_same_samples(tmp_path, arrays):
     text = load_measured(tmp_path / "m.csv")
     np.testing.assert_array_equal(text.voltages_V, arrays["voltages_V"])
     np.testing.assert_array_equal(text.reference_V, found.reference_V)
+    commas = "; by hand\n" + "\n".join(lines).replace(",", ";").replace(".", ",") + ";"
+    (tmp_path / "m.csv").write_text(commas, encoding="utf-16")
+    np.testing.assert_array_equal(load_measured(tmp_path / "m.csv").voltages_V, arrays["voltages_V"])
+    (tmp_path / "m.csv").write_text("\n".join(f"{line[:9]},,{line[9:]}" for line in lines))
+    with pytest.raises(MeasuredFileError, match="line 2 holds"):  # an empty column shifts the others
+        load_measured(tmp_path / "m.csv")
     (tmp_path / "m.csv").write_text("1,2\n3,x\n")
     with pytest.raises(MeasuredFileError, match=r"line 2 holds '3,x', expected numbers"):
         load_measured(tmp_path / "m.csv")

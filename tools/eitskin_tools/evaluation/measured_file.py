@@ -20,6 +20,7 @@ Rows are those of :data:`eitskin_proto.sensor.table.TABLE`; of 208 the reciproca
 alone and named in the report.
 """
 
+import codecs
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, cast
@@ -162,18 +163,21 @@ def _of_text(path: str | Path) -> Arrays:
         MeasuredFileError: A line is something else, or there are fewer than two.
     """
     with opened(path, LARGEST_FILE) as stream:
-        lines = [line for line in stream.read().decode("utf-8-sig", "replace").splitlines() if line.strip()]
+        data = stream.read()
+    encoding = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    lines = [line for line in data.decode(encoding, "replace").splitlines() if line.strip()]
+    mark = next((mark for mark in (";", "\t") if lines and mark in lines[-1]), ",")
     rows: list[list[float]] = []
     for number, line in enumerate(lines, 1):
-        words = line.replace(";", ",").replace("\t", ",").split(",")
+        words = (line if mark == "," else line.replace(",", ".")).strip().removesuffix(mark).split(mark)
         try:
-            rows.append([float(word) for word in words if word.strip()])
+            rows.append([float(word) for word in words])
         except ValueError:
             if number == 1:
                 continue  # names of the columns
             raise MeasuredFileError(f"{path}: line {number} holds {line[:40]!r}, expected numbers") from None
-    if len(rows) < 2 or len({len(row) for row in rows}) > 1:
-        lengths = sorted({len(row) for row in rows})
+    lengths = sorted({len(row) for row in rows})
+    if len(rows) < 2 or lengths not in ([N_ROWS], [N_FULL_ROWS]):
         raise MeasuredFileError(
             f"{path}: found {len(rows)} lines of {' or '.join(map(str, lengths)) or 'no'} numbers, expected 2 or more, "
             f"each of {N_ROWS} or {N_FULL_ROWS} V, of which the first is the reference"
