@@ -35,8 +35,8 @@ status --timeout-s 0 | --timeout-s is 0
 subscribe --verified --touches | --verified receives no frames
 subscribe --force-table force.csv --touches | --force-table needs --verified
 doctor --electrodes | --port PORT or --recorded
-doctor --recorded f.npy | --recorded needs --electrodes or --drift
-doctor --bundle free | --bundle needs --electrodes or --drift
+doctor --recorded f.npy | --recorded needs --electrodes
+doctor --bundle free | --bundle needs --electrodes
 status --server-key x | need each other
 flash show fast --port x | flash show takes no FILE
 flash write fast | flash write needs --port

@@ -20,11 +20,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--electrodes", action="store_true", help="check all 16 electrodes, on --port or in --recorded frames"
     )
     parser.add_argument(
-        "--drift",
-        action="store_true",
-        help="report the drift of a flat, untouched sheet since --reference, on --port or in --recorded frames",
-    )
-    parser.add_argument(
         "--touch",
         action="store_true",
         help="measure by one press whether touches raise or lower conductance, on --port or in --recorded frames "
@@ -46,8 +41,8 @@ def run(arguments: argparse.Namespace) -> int:
         return _make_keys(arguments)
     from eitskin.diagnostics import doctor
 
-    if arguments.drift + arguments.electrodes + arguments.touch > 1:
-        raise UsageError("use one of --drift, --electrodes and --touch, not two at once")
+    if arguments.electrodes and arguments.touch:
+        raise UsageError("use one of --electrodes and --touch, not both at once")
     if arguments.touch:
         return _touch(arguments)
     for name in ("skin", "out"):
@@ -55,11 +50,9 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"{flag(name)} needs --touch beside it")
     if arguments.electrodes:
         return _electrodes(arguments)
-    if arguments.drift:
-        return _drift(arguments)
     for name in ("recorded", "reference", "bundle"):
         if getattr(arguments, name) is not None:
-            raise UsageError(f"{flag(name)} needs --electrodes or --drift beside it")
+            raise UsageError(f"{flag(name)} needs --electrodes beside it")
     found = doctor.examine()
     if arguments.port:
         from eitskin.acquisition.drivers.driver import driver_name
@@ -89,26 +82,13 @@ def _electrodes(arguments: argparse.Namespace) -> int:
     if arrays is None:
         raise BundleError(f"{bundle.path}: finding failed electrodes is {MISSING}")
     reference = None if arguments.reference is None else load(arguments.reference, bundle.skin)
-    recording, own = _frames_and_reference(arguments, bundle)
-    found = electrode_checkup.check_up(recording, Consistency.of(arrays), reference or own)
+    if arguments.recorded is not None and arguments.recorded.suffix == ".mcap":
+        recording, own = _of_recording(arguments, bundle)
+        reference = reference or own
+    else:
+        recording = _frames(arguments)
+    found = electrode_checkup.check_up(recording, Consistency.of(arrays), reference)
     return answer(arguments, found, *electrode_checkup.lines(found))
-
-
-def _drift(arguments: argparse.Namespace) -> int:
-    """Print how far the sheet has drifted since its reference, and return 0."""
-    from eitskin.diagnostics import drift_checkup
-    from eitskin.model.bundle import load_bundle
-    from eitskin.reference.captured import load
-
-    _check_source(arguments, "--drift")
-    reference = None
-    if arguments.reference is not None:
-        reference = load(arguments.reference, load_bundle(arguments.bundle, lazily=True).skin)
-    if reference is None and (arguments.recorded is None or arguments.recorded.suffix != ".mcap"):
-        raise UsageError("--drift needs --reference FILE, a reference captured earlier with 'eitskin reference'")
-    recording, own = _frames_and_reference(arguments)
-    found = drift_checkup.drift_since(recording.voltages, reference or own)
-    return answer(arguments, found, *drift_checkup.lines(found))
 
 
 def _touch(arguments: argparse.Namespace) -> int:
@@ -140,19 +120,17 @@ def _touch(arguments: argparse.Namespace) -> int:
 
 def _press(arguments: argparse.Namespace) -> tuple[Any, Any]:
     """Return the voltages (n, 104) V of untouched frames and of pressed ones."""
-    from eitskin.diagnostics import electrode_checkup
-
     if arguments.recorded is not None:
         if arguments.recorded.suffix == ".mcap":
             raise UsageError("--touch takes recorded frames as .npy, untouched in the first half; found a recording")
-        volts = electrode_checkup.load_recording(files.find(arguments.recorded, files.RECORDING)).voltages
+        volts = _frames(arguments).voltages
         return volts[: len(volts) // 2], volts[len(volts) // 2 :]
     parts = []
     for step in ("Leave the sheet untouched", "Press firmly, well inside the sheet, and hold"):
         print(f"{step}; then press Enter.", file=sys.stderr, flush=True)
         if not sys.stdin.readline():
             raise UsageError("--touch on a port needs someone who presses: standard input has ended")
-        parts.append(_frames_and_reference(arguments)[0].voltages)
+        parts.append(_frames(arguments).voltages)
     return parts[0], parts[1]
 
 
@@ -161,25 +139,18 @@ def _check_source(arguments: argparse.Namespace, what: str) -> None:
         raise UsageError(f"{what} needs either --port PORT or --recorded FILE")
 
 
-def _frames_and_reference(arguments: argparse.Namespace, bundle: Any = None) -> tuple[Any, Any]:
-    """Return the frames of a port or a file, and the reference that the file holds; as :func:`_of_recording`."""
+def _frames(arguments: argparse.Namespace) -> Any:
+    """Return the frames of a port, or of an .npy file."""
     from eitskin.acquisition.serial_port import DEFAULT_BAUD
     from eitskin.diagnostics import electrode_checkup
 
     if arguments.recorded is None:
-        return electrode_checkup.record(arguments.port, arguments.seconds, arguments.baud or DEFAULT_BAUD), None
-    if arguments.recorded.suffix == ".mcap":
-        return _of_recording(arguments, bundle)
-    return electrode_checkup.load_recording(files.find(arguments.recorded, files.RECORDING)), None
+        return electrode_checkup.record(arguments.port, arguments.seconds, arguments.baud or DEFAULT_BAUD)
+    return electrode_checkup.load_recording(files.find(arguments.recorded, files.RECORDING))
 
 
-def _of_recording(arguments: argparse.Namespace, bundle: Any = None) -> tuple[Any, Any]:
-    """Return the last seconds of a recording, and the reference that held then.
-
-    Args:
-        arguments: Of the command.
-        bundle: Refuse a recording of another skin than this bundle's; None for any.
-    """
+def _of_recording(arguments: argparse.Namespace, bundle: Any) -> tuple[Any, Any]:
+    """Return the last seconds of a recording of a bundle's skin, and the reference that held then."""
     from eitskin.diagnostics.electrode_checkup import Recording
     from eitskin_tools.command_line.needs import RECORDINGS, require
 
@@ -193,8 +164,7 @@ def _of_recording(arguments: argparse.Namespace, bundle: Any = None) -> tuple[An
     script = Script(files.find(arguments.recorded, files.RECORDING))
     if script.ending:
         print(f"eitskin doctor: {script.path}{script.ending}", file=sys.stderr)
-    if bundle is not None:
-        for_skin(bundle, script)
+    for_skin(bundle, script)
     begin_s = max(script.seconds - arguments.seconds, 0.0)
     found = table_of(script, begin_s)
     if len(found.voltages_V) < WINDOW:

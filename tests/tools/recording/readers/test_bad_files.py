@@ -25,7 +25,6 @@ READERS: dict[str, list[str]] = {
     "view": ["view", "FILE", "--bundle", str(TINY), "--no-open", "--port", "0"],
     "evaluate": ["evaluate", "--measured", "FILE", "--solver", "tikhonov", "--bundle", str(TINY)],
     "doctor electrodes": ["doctor", "--electrodes", "--recorded", "FILE"],
-    "doctor drift": ["doctor", "--drift", "--recorded", "FILE"],
 }  # fmt: skip
 """Commands that read a recording; FILE stands for its path."""
 
@@ -153,11 +152,11 @@ def test_a_bundle_that_is_not_there_is_asked_for_in_one_line(
     assert "name it with --bundle" in refused(capsys, words)
 
 
-@pytest.mark.parametrize("reader", [name for name in READERS if name not in ("convert", "doctor drift")])
+@pytest.mark.parametrize("reader", [name for name in READERS if name != "convert"])
 def test_a_recording_of_another_skin_is_one_line(
     here: Path, items: list[Any], capsys: pytest.CaptureFixture[str], reader: str
 ) -> None:
-    """Voltages alone, and their drift, are the same sums on every sheet."""
+    """Voltages alone are the same on every sheet."""
     recorded(here / "a.mcap", changed(items, grid_id=OTHER_ID))
     assert f"grid_id: found {OTHER_ID}" in refused(capsys, READERS[reader])
 

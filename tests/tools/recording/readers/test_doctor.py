@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from eitskin import Conditions, SkinState, WireFrame
+from eitskin.model.bundle import load_bundle
 from eitskin.reference.captured import stored
 from eitskin_tools.commands import doctor
 from eitskin_tools.recording.script import Script
 
-from ..conftest import recorded, reference
+from ..conftest import TINY, recorded, reference
 
 FROM = 60
 """Frames that the first reference holds for."""
@@ -40,6 +41,6 @@ def test_a_reference_that_was_captured_anew_is_the_one_of_the_frames_behind(tmp_
     recorded(tmp_path / "a.mcap", stream)
     for seconds in (0.3 * Script(tmp_path / "a.mcap").seconds, 1000.0):
         words = argparse.Namespace(recorded=tmp_path / "a.mcap", seconds=seconds)
-        looked_at, held = doctor._of_recording(words)
+        looked_at, held = doctor._of_recording(words, load_bundle(TINY))
         assert 0 < len(looked_at.voltages) <= 150
         assert held.voltages_V.tolist() == second.voltages_V.tolist()
