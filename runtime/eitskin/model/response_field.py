@@ -149,7 +149,7 @@ class ResponseField:
 
     Args:
         arrays: Of taught.npz: project (rows, q), field and variance (pixels, q), inside (pixels,), untouched (q, q),
-            amplitude_sd, freedom, threshold, spread, logarithm of one value each.
+            amplitude_sd, freedom, threshold, spread, logarithm of one value each; most_left too, if it is known.
         grid: Of the skin's map.
 
     Raises:
@@ -203,6 +203,8 @@ class ResponseField:
         self._whole, self._left = Judged(pixels), Judged(pixels)
         self.threshold = _one(arrays, "threshold")
         """The logit above which a frame counts as touched."""
+        self.most_left = _one({"most_left": np.array(LARGEST), **arrays}, "most_left")
+        """Largest :attr:`left` of a frame of this shape."""
 
     def judge(self, z: npt.NDArray[np.float32]) -> float:
         """Fill the likelihood of a touch at each place, and return the log of its mean over that of none.
@@ -279,6 +281,11 @@ class ResponseField:
         """
         np.copyto(self._rest, self.z)
         return self._subtract(0, logit, self._whole)
+
+    @property
+    def left(self) -> float:
+        """Squared length of what :meth:`touches` left of the frame."""
+        return float(self._rest.dot(self._rest))
 
     def _at_one_place(self, count: int) -> bool:
         """Return whether some of the touches are within a pixel of another one."""

@@ -7,7 +7,7 @@ shape in which the sheet was pressed, and the level of its untouched rows. At ru
 
 The *shape* is the one whose level is nearest. Presses, drift and noise count as noise of that distance, so a press is
 not taken for a bend. V_pred is one more candidate: with it the shape is the reference's, and the level predicted. If
-none of them is near, the shape is unknown.
+touches then leave more of the still rows than of any press that was taught, the shape is unknown.
 
 Two means are kept of frames. While the sheet is still, frames are averaged. While it is untouched, the *baseline*
 follows it, so drift does not look like a touch; it stays while the sheet is touched, however long.
@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from eitskin.errors import BundleError, MismatchError
 from eitskin.model.bundle import Bundle
-from eitskin.model.response_field import HINT, LARGEST, ResponseField, TaughtTouch, finite
+from eitskin.model.response_field import HINT, ResponseField, TaughtTouch, finite
 from eitskin.touches.moments import Found
 from eitskin_proto.sensor.row_table import MIN_ELECTRODES
 from eitskin_proto.sensor.wiring import rank_correlation
@@ -71,7 +71,7 @@ class TaughtField:
     Args:
         shapes: Arrays of taught.npz for each shape (:class:`~eitskin.model.response_field.ResponseField`), and: level
             (rows,) log |V| of its untouched sheet, 0 where a row has none. The first may have white (rows, r), in which
-            presses, drift and noise have unit variance, and reach, the largest squared length there of a known shape.
+            presses, drift and noise have unit variance.
         grid: Of the skin's map.
         names: Of the shapes.
 
@@ -90,10 +90,9 @@ class TaughtField:
         self._names = (*(names or ["taught"]), PREDICTED)
         if len(self._names) != len(shapes) + 1:
             raise BundleError(f"manifest.json names {len(names)} shapes, expected {len(shapes)}; {HINT}")
-        blank = {"level": np.zeros(rows), "white": np.zeros((rows, 0)), "reach": np.array(LARGEST)}
+        blank = {"level": np.zeros(rows), "white": np.zeros((rows, 0))}
         self._levels = np.stack([finite({**blank, **one}, "level", (rows,)) for one in shapes])
         white = finite({**blank, **shapes[0]}, "white", (rows, None)).astype(np.float32)
-        self._reach = float(finite({**blank, **shapes[0]}, "reach", ()))
         parts = [*(one.project for one in self._fields), white]
         ends = np.cumsum([0, *(part.shape[1] for part in parts)])
         self._parts = [slice(*ends[at : at + 2]) for at in range(len(parts))]
@@ -179,7 +178,7 @@ class TaughtField:
     def reset(self) -> None:
         """Restart: the reference is the untouched sheet."""
         self._baseline[:] = 0.0
-        self._averaged = 0
+        self._averaged = self._until_look = 0
         self._noise = self._step = self._usual
         self._peak = 0.0
         self._held = 0
@@ -209,7 +208,7 @@ class TaughtField:
         self._baseline[:] = 0.0
         self._read()
         self._mean[:] = self._now
-        self._averaged = FOLLOW_FRAMES
+        self._averaged, self._until_look = FOLLOW_FRAMES, 0
         self._judge()
         return self.logit
 
@@ -224,6 +223,11 @@ class TaughtField:
     def touches(self) -> list[TaughtTouch]:
         """Return the touches of the last frame that was judged, the strongest first; empty if it is untouched."""
         return self._field.touches(self.logit, self.threshold)
+
+    def left(self) -> float:
+        """Return what the touches leave of the last frame that was judged, as a squared length with unit noise."""
+        self._field.touches(self.logit, self.threshold)
+        return self._field.left
 
     def strongest(self) -> TaughtTouch:
         """Return the likeliest place of one touch in the last frame that was judged, touched or not."""
@@ -269,12 +273,16 @@ class TaughtField:
         if self._distances[shape] < self._distances[self._shape] - NEARER:
             self._use(shape)
             self._peak = 0.0
-        if self._averaged >= FOLLOW_FRAMES:  # the noise of a few frames is larger than that of a reading
-            self._unlike = float(self._distances[self._shape]) > self._reach
         np.subtract(rest, self._offsets[self._shape], out=rest)
         field = self._field
         np.copyto(field.z, rest[self._parts[self._part]])
         self.logit = field.judge(field.z)
+        if self._averaged < FOLLOW_FRAMES:  # the noise of a few frames is larger than that of a reading
+            self._until_look = 0
+        elif self._until_look:
+            self._until_look -= 1
+        else:
+            self._unlike, self._until_look = self.left() > field.most_left, FOLLOW_FRAMES
         return float(field.z.dot(field.z))
 
     def _follow(self, share: float) -> None:

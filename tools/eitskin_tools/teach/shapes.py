@@ -5,7 +5,6 @@ have unit variance.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Final
 
 import numpy as np
 
@@ -13,9 +12,6 @@ from eitskin.model.bundle import MOST_SHAPES
 from eitskin_proto.files.arrays import Array
 from eitskin_tools.teach.presses import Presses, PressesError
 from eitskin_tools.teach.response import shrunk
-
-REACH: Final = 1.5
-"""Squared distance of a reading that is like a shape, over that of the strongest response of its field."""
 
 
 def check_shapes(shapes: Mapping[str, Presses]) -> None:
@@ -35,7 +31,7 @@ def check_shapes(shapes: Mapping[str, Presses]) -> None:
 
 
 def level_arrays(shapes: Sequence[Presses], taught: Sequence[Mapping[str, Array]]) -> list[dict[str, Array]]:
-    """Return level of each shape and, with the first, white and reach (:class:`eitskin.model.taught.TaughtField`).
+    """Return level of each shape and, with the first, white (:class:`eitskin.model.taught.TaughtField`).
 
     Args:
         shapes: Presses in each.
@@ -52,5 +48,4 @@ def level_arrays(shapes: Sequence[Presses], taught: Sequence[Mapping[str, Array]
     white = vectors / np.sqrt(np.maximum(values, values[-1] * 1e-9))
     found = [{"level": level} for level in levels]
     found[0]["white"] = white.astype(np.float32)
-    found[0]["reach"] = np.array(REACH * ((fields @ white) ** 2).sum(axis=1).max())
     return found

@@ -42,6 +42,9 @@ SPREADS: Final = (0.3, 4.0)
 DRAWS: Final = 5000
 """Untouched frames that are drawn to set the gate."""
 
+MOST_LEFT: Final = 1.5
+"""What touches leave of a frame in a known shape at most, over the most that they leave of a press that was taught."""
+
 FASTEST: Final = 0.7
 """Least error of twice as many presses, over the present one: that of errors that average out."""
 
@@ -86,6 +89,8 @@ class Placed:
     """(n, 2)"""
     margin: Array
     """(n,) logit above the threshold of the gate."""
+    left: Array
+    """(n,) squared length of what touches leave."""
 
 
 def teach(
@@ -121,16 +126,18 @@ def teach(
     response, arrays = learned(everything)
     tell("placing presses that were left out")
     folds = np.random.default_rng(0).permutation(int(presses.blocks.max()) + 1)[presses.blocks] % FOLDS
-    placed = Placed(np.zeros_like(places), np.ones_like(places), np.zeros(len(places)))
+    placed = Placed(np.zeros_like(places), np.ones_like(places), *np.zeros((2, len(places))))
     for fold in np.unique(folds):
         out = np.flatnonzero(folds == fold)
         part = place(TaughtField([learned(np.setdiff1d(everything, out))[1]], skin.grid), changes[out])
         placed.place_mm[out], placed.sd_mm[out], placed.margin[out] = part.place_mm, part.sd_mm, part.margin
+        placed.left[out] = part.left
     spread = float(np.clip(np.quantile(np.abs(placed.place_mm - places) / placed.sd_mm, WITHIN), *SPREADS))
     errors = np.hypot(*(placed.place_mm - places).T)
     if len(places) >= ENOUGH and np.median(errors) > np.median(np.hypot(*(places - places.mean(axis=0)).T)):
         raise PressesError(NOT_FELT)
     arrays["spread"] = np.array(spread)
+    arrays["most_left"] = np.array(MOST_LEFT * placed.left.max())
     arrays["threshold"] = np.array(_threshold(arrays, untouched, false_alarms, skin.grid))
     curve = {}
     for count in (len(places) // 4, len(places) // 2):
@@ -201,12 +208,13 @@ def place(field: TaughtField, logarithms: Array, untouched_V: Array | None = Non
         untouched_V: (n, rows) against which they are held, which shows the shape; None for that of the field.
     """
     n = len(logarithms)
-    found = Placed(np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n))
+    found = Placed(*np.zeros((2, n, 2)), *np.zeros((2, n)))
     for index, one in enumerate(np.expm1(logarithms) if field.logarithmic else logarithms):
         if untouched_V is not None:
             field.use_reference(untouched_V[index])
         field.change[:] = one
         found.margin[index] = field.look() - field.threshold
+        found.left[index] = field.left()
         touch = field.strongest()
         found.place_mm[index], found.sd_mm[index] = (touch.x_mm, touch.y_mm), (touch.sd_x_mm, touch.sd_y_mm)
     return found
