@@ -5,7 +5,6 @@ A run is a folder ::
     checkpoint.pt    everything needed to go on: weights, optimiser, schedule, running mean, history
     best.pt          the weights of the best validation epoch so far, with the recipe; what 'eitskin export' reads
     history.json     the losses of every epoch
-    curves.png       the same as a picture, where matplotlib is installed
 
 Both .pt files are written beside and renamed, so an interrupted run leaves the last whole epoch. They hold tensors and
 plain values only, and are read with ``weights_only``.

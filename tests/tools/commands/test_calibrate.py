@@ -91,7 +91,7 @@ def test_a_row_that_is_off_is_named_and_the_best_sheet_is_written(recorded, caps
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("NOT explained: reference: misfit")
     assert f"worst, in units of noise: drive {drive} measure {measure} by " in said[0]
-    assert f"eitskin teach {recorded / 'r.npz'}" in said[4], "the fifth line is the way on"
+    assert "eitskin teach presses.npz --port PORT" in said[4], "the fifth line is the way on"
     assert said[5] == "", "the table follows"
     assert load(out).calibrated_from == STATED.digest
 

@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     report["out"] = str(arguments.out)
     following = _next(twin, arguments.out)
     if not report["explained"]:
-        following = f"learn touches from presses, without a model: eitskin teach {arguments.recording} --out BUNDLE"
+        following = "learn touches from presses, without a model: eitskin teach presses.npz --port PORT --out BUNDLE"
     return answer(arguments, report, verdict(report), f"Wrote {arguments.out}. Next: {following}", "", table(report))
 
 

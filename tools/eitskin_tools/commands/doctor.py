@@ -55,16 +55,12 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"{flag(name)} needs --electrodes beside it")
     found = doctor.examine()
     if arguments.port:
-        from eitskin.acquisition.drivers.driver import driver_name
         from eitskin.acquisition.serial_port import DEFAULT_BAUD
 
-        baud = arguments.baud or DEFAULT_BAUD
-        device = doctor.greet(arguments.port, baud)
+        device = doctor.greet(arguments.port, arguments.baud or DEFAULT_BAUD)
         found["verdict"] = device.pop("verdict")
         found["problems"] += device.pop("problems")
         found["device"] = device
-        if not driver_name(arguments.port):  # a driver stores none
-            found["configuration"] = _configuration(arguments.port, baud)
     return answer(arguments, found, *_lines(found))
 
 
@@ -176,23 +172,6 @@ def _of_recording(arguments: argparse.Namespace, bundle: Any) -> tuple[Any, Any]
     return Recording(found.voltages_V, None, step_of(script.hello)), reference
 
 
-def _configuration(port: str, baud: int) -> dict[str, Any]:
-    """Return the fields of what the device runs, and the name of what a rollback would return to."""
-    from dataclasses import asdict
-
-    from eitskin.acquisition.ports import open_line
-    from eitskin_tools.flash.exchange import Exchange
-    from eitskin_tools.flash.procedure import show
-
-    line = open_line(port, baud)
-    try:
-        shown = show(Exchange(line))
-    finally:
-        line.close()
-    other = shown.other.configuration.name if shown.other else None
-    return {**asdict(shown.active.configuration), "rolls_back_to": other}
-
-
 def _make_keys(arguments: argparse.Namespace) -> int:
     from eitskin.messaging.curve_keys import make_keys
 
@@ -201,9 +180,6 @@ def _make_keys(arguments: argparse.Namespace) -> int:
 
 
 def _lines(found: dict[str, Any]) -> list[str]:
-    from eitskin_proto.wire.config_toml import in_file
-
-    configured = [in_file(field, value) for field, value in found.get("configuration", {}).items()]
     return [
         found["verdict"],
         *(f"port     {port['port']}  {port['description']}  {port['id']}  {port['state']}" for port in found["ports"]),
@@ -212,6 +188,5 @@ def _lines(found: dict[str, Any]) -> list[str]:
         *(f"runtime  publishing on {endpoint}" for endpoint in found["runtimes"]),
         *(f"limit    {line}" for line in found["limits"]),
         *(f"device   {name} {in_words(value)}" for name, value in found.get("device", {}).items()),
-        *(f"config   {name} {in_words(shown)}" for name, shown in configured),
         *(f"to do    {problem}" for problem in found["problems"]),
     ]

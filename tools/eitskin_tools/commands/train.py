@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from eitskin_tools.console.progress import Stages
     from eitskin_tools.errors import UsageError
-    from eitskin_training import curves, train
+    from eitskin_training import train
     from eitskin_training.gate import stored
     from eitskin_training.recipes import fitted, recipe
     from eitskin_training.samples.joined import load_all
@@ -69,7 +69,6 @@ def run(arguments: argparse.Namespace) -> int:
         )
     with Stages() as tell:
         own = stored.gate_of_run(out, data, arguments.seed, tell=tell)
-    drawn = curves.draw(done.history, out / "curves.png", title=f"recipe {chosen.name}, seed {arguments.seed}")
     best = done.best
     assert best is not None
     result: dict[str, Any] = {
@@ -81,7 +80,6 @@ def run(arguments: argparse.Namespace) -> int:
         "parameters": done.model.parameter_count(),
         "streamed_weights": done.model.streamed_weights(),
         "device": str(train.device()),
-        "curves": str(out / "curves.png") if drawn else None,
         "gate": own.gate.facts(),
     }
     return answer(
