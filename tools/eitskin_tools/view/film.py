@@ -140,12 +140,12 @@ class FilmServer(PageServer):
         self.serve(host, port, allowed, film=film)
 
         self._left = threading.Event()
-        self._thread = threading.Thread(target=self._post_overview, name="view-overview", daemon=True)
+        self._overview = threading.Thread(target=self._post_overview, name="view-overview", daemon=True)
 
     def __enter__(self) -> Self:
-        self.stack.callback(self._thread.join)
+        self.stack.callback(self._overview.join)
         self.stack.callback(self._left.set)  # before it is waited for
-        self._thread.start()
+        self._overview.start()
         return super().__enter__()
 
     def _post_overview(self) -> None:
