@@ -9,7 +9,7 @@ import numpy.typing as npt
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle, load_bundle
 from eitskin.model.engine import default_solver, engines
-from eitskin.model.gate import RememberingGate
+from eitskin.model.gate import Gate
 from eitskin.model.geometry import GeometryGraph
 from eitskin.model.taught import field_of
 from eitskin.reference.normaliser import Normaliser
@@ -70,7 +70,7 @@ def reconstruct(
     gates, field = loaded.gate_arrays(), field_of(loaded)
     if field is not None:
         field.use_reference(frame)
-    gate = field or (None if gates is None else RememberingGate(gates, loaded.rows))
+    gate = field or (None if gates is None else Gate(gates, loaded.rows))
     buffers = Buffers(loaded, None if gate is None else gate.change)
     if loaded.has_network or cloud is not None:
         buffers.use_geometry(GeometryGraph(loaded).geometry(cloud, None, 0 if cloud is None else 1))

@@ -355,6 +355,8 @@ _ZERO: Final = np.zeros((), dtype=np.float32)
 class Gate:
     """Judges dV: fill ``change``, then call :meth:`touched`, once a frame.
 
+    A gate of matched filters judges successive frames, each alone and by its change; any other each frame alone.
+
     Args:
         arrays: mean and scale (208,), w1 (208, h), b1 (h,), threshold of one value; w2 (h,) and b2 of one value, or w2
             (h, g), b2 (g,), w3 (g,) and b3 of one value; floor of one value, if it is not ``FLOOR``.
@@ -366,8 +368,8 @@ class Gate:
 
     __slots__ = (
         "_all_filters", "_drop", "_first", "_found", "_hidden", "_hidden_and_one", "_inputs", "_logarithms", "_output",
-        "_second", "_second_hidden", "_shift", "_sizes", "_start", "_whitened", "_whole", "change", "features",
-        "filters", "logit", "response", "threshold", "usual_threshold",
+        "_second", "_second_hidden", "_shift", "_sizes", "_start", "_whitened", "_whole", "change", "changes",
+        "features", "filters", "logit", "response", "threshold", "usual_threshold",
     )  # fmt: skip
 
     def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]], rows: int = N_ROWS) -> None:
@@ -399,11 +401,10 @@ class Gate:
         self._all_filters = self.filters = Filters.of(arrays) if start else None
         """The present parts of a gate of matched filters; None for any other."""
         first = first if self.filters is None else self.filters.once(first)
-        self._first = np.ascontiguousarray(flushed(first), dtype=np.float32)
+        self._first = _single(first)
         self._second: npt.NDArray[np.float32] | None = None
         if deep and self.filters is None:
-            layers = np.vstack([values["w2"], values["b2"].reshape(1, last)])
-            self._second = np.ascontiguousarray(flushed(layers), dtype=np.float32)
+            self._second = _single(np.vstack([values["w2"], values["b2"].reshape(1, last)]))
         self._output = np.asarray(values["w3" if deep else "w2"], dtype=np.float32).reshape(-1)
         self._shift = float(values["b3" if deep else "b2"].reshape(-1)[0])
         self.usual_threshold = float(values["threshold"].reshape(-1)[0])
@@ -420,14 +421,23 @@ class Gate:
         whitened = 0 if self.filters is None else self.filters.whitened
         self._whitened, self._found = np.split(self.response, [whitened])
         self._sizes = np.zeros(whitened, dtype=np.float32)
-        self._hidden_and_one = np.ones(hidden + 1, dtype=np.float32)
+        self._hidden_and_one, self._second_hidden = (
+            np.ones(hidden + 1, dtype=np.float32),
+            np.zeros(last, dtype=np.float32),
+        )
         self._hidden = self._hidden_and_one[:hidden]
-        self._second_hidden = np.zeros(last, dtype=np.float32)
+        self.changes = None if self.filters is None else ChangeDetector(self.filters, self.response.size)
+        """What is remembered; None for a gate that is not made of matched filters."""
         self.logit = 0.0
         """Of the last frame judged."""
 
     def touched(self) -> bool:
-        """Return whether the sheet is touched, by ``change``."""
+        """Return whether the sheet is touched, by ``change`` and the frames before it."""
+        at_once = self._at_once()
+        return at_once if self.changes is None else self.changes.step(self.response, at_once) or at_once
+
+    def _at_once(self) -> bool:
+        """Return whether the sheet is touched, by ``change`` alone."""
         np.maximum(self.change, self._drop, out=self._logarithms)
         np.log1p(self._logarithms, out=self._logarithms)
         hidden = self._hidden
@@ -447,7 +457,9 @@ class Gate:
         return self.logit > self.threshold
 
     def reset(self) -> None:
-        """Judge the next frame by itself; this gate never does otherwise."""
+        """Judge the next frame by itself, because the reference or the meaning of the rows has changed."""
+        if self.changes is not None and self.filters is not None:
+            self.changes.begin(self.filters)
 
     def leave_out(self, rows: npt.NDArray[np.bool_]) -> bool:
         """Judge without some rows from the next frame on, and return whether this gate can: one of matched filters.
@@ -484,34 +496,8 @@ class Gate:
         return np.asarray(hidden @ self._output + np.float32(self._shift), dtype=np.float32)
 
 
-class RememberingGate(Gate):
-    """Judges successive frames, each alone and by its change (``eitskin.model.gate``).
-
-    A gate that is not made of matched filters judges each frame by itself alone.
-
-    Args:
-        arrays: As of :class:`Gate`.
-        rows: As of :class:`Gate`.
-
-    Raises:
-        BundleError: As :class:`Gate` does.
-    """
-
-    __slots__ = ("changes",)
-
-    def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]], rows: int = N_ROWS) -> None:
-        super().__init__(arrays, rows)
-        self.changes = None if self.filters is None else ChangeDetector(self.filters, self.response.size)
-
-    def touched(self) -> bool:
-        """Return whether the sheet is touched, by ``change`` and the frames before it."""
-        at_once = super().touched()
-        return at_once if self.changes is None else self.changes.step(self.response, at_once) or at_once
-
-    def reset(self) -> None:
-        """Restart, because the reference or the meaning of the rows has changed."""
-        if self.changes is not None and self.filters is not None:
-            self.changes.begin(self.filters)
+def _single(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+    return np.ascontiguousarray(flushed(values), dtype=np.float32)
 
 
 def _finite(arrays: Mapping[str, npt.NDArray[np.generic]], name: str) -> npt.NDArray[np.float64]:

@@ -28,7 +28,7 @@ from eitskin.health.monitor import Health
 from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import Bundle
 from eitskin.model.denormals import flushed
-from eitskin.model.gate import RememberingGate
+from eitskin.model.gate import Gate
 from eitskin.model.geometry import Geometry
 from eitskin.model.taught import TaughtField, field_of
 from eitskin.pipeline.idle import IdleGate
@@ -320,7 +320,7 @@ class Pipeline:
         arrays = bundle.gate_arrays()
         self.field, self._shape = field_of(bundle), ""
         """What the sheet was taught, which is its gate too; None for a bundle that was not."""
-        self.gate = self.field or (None if arrays is None else RememberingGate(arrays))
+        self.gate = self.field or (None if arrays is None else Gate(arrays))
         self.audit = GateAudit(audit_pixels(arrays, grid.n_pixels), grid.n_pixels)
         self.health = health
         self.idle_gate = idle_gate
@@ -383,7 +383,7 @@ class Pipeline:
         self.front_end.use_reference(reference, step_V)
         if self.health is not None:
             spread_V = with_rounding(flat.spread_V, step_V)
-            gate = self.gate if isinstance(self.gate, RememberingGate) else None
+            gate = self.gate if isinstance(self.gate, Gate) else None
             self.health.use_reference(
                 flat.voltages_V, spread_V, gate, frames=flat.frames, fresh=fresh, shared_V=flat.shared_V
             )

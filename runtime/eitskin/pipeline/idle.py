@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError, HandshakeError
-from eitskin.model.gate import EXTRAS, FIELDS, RememberingGate
+from eitskin.model.gate import EXTRAS, FIELDS, Gate
 from eitskin.reference.normaliser import LARGE_CHANGE, LARGEST_CHANGE, Normaliser
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.codes import Mode
@@ -68,7 +68,7 @@ class IdleGate:
         self.far = False
         """The last frame is so far from the reference that its rows may be no sheet's."""
         own = {name: arrays[PREFIX + name] for name in (*FIELDS, *EXTRAS) if PREFIX + name in arrays}
-        self.gate = RememberingGate(own, count)
+        self.gate = Gate(own, count)
         self._scale = np.zeros(count)
         self._offset = np.zeros(count)
         self._exact = np.zeros(count)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.gate import SLOW_FRAMES, ChangeDetector, Filters, RememberingGate
+from eitskin.model.gate import SLOW_FRAMES, ChangeDetector, Filters, Gate
 
 WHITENED, COUNT, LIMIT, STILL = 60, 24, 7.0, 0.25
 NOISE = 0.2
@@ -109,7 +109,7 @@ def shipped():
 
 def test_a_common_factor_is_no_change(shipped):
     rng = np.random.default_rng(10)
-    gate = RememberingGate(shipped)
+    gate = Gate(shipped)
     for factor in np.repeat([1.0, 1.1, 0.9], 100):
         gate.change[:] = factor * (1.0 + 0.0025 * rng.standard_normal(104)) - 1.0
         assert not gate.touched()

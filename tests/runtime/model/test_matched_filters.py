@@ -59,6 +59,7 @@ def test_a_gate_of_matched_filters_judges_as_the_layers_that_are_stored(arrays):
         hidden = np.maximum((features - stored["mean"]) / stored["scale"] @ stored["w1"] + stored["b1"], 0.0)
         hidden = np.maximum(hidden @ stored["w2"] + stored["b2"], 0.0)
         gate.change[:] = change
+        gate.reset()
         touched = gate.touched()
         assert gate.logit == pytest.approx(float(hidden @ stored["w3"] + stored["b3"]), rel=1e-4, abs=1e-3)
         assert touched == (gate.logit > gate.threshold)

@@ -12,7 +12,7 @@ from eitskin.errors import BadReference
 from eitskin.health.gate_without_rows import GateWithoutRows
 from eitskin.health.imputation import Consistency
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.gate import RememberingGate
+from eitskin.model.gate import Gate
 from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import TABLE
 from eitskin_sim.fem.solve import factorise_scene
@@ -176,7 +176,7 @@ def test_a_stream_without_electrodes_finds_a_touch_within_five_frames(lost: tupl
     arrays, rng = load_bundle(default_path("area")).gate_arrays(), np.random.default_rng(7)
     if arrays is None:
         pytest.skip("the shipped bundle has no gate; 'eitskin export' makes one")
-    gate = RememberingGate(arrays)
+    gate = Gate(arrays)
     gate_without_rows = GateWithoutRows(consistency(), gate, np.full(104, 0.003))
     found = []
     for touched in middle():

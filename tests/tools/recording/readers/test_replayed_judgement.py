@@ -11,7 +11,7 @@ import pytest
 import eitskin
 from eitskin import Frame, WireFrame
 from eitskin.model.bundle import Bundle, default_path, load_bundle
-from eitskin.model.gate import RememberingGate
+from eitskin.model.gate import Gate
 from eitskin_proto.wire.frames import Frame as WireScan
 from eitskin_tools.recording.replay import RecordedLine
 from eitskin_tools.recording.script import Script, Step
@@ -32,7 +32,7 @@ def press(bundle: Bundle) -> np.ndarray:
     """Return the (104,) factors of a press that its gate sees by the change alone."""
     arrays = bundle.gate_arrays()
     assert arrays is not None
-    gate = RememberingGate(arrays)
+    gate = Gate(arrays)
     assert gate.filters is not None
     first, whitened = gate._first[:-1].astype(float), gate.filters.whitened
     whitening, filters = first[:, :whitened], first[:, whitened:]
