@@ -62,10 +62,11 @@ class FramePacker:
 
     __slots__ = (
         "_arguments", "_at", "_buffer", "_constant", "_end", "_entries", "_extra", "_layout", "_map", "_map_at",
-        "_slots", "_tail_at", "_tails", "_texts", "_view", "_whole_map",
+        "_tail_at", "_tails", "_texts", "_view", "_whole_map",
     )  # fmt: skip
 
-    _KINDS: Final = {"u": (0xCF, ">Q", 8), "f": (0xCB, ">d", 8), "b": (0xC2, ">B", 0)}
+    _KINDS: Final = {"u": (b"\xcf", "Q", 0), "f": (b"\xcb", "d", 0), "b": (b"", "B", TOUCHED[False])}
+    """MessagePack's byte before a number, the number's layout, and its first value."""
 
     def __init__(
         self, *, configuration: str, bundle: str, serial_number: str, run: str, shape: tuple[int, int]
@@ -73,16 +74,18 @@ class FramePacker:
         map_bytes = 4 * shape[0] * shape[1]
         self._whole_map = whole(shape)
         head = bytearray()
-        self._slots: dict[str, tuple[struct.Struct, int]] = {}
-
-        def key(name: str) -> None:
-            head.extend(msgpack.packb(name))
+        layout, end = ">", 0
+        self._arguments: list[Any] = []
+        """Of ``_layout``: each number, and the bytes before it."""
 
         def slot(name: str, kind: str) -> None:
-            code, layout, width = self._KINDS[kind]
-            head.append(code)
-            self._slots[name] = (struct.Struct(layout), len(head) - (width == 0))
-            head.extend(bytes(width))
+            nonlocal layout, end
+            code, number, first = self._KINDS[kind]
+            head.extend(msgpack.packb(name) + code)
+            layout += f"{len(head) - end}s{number}"
+            self._arguments.extend((bytes(head[end:]), first))
+            head.extend(bytes(struct.calcsize(number)))
+            end = len(head)
 
         constant = {"configuration": configuration, "bundle": bundle, "serial": serial_number, "run": run}
         self._constant: dict[str, object] = {**constant, "host": host_id()}
@@ -92,42 +95,27 @@ class FramePacker:
         assert tuple(name for name, _ in plain) == NUMBERS[: len(plain)]
         entries = 1 + len(plain) + 4 + 5 + len(self._constant)
         self._entries, self._extra = entries, 0
-        head += FIRST_BYTE + struct.pack(">H", entries)
-        key("v")
-        head.append(VERSION)
+        head += FIRST_BYTE + struct.pack(">H", entries) + SHORT_HEAD
+        self._at = end = len(head)
         for name, kind in plain:
-            key(name)
             slot(name, kind)
         for group, names in (("host_ns", STAGES), ("counts", COUNTS)):
-            key(group)
-            head.append(0x80 | len(names))
+            head += msgpack.packb(group) + bytes([0x80 | len(names)])
             for name in names:
-                key(name)
                 slot(name, "u")
+        self._layout = struct.Struct(layout)
         self._map_at = len(head)
         head += msgpack.packb("shape") + msgpack.packb(list(shape)) + msgpack.packb("map")
         head += b"\xc5" + struct.pack(">H", map_bytes)
         map_at = len(head)
         self._tail_at = map_at + map_bytes
         self._buffer = bytearray(head) + bytes(map_bytes + LARGEST_REST - len(head))
+        self._layout.pack_into(self._buffer, self._at, *self._arguments)
         self._view = memoryview(self._buffer)
         self._map = self._view[map_at : self._tail_at]
-        self._at, self._layout, self._arguments = self._whole()
         self._tails: dict[tuple[str, tuple[str, ...], tuple[str, ...], tuple[str, ...]], bytes] = {}
         self._texts: object = None
         self._end = self._tail_at
-
-    def _whole(self) -> tuple[int, struct.Struct, list[Any]]:
-        """Return the numbers' offset, and the struct and arguments that write them with the names between them."""
-        first = end = self._slots[NUMBERS[0]][1]
-        layout, arguments = ">", list[Any]()
-        for name in NUMBERS:
-            one, at = self._slots[name]
-            between = bytes(self._buffer[end:at])
-            layout += f"{len(between)}s{one.format.lstrip('>')}"
-            arguments += [between, 0]
-            end = at + one.size
-        return first, struct.Struct(layout), arguments
 
     def put_numbers(self, numbers: tuple[float, ...]) -> None:
         """Overwrite all numbers.
@@ -140,8 +128,8 @@ class FramePacker:
 
     def put(self, name: str, value: float) -> None:
         """Overwrite one number of ``NUMBERS``."""
-        layout, at = self._slots[name]
-        layout.pack_into(self._buffer, at, value)
+        self._arguments[2 * NUMBERS.index(name) + 1] = value
+        self._layout.pack_into(self._buffer, self._at, *self._arguments)
 
     def put_map(self, values: memoryview) -> None:
         """Copy the map.
