@@ -121,6 +121,9 @@ AS_WRITTEN = {
     "spaced.csv": b"1.5, 2.5, 3.5\n4.5, 5.5, 6.5\n7.5, 8.5, 9.5\n",
     "mesh.obj": b"# J\xf6rg\nv 1.5 2.5 3.5 1 0 0\nvn 0 0 1\nv 4.5 5.5 6.5\nvt 0 1\nv 7.5 8.5 9.5\nf 1 2 3\n",
     "mesh.stl": stl_of(POINTS),
+    "old_mac.obj": b"v 1.5 2.5 3.5\rvn 0 0 1\rv 4.5 5.5 6.5\rv 7.5 8.5 9.5\r",
+    "capitals.stl": b"SOLID\nFACET NORMAL 0 0 1\nOUTER LOOP\nVERTEX 1.5 2.5 3.5\nVERTEX 4.5 5.5 6.5\n"
+    b"VERTEX 7.5 8.5 9.5\nENDLOOP\nENDFACET\nENDSOLID\n",
     "text.stl": b"solid J\xf6rg\nfacet normal 0 0 1\nouter loop\nvertex 1.5 2.5 3.5\nvertex 4.5 5.5 6.5\n"
     b"vertex 7.5 8.5 9.5\nendloop\nendfacet\nendsolid\n",
     "fields.npy": array_file(np.array([tuple(p) for p in POINTS], [("f0", "f4"), ("f1", "f4"), ("f2", "f4")])),

@@ -34,7 +34,9 @@ def read_stl(data: bytes) -> Array:
     if len(data) >= STL_HEAD and len(data) == STL_HEAD + count * STL_TRIANGLE.itemsize:
         check_count(3 * count)
         found = np.frombuffer(data, dtype=STL_TRIANGLE, offset=STL_HEAD)["corners"].reshape(-1, 3).astype(np.float64)
-    elif data.lstrip().startswith(b"solid") and b"endsolid" in data:
+    elif data.lstrip()[:5].lower() == b"solid":
+        if b"endsolid" not in data.lower():
+            raise ValueError("it has no 'endsolid': it was cut off")
         found = _vertices(data, rb"vertex")
     else:
         raise ValueError(f"no STL file: {count} triangles are announced in {len(data)} bytes")
@@ -42,7 +44,7 @@ def read_stl(data: bytes) -> Array:
 
 
 def _vertices(data: bytes, word: bytes) -> Array:
-    lines = re.finditer(rb"^[ \t]*" + word + rb"[ \t]+(.*)$", data, re.MULTILINE)
+    lines = re.finditer(rb"(?:^|\r)[ \t]*" + word + rb"[ \t]+([^\r\n]*)", data, re.MULTILINE | re.IGNORECASE)
     found = table(line[1].split()[:3] for line in lines)
     if found.shape[1:] != (3,):
         raise ValueError(f"the lines {word.decode()!r} have {found.shape[1]} numbers, expected x y z")

@@ -102,7 +102,9 @@ def _header(header: str) -> tuple[str, list[_Element]]:
             if unknown := [kind for kind in kinds if kind not in PLY_TYPES]:
                 raise ValueError(f"property type {quoted(unknown[0])} is unknown")
             letters = [PLY_TYPES[kind] for kind in kinds]
-            elements[-1].properties.append(_Property(words[-1], letters[-1], letters[0] if len(letters) > 1 else ""))
+            elements[-1].properties.append(
+                _Property(words[-1].lower(), letters[-1], letters[0] if len(letters) > 1 else "")
+            )
     if order is None:
         raise ValueError("the header has no 'format' line")
     single = [one.name for one in elements[-1].properties if not one.length] if elements else []
