@@ -182,7 +182,7 @@ def config_table() -> str:
 
 def hardware_table() -> str:
     """Return SPEC.md's table of what the electronics can do."""
-    kinds = list(hardware.KNOWN.values())
+    kinds = hardware.KNOWN
     rows = [
         ("hardware_id", [f"0x{can.id:08x}" for can in kinds]),
         ("frequency_Hz", [f"{can.min_frequency_hz} to {can.max_frequency_hz}" for can in kinds]),

@@ -201,7 +201,7 @@ class Configuration:
             ValueError: A value is outside what the electronics have, or a rate is too high; the largest that works is
                 given.
         """
-        can = hardware.by_id(self.hardware_id)
+        can = hardware.hardware_of(self.hardware_id)
         if not can.min_frequency_hz <= self.frequency_hz <= can.max_frequency_hz:
             raise ValueError(
                 f"frequency_Hz is {self.frequency_hz}, "
@@ -230,7 +230,7 @@ class Configuration:
 
     def scan_us(self, drives: int | None = None) -> int:
         """Return how long the front end takes for one scan; periods are rounded up to whole microseconds a drive."""
-        can = hardware.by_id(self.hardware_id)
+        can = hardware.hardware_of(self.hardware_id)
         count = drive_count(self.full, self.drives if drives is None else drives)
         return can.scan_overhead_us + count * (self.settle_us + -(-self.averages * 1_000_000 // self.frequency_hz))
 

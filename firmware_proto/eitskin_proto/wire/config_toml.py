@@ -46,7 +46,7 @@ def parse(text: str) -> Configuration:
     if content.whole("format") != FORMAT:
         raise ValueError(f"format is {quoted(content.value('format'))}, this release reads format {FORMAT}")
     texts = {"name": content.text("name"), "skin": content.text("skin", "", least=0)}
-    revision, hardware_id = content.whole("revision"), hardware.by_name(content.text("hardware")).id
+    revision, hardware_id = content.whole("revision"), hardware.hardware_of(content.text("hardware")).id
     drive, measure, scan, idle = (content.table(name, f"[{name}]") for name in ("drive", "measure", "scan", "idle"))
     content.close()
     bits = measure.whole("sample_bits")
@@ -87,7 +87,7 @@ def to_toml(configuration: Configuration) -> str:
     Raises:
         ValueError: Its hardware is unknown.
     """
-    hardware.by_id(configuration.hardware_id)
+    hardware.hardware_of(configuration.hardware_id)
     lines = [f"format = {FORMAT}"]
     for table, fields in FIELDS.items():
         if table == "idle" and not configuration.idle_drives:
@@ -107,7 +107,7 @@ def in_file(field: str, value: Any) -> tuple[str, Any]:
     """
     idle, of_both = ("idle ", field.removeprefix("idle_")) if field.startswith("idle_") else ("", field)
     if field == "hardware_id":
-        return "hardware", hardware.by_id(value).name if value in hardware.KNOWN else f"0x{value:08x}"
+        return "hardware", next((one.name for one in hardware.KNOWN if one.id == value), f"0x{value:08x}")
     if of_both == "drives":
         return f"{idle}drives", drives_to_list(value)
     if of_both in ("rate_mHz", "rate_millihertz"):

@@ -41,32 +41,19 @@ EITSKIN_16: Final = Hardware(
 )
 """Sixteen electrodes, thirteen parallel converters; the virtual and the emulated skin are of this kind."""
 
-KNOWN: Final[dict[int, Hardware]] = {EITSKIN_16.id: EITSKIN_16}
-"""Every kind by its id."""
+KNOWN: Final = (EITSKIN_16,)
+"""Every kind."""
 
 
-def by_name(name: str) -> Hardware:
-    """Return the electronics of this name.
+def hardware_of(which: int | str) -> Hardware:
+    """Return the electronics of this id or name.
 
     Raises:
         ValueError: There is none; the text lists those that exist.
     """
-    for hardware in KNOWN.values():
-        if hardware.name == name:
-            return hardware
-    known = ", ".join(repr(hardware.name) for hardware in KNOWN.values())
-    raise ValueError(f"hardware {quoted(name)} is unknown; known are {known}")
-
-
-def by_id(hardware_id: int) -> Hardware:
-    """Return the electronics of this id.
-
-    Raises:
-        ValueError: There is none.
-    """
-    if hardware_id not in KNOWN:
-        raise ValueError(
-            f"hardware 0x{hardware_id:08x} is unknown to this release; known are "
-            + ", ".join(f"0x{known:08x} ({KNOWN[known].name})" for known in KNOWN)
-        )
-    return KNOWN[hardware_id]
+    for one in KNOWN:
+        if which in (one.id, one.name):
+            return one
+    found = f"0x{which:08x}" if isinstance(which, int) else quoted(which)
+    known = ", ".join(f"{one.name!r} (0x{one.id:08x})" for one in KNOWN)
+    raise ValueError(f"hardware {found} is unknown; known are {known}")

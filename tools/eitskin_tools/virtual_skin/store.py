@@ -292,7 +292,7 @@ def judge(blob: bytes) -> Code:
 
 def _values_fit(found: Configuration) -> bool:
     """Return whether the electronics have every value but the rates."""
-    can = hardware.by_id(found.hardware_id)
+    can = hardware.hardware_of(found.hardware_id)
     return (
         can.min_frequency_hz <= found.frequency_hz <= can.max_frequency_hz
         and found.current_ua <= can.max_current_ua
