@@ -1,1 +1,1 @@
-"""The demonstration in one command: a virtual skin, the runtime, a scanner and a subscriber, each its own process."""
+"""The demonstration in one command: a virtual skin, the runtime and a scanner as processes, and a subscriber here."""

@@ -1,21 +1,19 @@
-"""The subscriber's process: records every frame's time and map, and writes one file at the end.
+"""Records every frame's time and map of a stream.
 
 It does nothing with a frame but copy it, so that what it measures is the stream and not itself. Memory is allocated at
 the start; of a long run every n-th map is kept, never more than ``MAX_MAPS``.
 """
 
-import argparse
 import gc
-import sys
-from dataclasses import dataclass
-from pathlib import Path
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 import eitskin
-from eitskin_tools.processes.signals import Stopped, raise_stopped_on_signals
 
 STAGES: Final = ("read", "decode", "normalise", "gate", "infer", "pack", "publish")
 """Stamps of the runtime, in order."""
@@ -23,8 +21,11 @@ STAGES: Final = ("read", "decode", "normalise", "gate", "infer", "pack", "publis
 MAX_MAPS: Final = 6000
 """Maps kept: of the paper's skin, 16 MB."""
 
-SILENCE_S: Final = 60.0
-"""How long the first frame may take, since device, reference and runtime come before it, and any other."""
+SILENCE_S: Final = 120.0
+"""How long the first frame may take, since device and reference come before it, and any other."""
+
+POLL_S: Final = 0.5
+"""Between two looks at the other processes."""
 
 
 @dataclass(slots=True, eq=False)
@@ -73,84 +74,58 @@ class Record:
             self.maps[index // self.stride] = frame.map
         self.corrupt, self.withheld = frame.counts["corrupt"], frame.counts["withheld"]
 
-    def save(self, path: Path, count: int) -> None:
-        """Write the first ``count`` frames."""
-        np.savez(
-            path, sequence=self.sequence[:count], device_us=self.device_us[:count],
-            received_ns=self.received_ns[:count], host_ns=self.host_ns[:count],
-            touched=self.touched[:count], inferred=self.inferred[:count],
-            cloud=self.cloud[:count], maps=self.maps[: -(-count // self.stride)],
-            scalars=np.array([self.stride, self.late, self.corrupt, self.withheld]),
-        )  # fmt: skip
-
-    @classmethod
-    def load(cls, path: Path) -> "Record":
-        """Return what was saved."""
-        with np.load(path, allow_pickle=False) as file:
-            stride, late, corrupt, withheld = (int(value) for value in file["scalars"])
-            return cls(
-                file["sequence"], file["device_us"], file["received_ns"], file["host_ns"], file["touched"],
-                file["inferred"], file["cloud"], file["maps"], stride, late, corrupt, withheld,
-            )  # fmt: skip
+    def first(self, count: int) -> "Record":
+        """Return the first ``count`` frames."""
+        arrays = {one.name: getattr(self, one.name) for one in fields(self)}
+        kept: dict[str, Any] = {name: one[:count] for name, one in arrays.items() if isinstance(one, np.ndarray)}
+        return replace(self, **{**kept, "maps": self.maps[: -(-count // self.stride)]})
 
 
-def record(endpoint: str, seconds: float, capacity: int, path: Path) -> int:
-    """Record a stream and return how many frames there were.
+def record(
+    endpoint: str, seconds: float, capacity: int, look: Callable[[], None], shown: Callable[[Any], None]
+) -> Record:
+    """Record a stream and return what was noted; Ctrl-C behind the first frame ends it early.
 
     Args:
         endpoint: Where the runtime publishes.
         seconds: From the first frame on.
         capacity: Most frames to take.
-        path: File to write.
+        look: Called twice a second, to see whether others still run.
+        shown: Called with each frame.
 
     Raises:
         SkinError: No frame came, or the stream went silent.
     """
     found: Record | None = None
-    count = 0
+    count, heard_s, due_s = 0, time.monotonic(), 0.0
     gc.collect()
     gc.disable()
-    with eitskin.subscribe(endpoint, mode="all", timeout_s=SILENCE_S) as frames:
-        try:
-            first = frames.next_frame()
-            found = Record.empty(capacity, first.map.shape)
-            found.note(0, first)
-            count = 1
-            print("first", flush=True)
-            end_ns = int(found.received_ns[0]) + int(seconds * 1e9)
+    try:
+        with eitskin.subscribe(endpoint, mode="all", timeout_s=POLL_S) as frames:
             while count < capacity:
-                frame = frames.next_frame()
+                if time.monotonic() >= due_s:
+                    look()
+                    due_s = time.monotonic() + POLL_S
+                try:
+                    frame = frames.next_frame()
+                except eitskin.NoFrame:
+                    if time.monotonic() > heard_s + SILENCE_S:
+                        raise
+                    continue
+                heard_s = time.monotonic()
+                if found is None:
+                    found = Record.empty(capacity, frame.map.shape)
+                    end_ns = frame.received_ns + int(seconds * 1e9)
                 if frame.received_ns >= end_ns:
                     break
                 found.note(count, frame)
+                found.late = frames.lost
                 count += 1
-        except Stopped:
-            pass
+                shown(frame)
+    except KeyboardInterrupt:
         if found is None:
-            raise Stopped
-        found.late = frames.lost
-    found.save(path, count)
-    return count
-
-
-def main() -> int:
-    """Run the subscriber's process."""
-    parser = argparse.ArgumentParser(description="Record a stream of frames.")
-    parser.add_argument("endpoint")
-    parser.add_argument("path", type=Path)
-    parser.add_argument("--seconds", type=float, required=True)
-    parser.add_argument("--capacity", type=int, required=True)
-    arguments = parser.parse_args()
-    raise_stopped_on_signals()
-    try:
-        count = record(arguments.endpoint, arguments.seconds, arguments.capacity, arguments.path)
-    except eitskin.SkinError as error:
-        print(f"{error}", file=sys.stderr)
-        return 1
-    except Stopped:
-        return 1
-    return 0 if count else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+            raise
+    finally:
+        gc.enable()
+    assert found is not None
+    return found.first(count)

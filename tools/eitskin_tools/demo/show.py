@@ -2,10 +2,10 @@
 
 ::
 
-    virtual-skin --pty--> run --ipc--> subscriber --> record.npz --+
-     |                     ^                                       +--> summary
-     |                     +-- control <--clouds-- scanner         |
-     +-- log, wire times ------------------------------------------+
+    virtual-skin --pty--> run --ipc--> this process --+
+     |                     ^                          +--> summary
+     |                     +-- control <--- scanner   |
+     +-- log, wire times -----------------------------+
 
 Nothing is left behind: the processes end in order, the sockets and files lie in one temporary folder that is removed.
 """
@@ -15,7 +15,6 @@ import sys
 import tempfile
 import time
 import webbrowser
-from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -23,16 +22,15 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-import eitskin
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import to_toml
 from eitskin_proto.skin.touch_kind import TouchKind, knows
 from eitskin_tools.console.stream_view import StreamView
 from eitskin_tools.console.terminal import has_display
-from eitskin_tools.demo.recorder import Record
+from eitskin_tools.demo.recorder import Record, record
 from eitskin_tools.demo.score import accuracy, timing
-from eitskin_tools.processes.children import GRACE_S, Child, process_group
+from eitskin_tools.processes.children import Child, process_group
 from eitskin_tools.processes.skin_log import read_log, script_start
 
 START_S: Final = 600.0
@@ -40,9 +38,6 @@ START_S: Final = 600.0
 
 READY_S: Final = 120.0
 """How long the runtime may take for handshake and reference."""
-
-FIRST_FRAME_LINE: Final = "first"
-"""What the subscriber says when its first frame has come."""
 
 CLOUDS_HZ: Final = 4.0
 """Clouds a second, as a robot's camera would give."""
@@ -104,19 +99,16 @@ def stream(options: Options) -> Streamed:
     with tempfile.TemporaryDirectory(prefix="eitskin-demo-") as name:
         folder = Path(name)
         publish, control = f"ipc://{folder}/frames", f"ipc://{folder}/control"
-        log, record = folder / "skin.log", folder / "record.npz"
+        log, begin_s = folder / "skin.log", time.monotonic()
         with process_group() as children:
-            start_s = _shown(options, folder, publish, control, children)
-            skin, runtime, subscriber = children[:3]
-            if subscriber.wait(GRACE_S) != 0:
-                subscriber.check()
+            _start(options, folder, publish, control, children)
+            found, first_s = _recorded(options, publish, children)
+            skin, runtime = children[:2]
             runtime.stop()
             skin.stop()
             spoken = _last_object(runtime)
-        found, wire_ns = Record.load(record), np.load(folder / "wire.npy")
-        return Streamed(
-            found, wire_ns, script_start(log)["device_us"], _told(log, "sent"), _told(log, "dropped"), spoken, start_s
-        )
+        start_us, wire_ns = script_start(log)["device_us"], np.load(folder / "wire.npy")
+        return Streamed(found, wire_ns, start_us, _told(log, "sent"), _told(log, "dropped"), spoken, first_s - begin_s)
 
 
 def summarise(options: Options, streamed: Streamed) -> dict[str, Any]:
@@ -141,22 +133,29 @@ def summarise(options: Options, streamed: Streamed) -> dict[str, Any]:
     }
 
 
-def _shown(options: Options, folder: Path, publish: str, control: str, children: list[Child]) -> float:
-    """Start everything and look on; Ctrl-C after the first frame only shortens it. Return when that frame came."""
-    begin_s, first_s = time.monotonic(), None
-    try:
-        _start(options, folder, publish, control, children)
-        children[2].line(children[2].out, FIRST_FRAME_LINE, READY_S, children)
-        first_s = time.monotonic() - begin_s
-        if options.talk:
-            print(f"first frame after {first_s:.1f} s; streaming for {options.seconds:g} s", file=sys.stderr)
-        _look_on(options, publish, children)
-    except KeyboardInterrupt:
-        if len(children) < 3 or FIRST_FRAME_LINE not in children[2].out.read_text():
-            raise  # there is nothing to sum up
-        first_s = first_s or time.monotonic() - begin_s
-        children[2].stop()
-    return first_s
+def _recorded(options: Options, publish: str, children: list[Child]) -> tuple[Record, float]:
+    """Return what was streamed, and when the first frame came; on a terminal, show the newest frame in a line."""
+    first_s = 0.0
+    line = StreamView(sys.stdout, grid=skin_of(options.bundle, options.touches).grid)
+    live = options.talk and not options.view and sys.stdout.isatty()
+
+    def look() -> None:
+        for child in children:
+            child.check()
+
+    def show(frame: Any) -> None:
+        nonlocal first_s
+        if not first_s:
+            first_s = time.monotonic()
+            if options.talk:
+                print(f"the first frame is here; streaming for {options.seconds:g} s", file=sys.stderr)
+        if live:
+            line.show(frame)
+
+    capacity = int(options.seconds * options.rate_hz * 1.1) + 1000
+    found = record(publish, options.seconds, capacity, look, show)
+    line.end()
+    return found, first_s
 
 
 def _start(options: Options, folder: Path, publish: str, control: str, children: list[Child]) -> None:
@@ -187,16 +186,10 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
         ["run", f"--port={port}", f"--publish={publish}", f"--control={control}", "--json", *chosen], folder,
     )  # fmt: skip
     children.append(runtime)
-    capacity = int(options.seconds * options.rate_hz * 1.1) + 1000
-    subscriber = Child(
-        "subscriber", "eitskin_tools.demo.recorder",
-        [publish, str(folder / "record.npz"), f"--seconds={options.seconds}", f"--capacity={capacity}"], folder,
-    )  # fmt: skip
-    children.append(subscriber)
     if options.clouds:
         children.append(_scanner(options, control, folder, sheet))
-    runtime.line(runtime.err, "ready ", READY_S, children)
     if options.view:
+        runtime.line(runtime.err, "ready ", READY_S, children)
         words = ["view", f"--endpoint={publish}", "--port=0", "--no-open", *sheet]
         children.append(viewer := Child("view", "eitskin_tools.cli", words, folder))
         show_page(viewer.line(viewer.out, "viewing ", READY_S, children).rpartition(" at ")[2].split()[0])
@@ -230,32 +223,6 @@ def _scanner(options: Options, control: str, folder: Path, sheet: list[str]) -> 
         "scanner", "eitskin_tools.demo.scanner",
         [control, str(folder / "skin.log"), f"--rate={CLOUDS_HZ}", *sheet, *predict], folder,
     )  # fmt: skip
-
-
-def _look_on(options: Options, publish: str, children: list[Child]) -> None:
-    """Wait for the subscriber to finish; on a terminal, show the newest frame in a line meanwhile."""
-    end = time.monotonic() + options.seconds + READY_S
-    with ExitStack() as stack:
-        if shown := options.talk and not options.view and sys.stdout.isatty():
-            frames = stack.enter_context(eitskin.subscribe(publish, timeout_s=0.5, patient=True))
-            line = StreamView(sys.stdout, grid=skin_of(options.bundle, options.touches).grid)
-            stack.callback(line.end)
-        while _going_on(children, end):
-            if shown:
-                with suppress(eitskin.NoFrame):
-                    line.show(frames.next_frame())
-            time.sleep(0.05)
-
-
-def _going_on(children: list[Child], end: float) -> bool:
-    subscriber = children[2]
-    if subscriber.status == 0:
-        return False
-    for child in (subscriber, *children):
-        child.check()
-    if time.monotonic() > end:
-        raise SkinError("the subscriber did not finish in time; run the demonstration again")
-    return True
 
 
 def _script_of(options: Options) -> Any:
