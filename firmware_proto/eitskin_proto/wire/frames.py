@@ -247,16 +247,11 @@ class Step(NamedTuple):
 
 
 class StreamCounter:
-    """Follows one stream's sequence and device time.
+    """Follows one stream's sequence and device time."""
 
-    Args:
-        max_lost: A larger gap is a reset.
-    """
+    __slots__ = ("_device_us", "_sequence", "lost", "resets")
 
-    __slots__ = ("_device_us", "_max_lost", "_sequence", "lost", "resets")
-
-    def __init__(self, max_lost: int = MAX_LOST) -> None:
-        self._max_lost = max_lost
+    def __init__(self) -> None:
         self._sequence: int | None = None
         self._device_us = 0
         self.lost = 0
@@ -292,7 +287,7 @@ class StreamCounter:
         earlier = (device_us - self._device_us) % MODULUS > MODULUS // 2
         if forward == 0 and not earlier:
             return Step(self._sequence, self._device_us, 0, False, True)
-        if forward == 0 or forward - 1 > self._max_lost:
+        if forward == 0 or forward - 1 > MAX_LOST:
             self.resets += 1
             self._sequence, self._device_us = sequence, device_us
             return Step(sequence, device_us, 0, True, False)

@@ -57,7 +57,6 @@ def pack_volts(
     sequence: int,
     device_us: int,
     cut_off: npt.NDArray[np.bool_] | None = None,
-    generation: int = 0,
 ) -> bytes:
     """Return the payload of a scan.
 
@@ -66,11 +65,10 @@ def pack_volts(
         sequence: Counts scans, lost ones included, modulo 2^32.
         device_us: Clock of the device, or of the driver, at the end of the scan, modulo 2^32.
         cut_off: (rows,) which rows are beyond the converter's full scale; None for none.
-        generation: Of the configuration; 0 for a driver.
     """
     rows = len(voltages)
     marked = bytes((rows + 7) // 8) if cut_off is None else np.packbits(cut_off, bitorder="little").tobytes()
-    head = HEADER.pack(VOLTS_TYPE, 0, rows, generation, sequence & 0xFFFFFFFF, device_us & 0xFFFFFFFF)
+    head = HEADER.pack(VOLTS_TYPE, 0, rows, 0, sequence & 0xFFFFFFFF, device_us & 0xFFFFFFFF)
     return head + voltages.astype("<f8").tobytes() + marked
 
 

@@ -67,22 +67,15 @@ class ControlServer:
 
     Args:
         endpoint: ``ipc:///path``, or TCP with keys.
-        controlled: The runtime.
+        controlled: The runtime; it accepts clouds of its ``description``, else of the paper's skin.
         keys: CURVE keys, required for TCP.
-        skin: The skin whose clouds it accepts; None for that of ``controlled``, or the paper's.
 
     Raises:
         EndpointError: The endpoint is not allowed or in use, or the process may open too few files.
     """
 
-    def __init__(
-        self,
-        endpoint: str,
-        controlled: Controlled,
-        keys: ServerKeys | None = None,
-        skin: SkinDescription | None = None,
-    ) -> None:
-        known: SkinDescription = getattr(controlled, "description", PAPER) if skin is None else skin
+    def __init__(self, endpoint: str, controlled: Controlled, keys: ServerKeys | None = None) -> None:
+        known: SkinDescription = getattr(controlled, "description", PAPER)
         self._largest = largest_request(known.grid)
         self._commands = Commands(controlled, known)
         check_files(endpoint)

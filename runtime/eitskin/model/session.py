@@ -34,14 +34,14 @@ __all__ = [
 ]
 
 
-def session_options(threads: int = 1) -> Any:
+def session_options() -> Any:
     """Return options of a session that multiplies 8-bit numbers exactly, and warns of nothing.
 
     Without the entry a processor that has AVX2 or AVX-512 and no VNNI adds products of 8 bits in pairs of 16 bits.
     These overflow: the narrow network of ``free`` lost 0.03 of CC. With the entry such a processor widens first.
     """
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
+    options.intra_op_num_threads = 1
     options.log_severity_level = 3
     options.add_session_config_entry("session.x64quantprecision", "1")
     return options

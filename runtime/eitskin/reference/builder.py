@@ -136,22 +136,19 @@ class ReferenceBuilder:
         return replace(found, judgement=judgement)
 
 
-def reference_of_scans(
-    voltages: npt.NDArray[np.floating], hello: Hello, skin: Skin = PAPER, table: RowTable | None = None
-) -> Reference:
+def reference_of_scans(voltages: npt.NDArray[np.floating], hello: Hello, skin: Skin = PAPER) -> Reference:
     """Return the reference of scans that were made already, without a check.
 
     Args:
         voltages: (n, rows) V of the untouched sheet; complex ones as amounts.
         hello: Of the device.
         skin: The skin of the reference.
-        table: Their rows; None for the device's.
 
     Raises:
         BadReference: They are no reference.
         ValueError: They have another number of rows, or values that are not finite.
     """
-    table = table_of_hello(hello) if table is None else table
+    table = table_of_hello(hello)
     found = np.abs(voltages) if np.iscomplexobj(voltages) else np.asarray(voltages, dtype=np.float64)
     if found.ndim != 2 or not len(found) or found.shape[1] != table.rows or not np.isfinite(found).all():
         raise ValueError(f"reference has shape {found.shape}, expected (n, {table.rows}) finite volts")

@@ -162,14 +162,14 @@ class Normaliser:
         return bool(np.abs(self._exact + self._offset).max() < NO_SIGNAL)
 
 
-def rows_of(hello: Hello, wanted: RowTable = ADJACENT_104) -> RowTable:
-    """Return the table wanted if a device's scans have its rows, else the device's own."""
+def rows_of(hello: Hello) -> RowTable:
+    """Return the project's table if a device's scans have its rows, else the device's own."""
     source = table_of_hello(hello)
     try:
-        row_map(source, wanted)
+        row_map(source, ADJACENT_104)
     except ValueError:
         return source
-    return wanted
+    return ADJACENT_104
 
 
 def normaliser_of(hello: Hello, table: RowTable = ADJACENT_104) -> Normaliser:

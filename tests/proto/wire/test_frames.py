@@ -10,6 +10,7 @@ from eitskin_proto.sensor.table import FULL_TABLE, TABLE
 from eitskin_proto.wire import messages
 from eitskin_proto.wire.frames import (
     HEADER,
+    MAX_LOST,
     MODULUS,
     Frame,
     FrameView,
@@ -159,8 +160,8 @@ def test_a_sequence_that_falls_back_is_a_reset_and_counts_no_loss():
 
 
 def test_a_gap_of_the_largest_size_is_loss_and_one_more_is_a_reset():
-    for lost, reset in ((100, False), (101, True)):
-        counter = StreamCounter(max_lost=100)
+    for lost, reset in ((MAX_LOST, False), (MAX_LOST + 1, True)):
+        counter = StreamCounter()
         counter.step(7, 0)
         step = counter.step(8 + lost, 1)
         assert (step.reset, step.lost) == (reset, 0 if reset else lost)
