@@ -20,6 +20,7 @@ class Process:
 
     def __init__(self, *words, folder, python=sys.executable, **environment):
         self.said = []
+        self._listener = None
         self._process = subprocess.Popen(
             [python, *map(str, words)],
             cwd=folder,
@@ -44,7 +45,8 @@ class Process:
 
     def listen(self):
         """Read all that it says from now on into ``said``, in a thread."""
-        threading.Thread(target=lambda: self.said.extend(map(str.rstrip, self._process.stdout)), daemon=True).start()
+        self._listener = threading.Thread(target=lambda: self.said.extend(map(str.rstrip, self._process.stdout)))
+        self._listener.start()
 
     def ends(self):
         """Wait for its end; return the line that it said last."""
@@ -55,6 +57,8 @@ class Process:
 
     def end(self):
         self._process.terminate()
+        if self._listener is not None:
+            self._listener.join(PATIENCE_S)
         self._process.communicate()
 
 

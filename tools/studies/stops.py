@@ -93,27 +93,43 @@ def run(arguments: argparse.Namespace) -> int:
         sequence, scanned_ns = np.moveaxis(np.load(folder / "pressed.npy"), 2, 0)
         wire_ns = np.load(folder / "wire.npy")[sequence]
         there = (wire_ns > 0).all(axis=1)  # else the line was full, because the runtime did not read in time
-        rows = [_row(label, (folder / label).read_text(), scanned_ns[there, 0], wire_ns[there, 0]) for label in robots]
+        texts = {label: (folder / label).read_text() for label in robots}
+        rows = [_row(label, text, scanned_ns[:, 0], wire_ns[:, 0], there) for label, text in texts.items()]
     frames = arguments.touches * CYCLE
     cpu = {f"{label} cpu_us_a_frame": round(1e6 * value / frames, 1) for label, value in spent.items()}
     return report(arguments, rows, cpu, machine=machine())
 
 
-def _row(label: str, text: str, scan_ns: npt.NDArray[np.int64], wire_ns: npt.NDArray[np.int64]) -> dict[str, Any]:
-    """Return how soon a robot stopped after each touch, whose first scan ended and was on the wire at these times."""
+def _row(
+    label: str,
+    text: str,
+    scan_ns: npt.NDArray[np.int64],
+    wire_ns: npt.NDArray[np.int64],
+    there: npt.NDArray[np.bool_],
+) -> dict[str, Any]:
+    """Return how soon a robot stopped after each touch.
+
+    Args:
+        label: Of the robot.
+        text: What it printed.
+        scan_ns: When the first scan of each touch ended.
+        wire_ns: When that was on the wire.
+        there: Whether all scans of the touch were.
+    """
     lines = [line.split() for line in text.splitlines() if line.startswith(("go ", "stop "))]
     times_ns = np.array([int(line[1]) for line in lines], dtype=np.int64)
     felt = np.array([float(line[3]) if line[2] == "touched" else np.nan for line in lines])  # ms since the scan
     found = np.flatnonzero(~np.isnan(felt))
     of = np.searchsorted(scan_ns - PERIOD_NS // 2, times_ns[found] - (1e6 * felt[found]).astype(np.int64)) - 1
-    touch, first = np.unique(of[of >= 0], return_index=True)
-    late_ms = 1e-6 * (times_ns[found][of >= 0][first] - wire_ns[touch])
+    touch, first = np.unique(of, return_index=True)
+    first, touch = first[(touch >= 0) & there[touch]], touch[(touch >= 0) & there[touch]]
+    late_ms = 1e-6 * (times_ns[found][first] - wire_ns[touch])
     counts = {"stopped": len(touch), "blind": 0, "missed": 0}
-    for at in np.searchsorted(times_ns, np.delete(wire_ns, touch)).tolist():
+    for at in np.searchsorted(times_ns, wire_ns[np.setdiff1d(np.flatnonzero(there), touch)]).tolist():
         stands = at == 0 or lines[at - 1][0] == "stop"
         counts["blind" if stands or (at < len(lines) and np.isnan(felt[at])) else "missed"] += 1
     figures = dict(zip(("p50_ms", "p99_ms", "max_ms"), np.percentile(late_ms, [50, 99, 100]).round(3), strict=True))
-    return {"what": label, "touches": len(wire_ns), **counts, **{name: float(one) for name, one in figures.items()}}
+    return {"what": label, "touches": int(there.sum()), **counts, **{name: float(one) for name, one in figures.items()}}
 
 
 class Presses:
