@@ -154,7 +154,7 @@ def test_a_cloud_is_taken_and_a_wrong_one_is_refused_with_the_runtimes_words(che
 
 def test_the_example_goes_stops_when_touched_and_is_blind_when_the_runtime_ends(built, tmp_path):
     with (
-        virtual_skin(touches=[[0.5, 1.0, 0.3]], touches_wait=True, rate_hz=200.0) as port,
+        virtual_skin(touches=[[at, at + 0.5, 0.3] for at in range(200)], touches_wait=True, rate_hz=200.0) as port,
         _running(port, tmp_path) as running,
         subprocess.Popen(
             [built / "package/stop", f"ipc://{tmp_path}/frames"], stdout=subprocess.PIPE, text=True
@@ -162,12 +162,10 @@ def test_the_example_goes_stops_when_touched_and_is_blind_when_the_runtime_ends(
     ):
         try:
             lines = iter(robot.stdout.readline, "")
-            first = next(line for line in lines if not line.startswith("stop") or "no frame" not in line)
-            assert first.startswith("go ")
-            assert " touched " in next(lines)
-            assert next(lines).startswith("go ")
+            for wanted in ("go ", " touched ", "go "):  # on a busy machine it is blind in between
+                assert next(line for line in lines if wanted in line)
             running.stop()
-            assert "is `eitskin run` running" in next(lines)
+            assert next(line for line in lines if "is `eitskin run` running" in line)
         finally:
             robot.terminate()
             robot.wait()
@@ -190,24 +188,20 @@ def test_silence_another_version_and_old_frames_are_blind_and_bring_no_touch(bui
         (packed(), "seen"),
         (None, "within 0.1 s: is `eitskin run` running there?"),
     ]
+    current, done = [None], threading.Event()
     with publisher(tmp_path) as (socket, endpoint):
         command = [built / "check", "blind", endpoint, "0.1", str(len(steps) + 1)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
             assert socket.recv() == b"\x01\xdf"
             assert "no frame" in program.stdout.readline()
-            for message, expected in steps:
-                stop = threading.Event()
-                sender = threading.Thread(target=lambda m=message, s=stop: _send(socket, m, s))
-                sender.start()
-                said = program.stdout.readline()
-                stop.set()
-                sender.join()
-                assert expected in said
-
-
-def _send(socket, message, stop):
-    while message is not None and not stop.wait(0.01):
-        socket.send(message)
+            sender = threading.Thread(
+                target=lambda: [socket.send(one) for one in iter(lambda: done.wait(0.01) or current[0], True) if one]
+            )
+            sender.start()
+            for current[0], expected in steps:
+                assert expected in program.stdout.readline()
+            done.set()
+            sender.join()
 
 
 def test_tcp_without_keys_is_refused(check):
