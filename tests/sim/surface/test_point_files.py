@@ -48,20 +48,6 @@ def test_pcd_files_of_both_forms_hold_the_same_points(tmp_path):
         assert np.allclose(read_points(tmp_path / name), points, atol=2e-5, equal_nan=True)
 
 
-def test_a_pcd_file_that_says_no_counts_has_one_number_a_field(tmp_path):
-    head = pcd_head(2, "ascii", "x y z", "4 4 4", "F F F").replace(b"COUNT 1 1 1 1 3\n", b"")
-    (tmp_path / "points.pcd").write_bytes(head + b"1 2 3\n4 5 6\n")
-    assert read_points(tmp_path / "points.pcd").tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
-
-
-def test_text_and_array_files_are_read(tmp_path):
-    points = np.random.default_rng(0).uniform(-200, 200, (50, 6))
-    np.save(tmp_path / "points.npy", points.astype(np.float32))
-    assert np.allclose(read_points(tmp_path / "points.npy"), points[:, :3], atol=2e-5)
-    np.savetxt(tmp_path / "points.xyz", points, delimiter=",", header="x y z nx ny nz")
-    assert np.allclose(read_points(tmp_path / "points.xyz"), points[:, :3])
-
-
 def array_file(values):
     stream = io.BytesIO()
     np.save(stream, values)
@@ -105,6 +91,8 @@ AS_WRITTEN = {
     + np.array(POINTS, "<f4").tobytes(),
     # A run of 1 byte and a copy of 11 from 1 byte before; then a run of 32 and one of 4 bytes.
     "packed.pcd": compressed_pcd(b"\0\0", b"\xe0\2\0", b"\x1f" + FIELDS[:32], b"\3" + FIELDS[32:]),
+    "no_counts.pcd": pcd_head(3, "ascii", "x y z", "4 4 4", "F F F").replace(b"COUNT 1 1 1 1 3\n", b"")
+    + b"1.5 2.5 3.5\n4.5 5.5 6.5\n7.5 8.5 9.5\n",
     "header.xyz": b"X Y Z\n1.5 2.5 3.5\n4.5 5.5 6.5\n7.5 8.5 9.5\n",
     "remark.asc": b"//Z X Y\n3.5 1.5 2.5\n6.5 4.5 5.5\n9.5 7.5 8.5\n",
     "latin.txt": "# von Jörg\n1.5 2.5 3.5\n4.5 5.5 6.5\n\n7.5 8.5 9.5\n".encode("latin-1"),

@@ -212,9 +212,8 @@ def _at(coefficients: Array, along_mm: Array) -> Array:
 
 
 def _box_axes(uv_mm: Array) -> Array:
-    """Axes of the box of least area that holds all but stray points; one of its sides lies on the hull."""
-    rough = _thin(uv_mm)
-    hull = rough[:, ConvexHull(rough.T).vertices]
+    """Axes of the box of least area that holds all points; one of its sides lies on their hull."""
+    hull = uv_mm[:, ConvexHull(uv_mm.T).vertices]
     edge = np.diff(np.concatenate([hull, hull[:, :1]], axis=1), axis=1)
     angle = np.arctan2(edge[1], edge[0]) % (np.pi / 2)
     angle = np.concatenate([angle, np.linspace(0.0, np.pi / 2, 90, endpoint=False)])
@@ -224,17 +223,6 @@ def _box_axes(uv_mm: Array) -> Array:
     spans = np.ptp(axes @ hull, axis=2)
     best = int(np.argmin(spans.prod(axis=1)))
     return np.asarray(axes[best] if spans[best, 0] >= spans[best, 1] else np.array([axes[best, 1], -axes[best, 0]]))
-
-
-def _thin(uv_mm: Array) -> Array:
-    """The first and the last 1.5 mm pixel with points in each column: a hull of hundreds, not of all points."""
-    low = uv_mm.min(axis=1, keepdims=True)
-    cell = ((uv_mm - low) / 1.5).astype(np.intp)
-    width = int(cell[1].max()) + 1
-    column, row = np.divmod(np.flatnonzero(np.bincount(cell[0] * width + cell[1])), width)
-    first = np.flatnonzero(np.diff(column, prepend=-1))
-    ends = np.concatenate([first, np.append(first[1:], len(column)) - 1])
-    return np.asarray(np.stack([column[ends], row[ends]]) * 1.5 + low)
 
 
 def _robust(at: Array, measured: Array) -> Array:

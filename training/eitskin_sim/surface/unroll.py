@@ -46,9 +46,6 @@ MIN_POINTS_PER_CUBE: Final = 4.0
 WANTED_POINTS_PER_CUBE: Final = 5.0
 """Average number of points in a larger cube."""
 
-LINK_CELLS: Final = 1.6
-"""The chart's least squares need only the nearer neighbours, in cells: a sparser matrix."""
-
 MIN_CELLS: Final = 50
 """A surface of fewer cubes than this is no sheet."""
 
@@ -107,10 +104,7 @@ def unroll(points_mm: Array, size_mm: tuple[float, float]) -> Chart:
     nodes = centroid[keep]
     pairs = cKDTree(nodes).query_pairs(REACH_CELLS * cell_mm, output_type="ndarray")
     frame, curvature = _frames(nodes, pairs[:, 0], pairs[:, 1])
-    close = pairs[np.sum((nodes[pairs[:, 0]] - nodes[pairs[:, 1]]) ** 2, axis=1) < (LINK_CELLS * cell_mm) ** 2]
-    uv = _integrate(nodes, frame, close[:, 0], close[:, 1]) if _connected(close, len(nodes)) else None
-    if uv is None:
-        uv = _integrate(nodes, frame, pairs[:, 0], pairs[:, 1])
+    uv = _integrate(nodes, frame, pairs[:, 0], pairs[:, 1])
     return _place(
         axes, _node_of_cube(centroid, keep, 2.0 * cell_mm)[cube], nodes, frame, curvature, uv, total=len(points_mm)
     )
@@ -129,11 +123,6 @@ def _bin(axes: Array, cell_mm: float) -> tuple[npt.NDArray[np.intp], Array]:
     count = np.bincount(key, minlength=size)
     number = np.cumsum(count > 0) - 1
     return np.asarray(number[key], dtype=np.intp), count[count > 0].astype(np.float64)
-
-
-def _connected(pairs: npt.NDArray[np.intp], n: int) -> bool:
-    graph = sparse.coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    return int(csgraph.connected_components(graph, directed=False)[0]) == 1
 
 
 def _largest_piece(centroid: Array, solid: npt.NDArray[np.bool_], reach_mm: float) -> npt.NDArray[np.intp]:
