@@ -1,6 +1,5 @@
-"""Training where the data lie, on the CPU, where the same steps run without a graph; with a graph where a GPU is."""
+"""The steps of an epoch on the CPU, where they run without a graph; with a graph on a GPU."""
 
-import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,16 +11,9 @@ import torch
 from eitskin_proto.sensor.normalise import inverse_reference, relative_change
 from eitskin_sim.measurement.consistency import RowImputation
 from eitskin_training import train
+from eitskin_training.network.mirror import mirrors
 from eitskin_training.recipes import recipe
-from eitskin_training.resident import (
-    LostElectrodes,
-    ResidentData,
-    ResidentSteps,
-    fits,
-    lose_rows,
-    needed_bytes,
-    noisy_change,
-)
+from eitskin_training.resident import LostElectrodes, ResidentData, ResidentSteps, lose_rows, noisy_change
 from eitskin_training.samples.batches import consistency_of
 
 pytestmark = pytest.mark.heavy
@@ -59,7 +51,7 @@ def test_lost_rows_are_zero_and_as_frequent_as_asked_for() -> None:
     assert sorted(set(lost.tolist())) == [0, 1, 2, 3, 4]
 
 
-def test_electrodes_are_filled_in_as_the_runtime_and_the_batches_do(toy_data: Any) -> None:
+def test_electrodes_are_filled_in_as_the_runtime_does(toy_data: Any) -> None:
     data = toy_data("area", samples=400)
     gaussian = consistency_of(data, QUIET)
     lost = LostElectrodes(gaussian, CPU)
@@ -75,7 +67,7 @@ def test_electrodes_are_filled_in_as_the_runtime_and_the_batches_do(toy_data: An
         assert torch.equal(same, torch.from_numpy(change))
 
 
-def test_sets_of_electrodes_come_as_often_as_the_batches_lose_them(toy_data: Any) -> None:
+def test_smaller_sets_of_electrodes_are_lost_more_often(toy_data: Any) -> None:
     lost = LostElectrodes(consistency_of(toy_data("area", samples=200), QUIET), CPU)
     assert len(lost.sets) == 16 + 120 + 560
     assert lost.sets[:16] == [(one,) for one in range(16)]
@@ -101,33 +93,14 @@ def test_a_table_names_each_sample_once_and_the_cloud_that_it_has(together: int,
         assert set(occurring.tolist()) == set(stored.deformation[batch].tolist())
 
 
-def test_it_learns_what_batches_made_beside_the_device_teach(
-    toy_data: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    data = toy_data("area")
-    chosen = replace(recipe("tiny"), labels="area", epochs=4, learning_rate=8e-3)
-    beside = train.train(data, chosen, tmp_path / "beside")
-    monkeypatch.setattr(train, "held_by", lambda *_: True)
-    told = itertools.count()
-    there = train.train(data, chosen, tmp_path / "there", progress=lambda _: next(told))
-    assert next(told) == there.step + chosen.epochs
-    assert there.step == beside.step
-    losses = [run.best.validation_loss for run in (beside, there) if run.best is not None]
-    assert losses[1] == pytest.approx(losses[0], rel=0.2)
-    assert losses[1] < 0.8 * there.history[0].validation_loss
-
-
-def test_a_device_holds_the_data_if_it_is_a_gpu_with_memory_for_them(
-    toy_data: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    data, gpu = toy_data("area"), torch.device("cuda")
-    assert not fits(data, QUIET, CPU)
-    needed = needed_bytes(data, QUIET)
-    assert needed == len(data.train) * 416 + data.labels.nbytes + data.clouds.nbytes
-    assert needed_bytes(data, replace(QUIET, flips=True)) == needed + 3 * data.clouds.nbytes
-    for free, there in ((2 * needed, True), (needed, False)):
-        monkeypatch.setattr(torch.cuda, "mem_get_info", lambda _, free=free: (free, free))
-        assert fits(data, QUIET, gpu) is there
+def test_images_shown_are_the_mirror_images_of_the_skin(toy_data: Any) -> None:
+    data = toy_data("area", samples=200)
+    stored = ResidentData(data, replace(QUIET, flips=True), CPU)
+    assert len(mirrors(data.skin)) == len(stored.clouds) == 4
+    for image, mirror in enumerate(mirrors(data.skin)):
+        np.testing.assert_array_equal(stored.clouds[image], mirror.clouds(data.clouds))
+        np.testing.assert_array_equal(stored.rows_shown[image], mirror.rows)
+        np.testing.assert_array_equal(stored.outputs_shown[image], mirror.pixels)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")

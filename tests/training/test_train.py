@@ -23,11 +23,7 @@ def tiny(labels: str = "area", **changes: Any) -> Recipe:
     return replace(recipe("tiny"), labels=labels, **changes)
 
 
-@pytest.mark.parametrize("held", [False, True], ids=["batches beside", "data on the device"])
-def test_a_resumed_run_equals_one_that_never_stopped(
-    held: bool, toy_data: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(train, "held_by", lambda *_: held)
+def test_a_resumed_run_equals_one_that_never_stopped(toy_data: Any, tmp_path: Path) -> None:
     data, chosen = toy_data("area", samples=300), tiny(epochs=2)
     whole = train.train(data, chosen, tmp_path / "whole", seed=5)
     train.train(data, chosen, tmp_path / "parts", seed=5, stop_after=1)

@@ -1,8 +1,12 @@
-"""An epoch's steps on a device that holds the data: on a GPU each is one launch of a captured graph.
+"""The steps of an epoch, on the device that holds the data: on a GPU each is one launch of a captured graph.
+
+Noise, missing rows and mirror images are drawn with each step, so no epoch sees a sample twice alike. A batch is shown
+in one mirror image: the permutation is then the same for every sample, and the clouds stay few. Randomness depends on
+(seed, epoch) alone. A run resumed at an epoch therefore continues as if it had never stopped.
 
 A step of these networks consists of many small kernels. Launched one by one they wait for Python; captured once as a
 CUDA graph they take a third of the time. Values that change from step to step are in tensors that the graph reads: the
-table of batches, the place in it, the learning rate. The same steps run uncaptured on any device, for tests.
+table of batches, the place in it, the learning rate. On the CPU the same steps run one by one.
 """
 
 import itertools
@@ -21,18 +25,14 @@ from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS
 from eitskin_training.network.mirror import Mirror, mirrors
 from eitskin_training.recipes import Noise, Recipe
 from eitskin_training.run import Run, check_loss, set_rate
-from eitskin_training.samples.batches import (
-    LOST_ELECTRODES_CHANCES,
-    LOST_SETS_PER_BATCH,
-    MAX_LOST_ROWS,
-    TrainingData,
-    consistency_of,
-    in_order,
-)
+from eitskin_training.samples.batches import MAX_LOST_ROWS, TrainingData, consistency_of, in_order
 from eitskin_training.score import training_loss
 
-SHARE_OF_MEMORY: Final = 0.6
-"""Of a device's free memory that a data set may take; the rest is for the network's own."""
+LOST_ELECTRODES_CHANCES: Final = (0.7, 0.2, 0.1)
+"""Chances that one, two or three electrodes are gone, when any is."""
+
+LOST_SETS_PER_BATCH: Final = 6
+"""Different sets of electrodes in a batch: samples that lose the same ones are filled in together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,20 +55,6 @@ class Table:
 def images_shown(data: TrainingData, recipe: Recipe) -> tuple[Mirror, ...]:
     """Return the mirror images that batches are shown in."""
     return mirrors(data.skin)[: None if recipe.flips else 1]
-
-
-def needed_bytes(data: TrainingData, recipe: Recipe) -> int:
-    """Return how much memory a data set takes on a device."""
-    clouds = data.clouds.nbytes * len(images_shown(data, recipe))
-    return int(len(data.train) * data.voltages[0].nbytes + data.labels.nbytes + clouds)
-
-
-def fits(data: TrainingData, recipe: Recipe, device: torch.device) -> bool:
-    """Whether a data set fits on a device: a GPU with memory for it."""
-    if device.type != "cuda":
-        return False
-    free, _ = torch.cuda.mem_get_info(device)
-    return needed_bytes(data, recipe) < SHARE_OF_MEMORY * free
 
 
 class ResidentData:

@@ -27,11 +27,10 @@ from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
 from eitskin_training.resident import ResidentSteps
-from eitskin_training.resident import fits as held_by
-from eitskin_training.run import Epoch, Run, check_loss, optimiser_of, restore, set_rate
+from eitskin_training.run import Epoch, Run, optimiser_of, restore
 from eitskin_training.run_files import FORMAT, network, read, skin_entries, skin_of, write_file
-from eitskin_training.samples.batches import TrainingData, batches, inputs
-from eitskin_training.score import score, training_loss
+from eitskin_training.samples.batches import TrainingData, inputs
+from eitskin_training.score import score
 from eitskin_training.start import Start, fits, keep_statistics, narrowed
 
 
@@ -52,10 +51,6 @@ class Progress:
     step: int
     steps: int
     finished: Epoch | None = None
-
-
-Pass = Callable[[int, Callable[[], None]], float]
-"""Goes through the data once, of a number from 1, telling after every step, and returns the mean loss."""
 
 
 def device() -> torch.device:
@@ -117,13 +112,13 @@ def _epochs(run: Run, data: TrainingData, out: Path, last: int, progress: Callab
     """Go on until an epoch, and leave each in the folder."""
     recipe = run.recipe
     steps = max(1, len(data.train) // recipe.batch) * recipe.epochs
-    epoch_of = _passes(run, data, steps)
+    resident = ResidentSteps(run, data, device(), steps)
     for number in range(len(run.history) + 1, last + 1):
         began = time.monotonic()
         run.model.train()
         if run.still:
             keep_statistics(run.model)
-        loss = epoch_of(number, partial(_report, progress, run, steps, number))
+        loss = resident.epoch(number, partial(_report, progress, run, steps, number))
         epoch = _validate(run, data, number, loss, time.monotonic() - began)
         run.history.append(epoch)
         _save(run, out)
@@ -132,24 +127,6 @@ def _epochs(run: Run, data: TrainingData, out: Path, last: int, progress: Callab
 
 def _report(progress: Callable[[Progress], None], run: Run, steps: int, number: int) -> None:
     progress(Progress(number, run.recipe.epochs, run.step, steps))
-
-
-def _passes(run: Run, data: TrainingData, steps: int) -> Pass:
-    """Return what goes through the data once: on a GPU that holds them, or by batches that are made beside it."""
-    where = device()
-    mirrored: dict[int, Any] = {}
-    if held_by(data, run.recipe, where):
-        return ResidentSteps(run, data, where, steps).epoch
-
-    def epoch(number: int, report: Callable[[], None]) -> float:
-        torch.manual_seed(run.seed * 1_000_003 + number)  # dropout depends on (seed, epoch) alone, like the batches
-        losses = []
-        for batch in batches(data, run.recipe, seed=run.seed, epoch=number, mirrored=mirrored):
-            losses.append(_step(run, batch.to(where), steps))
-            report()
-        return sum(losses) / len(losses)
-
-    return epoch
 
 
 def _start(recipe: Recipe, seed: int, data: TrainingData) -> Run:
@@ -165,20 +142,6 @@ def _start_from(run: Run, start: Start) -> None:
     run.model.load_state_dict(start.weights)
     run.averaged = {name: value.clone() for name, value in run.model.state_dict().items()}
     run.started_from = start.facts
-
-
-def _step(run: Run, batch: Any, steps: int) -> float:
-    set_rate(run.optimiser, run.recipe, run.step, steps)
-    logits = run.model(batch.dv, batch.clouds, batch.which, batch.log_predicted)
-    loss = training_loss(logits, batch.labels, run.recipe.correlation_weight, run.skin.grid)
-    value = float(loss.detach())
-    check_loss(value)
-    run.optimiser.zero_grad(set_to_none=True)
-    loss.backward()  # type: ignore[no-untyped-call]
-    run.optimiser.step()
-    run.step += 1
-    run.average()
-    return value
 
 
 def _validate(run: Run, data: TrainingData, number: int, training_loss: float, seconds: float) -> Epoch:

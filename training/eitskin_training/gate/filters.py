@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.arrays import Array
 
 Arrays = dict[str, npt.NDArray[np.generic]]
@@ -102,6 +103,12 @@ def in_form(mean: Array, w1: Array, b1: Array, w2: Array, b2: Array, w3: Array, 
         "b3": b3,
     }
     return {name: np.asarray(value, dtype=np.float32) for name, value in arrays.items()}
+
+
+def without_common(rows: int = N_ROWS) -> Array:
+    """Return (r, r - 1) orthonormal directions that a factor common to all rows does not move."""
+    basis, _ = np.linalg.qr(np.column_stack([np.ones(rows), np.eye(rows)[:, : rows - 1]]))
+    return np.asarray(basis[:, 1:])
 
 
 def whitening_of(logarithms: Array, directions: Array | None = None) -> tuple[Array, Array]:

@@ -11,8 +11,7 @@ whitened by the covariance of noisy untouched sheets first ::
 
 For random devices, the factor common to all rows is removed from the logarithms before whitening, so that no drift
 turns a frame into a touched one. The network then consists of matched filters and is not trained
-(:mod:`eitskin_training.gate.filters`); the card states the best possible detection
-(:mod:`eitskin_training.gate.observer`).
+(:mod:`eitskin_training.gate.filters`).
 
 Whitening is folded into the first weights, so it costs nothing. The threshold is set at a stated false-alarm rate on
 bends of families A and B that were not learned from; half of those choose it and half measure it. A second, smaller
@@ -35,7 +34,6 @@ from eitskin_sim.arrays import Array
 from eitskin_training.gate import filters
 from eitskin_training.gate.idle import idle_choice
 from eitskin_training.gate.material import Material
-from eitskin_training.gate.observer import ideal_observer, without_common
 from eitskin_training.gate.rates import found_presses, measured, threshold_at, untouched_frames
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.samples.batches import TrainingData
@@ -159,7 +157,6 @@ def fit(data: TrainingData, bends: Bends, *, seed: int = 0, steps: int = TRAININ
         measures[prefix] = {"target_false_alarm_rate": rate, **measured(judge, threshold, data, bends, rng)}
         if not prefix and bends.probes and (bends.devices is not None or data.touch_kind != "raise"):
             measures[prefix]["found_presses"] = found_presses(judge, threshold, bends, data, rng)
-            measures[prefix]["ideal_observer"] = ideal_observer(material.untouched(FRAMES, rng), rate, data.skin)
     found["idle_drives"] = np.asarray(drives, dtype=np.uint16)
     idle = {"drives": drives_to_list(drives), **measures["idle_"]}
     return Gate(found, {**measures[""], "idle": idle})
@@ -214,7 +211,7 @@ def _matched(
     best, found = -1.0, Arrays()
     for _ in range(COVARIANCES):
         mean, whitening = filters.whitening_of(
-            _logarithms(material.draw(FRAMES, rng, touched=0.0)[0], rows), without_common(len(rows))
+            _logarithms(material.draw(FRAMES, rng, touched=0.0)[0], rows), filters.without_common(len(rows))
         )
         still, pressed = ((logarithms - mean) @ whitening for logarithms in (untouched, touched))
         for _ in range(BANKS):

@@ -15,7 +15,6 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_sim.arrays import Array
 from eitskin_sim.measurement.noise import NOISES
 from eitskin_training.gate.material import drifted, images_of, noisy_change
-from eitskin_training.gate.observer import FRAMES_TO_FIND_A_PRESS, SNR_DB
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.samples.batches import TrainingData, pixels_per_unit
 
@@ -27,6 +26,12 @@ DRAWS: Final = 16
 
 DRIFT: Final = 0.01
 """Standard deviation of the common log factor of presses that are to be found: that of a hundred presses."""
+
+SNR_DB: Final = 52.0
+"""N2 noise of measured skins."""
+
+FRAMES_TO_FIND_A_PRESS: Final = 5
+"""In which a press is to be found."""
 
 DEVICES: Final = 400
 """Presses on random devices."""

@@ -19,7 +19,7 @@ from eitskin_proto.files.reading import FileError, parse_json, read_bytes
 from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.skin import PAPER
-from eitskin_training.gate import fit, observer, untouched
+from eitskin_training.gate import fit, untouched
 from eitskin_training.gate.fit import Arrays, Gate
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.samples.batches import TrainingData
@@ -29,7 +29,7 @@ NAME: Final = "gate.npz"
 LARGEST_FILE: Final = 256 << 20
 """Bytes of a stored gate with its sheets."""
 
-VERSION: Final = 3
+VERSION: Final = 4
 """Raised whenever a newly fitted gate would differ."""
 
 _GATE, _SHEETS = "gate_", "untouched_"
@@ -94,8 +94,6 @@ def gate_of_run(
     sheets = (bends or untouched.solved_bends)(data)
     tell("gate: fitting")
     gate = fit.fit(data, sheets, seed=seed, steps=fit.TRAINING_STEPS if steps is None else steps)
-    if "ideal_observer" in gate.measures:
-        tell(f"gate: {observer.line(gate.measures['ideal_observer'])}")
     found = RunGate(gate, Bends(sheets.train, sheets.choose, sheets.measure))
     try:
         _write(folder / NAME, found, expected)

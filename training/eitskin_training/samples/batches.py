@@ -1,13 +1,10 @@
-"""Batches: noise, missing rows, mirror images and labels are made when a batch is; no epoch sees a sample twice alike.
+"""The samples that a network learns from, their order in an epoch, and batches of them for scores and statistics.
 
 A data set holds each touch set's label once and each bend's cloud once; a sample is an index into both. A batch carries
-the clouds that occur in it, each once, and which of them every sample has. One batch is shown in one mirror image: the
-permutation is then the same for every sample, and the clouds stay few.
-
-Randomness depends on (seed, epoch) alone. A run resumed at an epoch therefore continues as if it had never stopped.
+the clouds that occur in it, each once, and which of them every sample has. The steps of an epoch
+(:mod:`eitskin_training.resident`) draw noise, missing rows and mirror images anew each time.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -20,42 +17,16 @@ from eitskin_proto.errors import MismatchError
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.row_gaussian import RowGaussian
-from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS
+from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.measurement.consistency import MAX_SAMPLES, RowImputation, fit
+from eitskin_sim.measurement.consistency import MAX_SAMPLES, fit
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.scene.parts import Bend
 from eitskin_training.network.mirror import Mirror, mirrors
 from eitskin_training.network.model import features
 from eitskin_training.recipes import Recipe
-
-LOST_ELECTRODES_CHANCES: Final = (0.7, 0.2, 0.1)
-"""Chances that one, two or three electrodes are gone, when any is."""
-
-LOST_SETS_PER_BATCH: Final = 6
-"""Different sets of electrodes in a batch: samples that lose the same ones are filled in together."""
-
-
-def lose_electrodes(dv: npt.NDArray[np.float32], share: float, filler: RowImputation, rng: np.random.Generator) -> None:
-    """Fill in, in place, the rows of one to three electrodes in some samples.
-
-    Args:
-        dv: (B, 104) relative change.
-        share: Of the samples that lose electrodes.
-        filler: Knows how rows go together.
-        rng: Draws samples and electrodes.
-    """
-    samples = np.flatnonzero(rng.random(len(dv)) < share)
-    for group in np.array_split(samples, LOST_SETS_PER_BATCH):
-        count = int(rng.choice(len(LOST_ELECTRODES_CHANCES), p=LOST_ELECTRODES_CHANCES)) + 1
-        chosen = tuple(sorted(rng.choice(N_ELECTRODES, count, replace=False).tolist()))
-        if len(group):
-            part = dv[group]
-            filler.fill(part, chosen)
-            dv[group] = part
-
 
 MAX_LOST_ROWS: Final = 4
 """A sample that loses rows loses one to this many."""
@@ -177,41 +148,6 @@ def noisy_change(
     return relative_change(noisy, data.reference).astype(np.float32)
 
 
-def batches(
-    data: TrainingData,
-    recipe: Recipe,
-    *,
-    seed: int,
-    epoch: int,
-    mirrored: dict[int, npt.NDArray[np.float32]] | None = None,
-) -> Iterator[Batch]:
-    """Yield one epoch of training batches, the last incomplete one left out.
-
-    Args:
-        data: The data set.
-        recipe: Batch size, noise, flips and losses.
-        seed: Seed of the run.
-        epoch: Number of the epoch; with the seed it fixes every draw.
-        mirrored: Clouds of each mirror image, filled here and reused between epochs.
-    """
-    rng = np.random.default_rng([seed, epoch])
-    images = {} if mirrored is None else mirrored
-    shown = mirrors(data.skin)
-    filler = RowImputation(consistency_of(data, recipe)) if recipe.lost_electrode else None
-    for rows in in_order(data, recipe, rng):
-        flip = int(rng.integers(len(shown))) if recipe.flips else 0
-        if flip not in images:
-            images[flip] = shown[flip].clouds(data.clouds)
-        dv = noisy_change(data, rows, recipe.noises, recipe.snr_db, rng)
-        lose_rows(dv, recipe, rng)
-        if filler is not None:
-            lose_electrodes(dv, recipe.lost_electrode, filler, rng)
-        predicted = data.log_predicted[data.deformation[rows]]
-        if recipe.predicted_dropout:
-            predicted[rng.random(len(rows)) < recipe.predicted_dropout] = 0.0
-        yield assemble(data, rows, dv, predicted, shown[flip], images[flip])
-
-
 def in_order(data: TrainingData, recipe: Recipe, rng: np.random.Generator) -> npt.NDArray[np.intp]:
     """Return (steps, B) training samples, batch by batch; the last few, which fill no batch, are left out.
 
@@ -235,7 +171,6 @@ def assemble(
     dv: npt.NDArray[np.float32],
     predicted: npt.NDArray[np.float32],
     mirror: Mirror | None = None,
-    clouds: npt.NDArray[np.float32] | None = None,
 ) -> Batch:
     """Return a batch of given rows, in one mirror image.
 
@@ -245,7 +180,6 @@ def assemble(
         dv: (B, 104) their relative change, in the table's order.
         predicted: (B, 104) log(V_pred / V0), likewise.
         mirror: The image to show; the skin itself by default.
-        clouds: (D, 3, rows, columns) clouds in that image; the data set's own by default.
     """
     mirror = mirrors(data.skin)[0] if mirror is None else mirror
     occurring, which = np.unique(data.deformation[rows], return_inverse=True)
@@ -255,7 +189,7 @@ def assemble(
         labels *= np.float32(1.0 / 255.0)
     return Batch(
         torch.from_numpy(np.ascontiguousarray(dv[:, mirror.rows])),
-        torch.from_numpy((data.clouds if clouds is None else clouds)[occurring]),
+        torch.from_numpy(mirror.clouds(data.clouds[occurring])),
         torch.from_numpy(which.astype(np.int64)),
         torch.from_numpy(np.ascontiguousarray(predicted[:, mirror.rows])),
         torch.from_numpy(labels),
