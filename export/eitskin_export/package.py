@@ -32,8 +32,8 @@ import eitskin.model.session  # noqa: F401 -- before the next line: it sends no 
 from onnxruntime.quantization import QuantType, quantize_dynamic  # isort: skip
 
 from eitskin_export.graphs import check, quiet
-from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.measurement.noise import NOISES, Kind
+from eitskin_sim.solvers.tikhonov import tikhonov_matrix, weighed
 from eitskin_training.network.model import VD2T
 from eitskin_training.score import score
 
@@ -65,32 +65,6 @@ def _entry(model: VD2T, data: TrainingData, rows: Any, kind: Kind, most: int) ->
 
 TIKHONOV_FACTOR: Final = 1e-3
 """Tikhonov's factor (paper section V.B), relative to the largest eigenvalue of J J^T."""
-
-
-def tikhonov(jacobian: npt.NDArray[np.float64], factor: float = TIKHONOV_FACTOR) -> npt.NDArray[np.float32]:
-    """Return the (pixels, 104) projection of a Jacobian.
-
-    Args:
-        jacobian: (104, pixels) relative change of each row per relative change of each pixel.
-        factor: Regularisation, relative.
-
-    Raises:
-        ValueError: The factor is not positive.
-    """
-    if not factor > 0.0:
-        raise ValueError(f"factor is {factor}; expected more than 0")
-    return np.asarray(np.linalg.solve(_damped(jacobian, factor), jacobian).T, dtype=np.float32)
-
-
-def damped_inverse(jacobian: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return (104, 104) K = (J J^T + tau I)^-1, all that taking rows out of the projection again needs."""
-    return np.asarray(np.linalg.inv(_damped(jacobian, TIKHONOV_FACTOR)))
-
-
-def _damped(J: npt.NDArray[np.float64], factor: float) -> npt.NDArray[np.float64]:
-    """Return (104, 104) J J^T + tau I."""
-    gram = J @ J.T
-    return np.asarray(gram + factor * float(np.linalg.eigvalsh(gram)[-1]) * np.eye(N_ROWS))
 
 
 def first_product(graph: bytes) -> str:
@@ -194,7 +168,8 @@ def export(
         audit_pixels(geometry_bytes, head_bytes, own.bends.measure, data.reference, skin.grid)
     )
     tell("measuring what healthy frames look like")
-    inverse = damped_inverse(jacobian(skin))
+    relative = jacobian(skin)
+    inverse = np.asarray(np.linalg.inv(weighed(relative, TIKHONOV_FACTOR, 0.0)[2]))
     filling = {name: value.numpy() for name, value in found.content.get("filling", {}).items()}
     healthy = consistency.healthy(data, found.recipe, own.bends, inverse, filling)
     tell("scoring on held-out bends")
@@ -210,7 +185,7 @@ def export(
         "geometry.onnx": geometry_bytes,
         "head.onnx": head_bytes,
         "head_int8.onnx": int8_bytes,
-        "tikhonov.npy": projection_bytes(tikhonov(jacobian(skin)), skin.grid),
+        "tikhonov.npy": projection_bytes(tikhonov_matrix(relative, TIKHONOV_FACTOR, 0.0), skin.grid),
         "gate.npz": touch_gate.to_npz(),
         "consistency.npz": healthy.to_npz(),
     }

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from eitskin_proto.sensor.table import FULL_TABLE
-from eitskin_sim.tank.common import common_factor
 from eitskin_sim.tank.front_end import fit_front_end
 from eitskin_sim.tank.images import IMAGES
 from eitskin_sim.tank.model import front_end_of, tank_model
@@ -65,7 +64,6 @@ def test_offset_and_gains_are_those_of_the_front_end():
     assert noisy.residual == pytest.approx(10 ** (-36 / 20), rel=0.15)
     assert abs(noisy.offset_V - tank.OFFSET_V) < 0.02 * abs(tank.OFFSET_V)
     assert noisy.reciprocity == pytest.approx(np.sqrt(2) * 10 ** (-36 / 20), rel=0.2)
-    assert noisy.noise == pytest.approx(NOISE, rel=0.2)
     twice = [tank.read(rows, gain, rng) for _ in range(2)]
     assert noisy.change(*twice).std() == pytest.approx(NOISE, rel=0.2)
 
@@ -83,20 +81,6 @@ def test_the_electrodes_width_that_explains_the_water_is_taken(frames, model):
 def test_nothing_changed_is_nothing_found(model):
     for image in IMAGES.values():
         assert find_objects(model, image(model, np.zeros(104))) == []
-    common = common_factor(model.relative, np.zeros(104), NOISE)
-    assert (common.relative, common.taken_out) == (0.0, False)
-
-
-def test_a_common_factor_is_told_and_taken_out_where_objects_leave_rows_alone(frames, model):
-    for objects, share in ((SETS[0], -0.05), (SETS[1], 0.1), ([], 0.03)):
-        _, array = tank.frame(objects, 5, share)
-        volts = array[:, ::2] + 1j * array[:, 1::2]
-        change = front_end_of(model, frames[0]).change(*volts.T)
-        common = common_factor(model.relative, change, NOISE)
-        assert common.relative == pytest.approx(share, abs=4.0 * common.sd)
-        assert common.sd < 0.02
-        assert common.taken_out
-        assert np.mean(common.without(change)) == pytest.approx((1.0 + change.mean()) / (1.0 + common.relative) - 1.0)
 
 
 def test_the_full_table_is_that_of_the_file():

@@ -55,9 +55,6 @@ def test_every_solver_finds_either_sign_and_common_drift_changes_nothing(tmp_pat
     assert (found["solver"], found["objects"], found["right"], found["ghosts"]) == (solver, 6, 6, 0)
     sectors = [[round(one["angle_deg"] / 22.5) for one in row["found"]] for row in found["frames"]]
     assert sectors[:2] == sectors[2:]
-    for row in found["frames"]:
-        alike = row["common"]
-        assert abs(alike["percent"] - 100.0 * float(row["name"].split("_")[0])) < 4.0 * alike["sd_percent"]
 
 
 def test_what_is_no_tank_is_one_line(tmp_path, capsys):

@@ -7,7 +7,6 @@ import numpy as np
 
 from eitskin_proto.sensor.wiring import read_wiring
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.tank.common import MIN_COMMON_FACTOR, SIGNIFICANT_SD, common_factor
 from eitskin_sim.tank.front_end import levels_of
 from eitskin_sim.tank.images import IMAGES
 from eitskin_sim.tank.model import TankModel, front_end_of, tank_model, widths_deg
@@ -60,10 +59,7 @@ def evaluate_tank(
 def _row(model: TankModel, frame: TankFrame, solver: str) -> dict[str, Any]:
     """One frame of what is printed."""
     front_end = front_end_of(model, frame)
-    change = front_end.change(frame.water_V, frame.objects_V)
-    common = common_factor(model.relative, change, front_end.noise)
-    image = IMAGES[solver](model, common.without(change) if common.taken_out else change)
-    found = find_objects(model, image)
+    found = find_objects(model, IMAGES[solver](model, front_end.change(frame.water_V, frame.objects_V)))
     judged = judge(frame.objects, found)
     return {
         "name": frame.name,
@@ -71,12 +67,6 @@ def _row(model: TankModel, frame: TankFrame, solver: str) -> dict[str, Any]:
         "raw": front_end.raw,
         "residual": front_end.residual,
         "reciprocity": front_end.reciprocity,
-        "common": {
-            "percent": 100.0 * common.relative,
-            "sd_percent": 100.0 * common.sd if np.isfinite(common.sd) else None,
-            "told": common.is_significant,
-            "taken_out": common.taken_out,
-        },
         "objects": [
             {
                 "electrode": one.object.electrode,
@@ -119,7 +109,6 @@ def _lines(row: dict[str, Any]) -> list[str]:
     lines = [
         f"{row['name']}: {'rows as read' if row['raw'] else f'offset {offset_mV:.1f} mV'}, water explained to "
         f"{row['residual']:.1%}, reciprocal to {row['reciprocity']:.1%}",
-        f"  {_common(row['common'])}",
     ]
     for one in row["objects"]:
         where = "not found" if one["found_deg"] is None else f"off by {one['error_deg']:.1f} degrees"
@@ -135,17 +124,3 @@ def _lines(row: dict[str, Any]) -> list[str]:
             for one in row["found"]
         ]
     return lines
-
-
-def _common(common: dict[str, Any]) -> str:
-    """What all rows changed by, and what became of it."""
-    if common["sd_percent"] is None:
-        return "all rows: their common change cannot be told from objects, so it stays"
-    alike = f"all rows {common['percent']:+.1f} % +- {common['sd_percent']:.1f} %"
-    if common["taken_out"]:
-        return f"{alike}: taken out"
-    if abs(common["percent"]) < 100.0 * MIN_COMMON_FACTOR:
-        return f"{alike}: left in, below {100.0 * MIN_COMMON_FACTOR:g} %"
-    if not common["told"]:
-        return f"{alike}: left in, below {SIGNIFICANT_SD:g} standard errors objects may make it"
-    return f"{alike}: left in, too much for drift"

@@ -232,6 +232,18 @@ def points_mm(mesh: TensorMesh) -> Array:
     return np.asarray(mesh.corners_mm[:, None, :] + GAUSS * mesh.sizes_mm[:, None, :])
 
 
+def conductances(system: System) -> Array:
+    """Return the (n_elements, 3) conductances xx, xy, yy of unit elements at 1 S/m, S, at the middles."""
+    return conductance_of(system.metric, system) * system.relative[:, None]
+
+
+def conductance_of(first: Array, system: System) -> Array:
+    """Return the (n_elements, 3) conductances of unit elements for metrics (n_elements, 3), on an even layer."""
+    E, F, G = first.T
+    ratio = system.mesh.sizes_mm[:, 1] / system.mesh.sizes_mm[:, 0]
+    return np.asarray(system.thickness_mm * MM / (E * G - F**2) * np.stack([G * ratio, -F, E / ratio])).T
+
+
 def _stiffness(mesh: TensorMesh, thickness_mm: float, first: Array, relative: Array) -> Array:
     """Integrate t0 relative grad phi_i . g^-1 grad phi_j over every element."""
     determinant = first[..., 0] * first[..., 2] - first[..., 1] ** 2

@@ -12,9 +12,9 @@ from eitskin_sim.fem.borders.cut_blocks import cut_blocks
 from eitskin_sim.fem.borders.cut_touches import Cuts, find_cuts
 from eitskin_sim.fem.borders.graded_blocks import graded_blocks
 from eitskin_sim.fem.contacts import check_apart
-from eitskin_sim.fem.forward import System, assemble
+from eitskin_sim.fem.forward import System, assemble, conductance_of
 from eitskin_sim.fem.inverse import dense_inverse
-from eitskin_sim.fem.mesh import MM, Metric
+from eitskin_sim.fem.mesh import Metric
 from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh, with_contacts, without_middle
 from eitskin_sim.scene.bend import metric
 from eitskin_sim.scene.layer import is_uneven, relative_conductivity
@@ -117,13 +117,11 @@ def assembled_metric(
 def _tensors(first_form: Metric, system: System, sheet: Sheet = IDEAL.sheet) -> Array:
     """Return (n, 3, 3): conductances xx, xy, yy of unit elements at sigma = 1, S, and their change along x and y."""
     mesh = system.mesh
-    ratio = mesh.sizes_mm[:, 1] / mesh.sizes_mm[:, 0]
 
     def at(x: float, y: float) -> Array:
         where = mesh.corners_mm + mesh.sizes_mm * (x, y)
         first = first_form(where)
-        E, F, G = first.T
-        found = np.asarray(system.thickness_mm * MM / (E * G - F**2) * np.stack([G * ratio, -F, E / ratio])).T
+        found = conductance_of(first, system)
         return found * relative_conductivity(sheet, where, first)[:, None] if is_uneven(sheet) else found
 
     return np.stack([at(0.5, 0.5), at(1.0, 0.5) - at(0.0, 0.5), at(0.5, 1.0) - at(0.5, 0.0)], axis=-1)

@@ -1,11 +1,7 @@
-"""The touched share of each pixel, in closed form: the truth of maps with "area" labels.
+"""The touched share of each pixel: the truth of maps with "area" labels.
 
-For one shape let A(x, y) be its area to the lower left of a point. A pixel's share then takes four values of A::
-
-    pixel (x0, y0, x1, y1):  A(x1, y1) - A(x0, y1) - A(x1, y0) + A(x0, y0)
-
-Along a vertical line the part below y of a shape between bottom(u) and top(u) is min(top, y) - min(bottom, y);
-integrated over u < x this is elementary for a circle and for straight sides. Shapes whose boxes overlap are sampled
+Shapes that stand alone are measured as those of a table are (:func:`eitskin_sim.scene.touch_table.cover`): exactly
+along y, and where their outline is not parallel to x in strips along it. Shapes whose boxes overlap are sampled
 instead, so that what two of them cover counts once, and a hole in one of them does not.
 """
 
@@ -19,8 +15,8 @@ from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.arrays import Array
 from eitskin_sim.scene.parts import Touch
-from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
-from eitskin_sim.scene.touch_table import ELLIPSE, cover
+from eitskin_sim.scene.shapes import Ellipse, Polygon, Rect, Shape
+from eitskin_sim.scene.touch_table import DISC, ELLIPSE, RECTANGLE, STRIPS, cover, pixel_lines, strips_of
 
 SAMPLES_PER_SIDE: Final = 24
 """Samples a side of a pixel where shapes overlap: a straight border is then off by at most 1/24 of a pixel."""
@@ -53,69 +49,29 @@ def area_map(touches: Sequence[Touch], grid: Grid = PAPER.grid, sheet_S_per_m: f
 
 def shape_map(shape: Shape, grid: Grid) -> Array:
     """Return the (rows, columns) share of each pixel that one shape covers."""
-    x, y = (
-        np.arange(n + 1, dtype=np.float64) * np.float64(d) for n, d in zip(grid.shape[::-1], grid.pixel_mm, strict=True)
-    )
-    match shape:
-        case Rect():
-            wide = np.diff(np.clip(x, shape.x0_mm, shape.x1_mm))
-            high = np.diff(np.clip(y, shape.y0_mm, shape.y1_mm))
-            area = high[:, None] * wide
-        case Disc():
-            area = _cells(_disc_below(x[None, :] - shape.x_mm, y[:, None] - shape.y_mm, shape.radius_mm))
-        case Ellipse():
-            share = np.zeros(grid.shape)
-            piece = (ELLIPSE, shape.x_mm, shape.y_mm, shape.along_mm, shape.across_mm, shape.angle_deg, 1.0)
-            rows, columns, own = cover(np.array(piece), x, y)
-            share[rows, columns] = own
-            area = share * grid.pixel_mm2
-        case Polygon():
-            area = _cells(_polygon_below(shape.corners_mm, x[None, :], y[:, None]))
-    return np.asarray(np.clip(area / grid.pixel_mm2, 0.0, 1.0), dtype=np.float64)
+    lines = pixel_lines(grid)
+    if isinstance(shape, Polygon):
+        return _polygon_map(np.array(shape.corners_mm), *lines)
+    x0, y0, x1, y1 = shape.bounds_mm
+    sides, angle, kind = (x1 - x0, y1 - y0), 0.0, RECTANGLE if isinstance(shape, Rect) else DISC
+    if isinstance(shape, Ellipse):
+        sides, angle, kind = (shape.along_mm, shape.across_mm), shape.angle_deg, ELLIPSE
+    found = np.zeros(grid.shape)
+    rows, columns, share = cover(np.array([kind, (x0 + x1) / 2, (y0 + y1) / 2, *sides, angle, 1.0]), *lines)
+    found[rows, columns] = share
+    return found
 
 
-def _cells(below: Array) -> Array:
-    return np.diff(np.diff(below, axis=0), axis=1)
-
-
-def _disc_below(x: Array, y: Array, radius: float) -> Array:
-    """Return A(x, y) of a disc about the origin."""
-
-    def half(u: Array) -> Array:  # the integral of sqrt(radius^2 - u^2)
-        ratio = np.clip(u / radius, -1.0, 1.0)
-        return 0.5 * radius**2 * (ratio * np.sqrt(1.0 - ratio**2) + np.arcsin(ratio))
-
-    x = np.clip(x, -radius, radius)
-    y = np.clip(y, -radius, radius)
-    reach = np.sqrt(radius**2 - y**2)  # where the line at y leaves the disc
-    inner = np.clip(x, -reach, reach)
-    across = half(inner) - half(-reach) + y * (inner + reach)
-    left = half(np.minimum(x, -reach)) - half(np.full_like(reach, -radius))
-    right = half(np.maximum(x, reach)) - half(reach)
-    return np.asarray(across + np.where(y > 0.0, 2.0 * (left + right), 0.0))
-
-
-def _polygon_below(corners: tuple[tuple[float, float], ...], x: Array, y: Array) -> Array:
-    """Return A(x, y) of a simple polygon: the sum over its sides of the signed integral of min(side, y)."""
-    total = np.zeros(np.broadcast_shapes(x.shape, y.shape))
-    turn = 0.0
+def _polygon_map(corners: Array, x_lines: Array, y_lines: Array) -> Array:
+    """Return the shares of a simple polygon: along a strip, what lies below y is the signed sum of min(side, y)."""
+    x = strips_of(x_lines)
+    below = np.zeros((len(y_lines), len(x)))
     for (xa, ya), (xb, yb) in itertools.pairwise((*corners, corners[0])):
-        turn += xa * yb - xb * ya
-        if xa == xb:
-            continue
-        (xl, yl), (xr, yr) = ((xa, ya), (xb, yb)) if xa < xb else ((xb, yb), (xa, ya))
-        slope = (yr - yl) / (xr - xl)
-        end = np.clip(x, xl, xr)
-        if slope == 0.0:
-            part = (end - xl) * np.minimum(yl, y)
-        else:
-            crossing = np.clip(xl + (y - yl) / slope, xl, end)
-            rise = (crossing - xl) * (yl + slope * (crossing - xl) / 2)
-            rest = (end - crossing) * (yl + slope * ((end + crossing) / 2 - xl))
-            low_first = rise + (end - crossing) * y
-            part = low_first if slope > 0.0 else (crossing - xl) * y + rest
-        total += -part if xa < xb else part
-    return total if turn > 0.0 else -total
+        crossed = np.flatnonzero((x > min(xa, xb)) & (x < max(xa, xb)))
+        side = ya + (x[crossed] - xa) * (yb - ya) / (xb - xa) if len(crossed) else 0.0
+        below[:, crossed] += np.sign(xb - xa) * np.minimum(side, y_lines[:, None])
+    share = np.abs(np.diff(below, axis=0)).reshape(len(y_lines) - 1, len(x_lines) - 1, STRIPS).mean(axis=2)
+    return np.asarray(share / np.diff(y_lines)[:, None])
 
 
 def _overlap(a: Shape, b: Shape) -> bool:

@@ -171,12 +171,16 @@ def cover(piece: Array, x_lines: Array, y_lines: Array) -> tuple[slice, slice, A
     if piece[0] == RECTANGLE and piece[5] == 0.0:
         share = np.outer(_overlap(y, y0, y1) / np.diff(y), _overlap(x, x0, x1) / np.diff(x))
         return rows, columns, share
-    middles = (np.arange(STRIPS) + 0.5) / STRIPS
-    strips = (x[:-1, None] + np.diff(x)[:, None] * middles).ravel()
-    low, high = _chord(piece, strips)
+    low, high = _chord(piece, strips_of(x))
     inside = np.clip(high, y[:-1, None], y[1:, None]) - np.clip(low, y[:-1, None], y[1:, None])
     share = inside.reshape(len(y) - 1, len(x) - 1, STRIPS).mean(axis=2) / np.diff(y)[:, None]
     return rows, columns, share
+
+
+def strips_of(x_lines: Array) -> Array:
+    """Return the (cells * ``STRIPS``,) middles of the strips of cells between lines along x."""
+    middles = (np.arange(STRIPS) + 0.5) / STRIPS
+    return np.asarray((x_lines[:-1, None] + np.diff(x_lines)[:, None] * middles).ravel())
 
 
 def _span(lines: Array, low: float, high: float) -> slice:

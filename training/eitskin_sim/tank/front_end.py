@@ -45,14 +45,6 @@ class OffsetAndGains:
     raw: bool = False
     """Whether rows are used as read, without an offset, because they are more reciprocal so."""
 
-    @property
-    def noise(self) -> float:
-        """Standard deviation of what :meth:`change` returns, told from reciprocal rows.
-
-        They differ by twice as much: it is of two frames, of the mean of two rows, and in phase.
-        """
-        return self.reciprocity / 2.0
-
     def change(self, water_V: Complex, objects_V: Complex) -> Array:
         """Return the (104,) relative change of every row, in phase, the mean of it and its reciprocal."""
         full = ((objects_V - water_V) / (water_V - self.offset_V)).real

@@ -1,16 +1,20 @@
-"""Elements that a touch's border cuts: their blocks, from integrals that do not depend on the deformation.
+"""Elements that a touch's border cuts: biquadratic plus a kink, so that a touch keeps its size on any mesh.
 
-Across a border the potential has a kink. As in :mod:`eitskin_sim.fem.borders.cut_elements` (what the two share and
-where they differ is in :mod:`eitskin_sim.fem.borders.cut_rule`), a cut element gets two functions of its own, d+ and
-d+ t less their biquadratic interpolants (d+ the distance outside, t along the border), whose strengths minimise the
-element's energy E. They differ a little between neighbours, so what counts is only what the touch changes:
+Across the border of a touch the potential has a kink, which no polynomial has: an element with the mean conductivity
+makes a touch of 10 mm look 2.5 mm too large. A cut element is therefore given two more functions of its own,
+
+    d+(x)  and  d+(x) t(x),   each minus its biquadratic interpolant,   d+ = max(signed distance, 0), t along the border
+
+whose strengths minimise its energy E. They vanish at the element's nodes; between them neighbours may differ a little,
+as in any immersed finite element, so what counts is only what the touch changes:
 
     S = S_1 + E_sigma - E_1,      E_sigma = A_sigma - C_sigma K_sigma^-1 C_sigma^T
 
 with A the biquadratic functions among themselves, K the enrichment functions and C between them. E grows with the
 conductivity and E_sigma is at most sigma_max E_1, so S_1 <= S <= sigma_max S_1 as quadratic forms: no touch can do what
 no conductor does. The conductance tensor is taken at the middle of the touched part; its three components c multiply
-integrals that know only the touch, so a touch is integrated once for all deformations:
+integrals that know only the touch, so a touch is integrated once for all deformations. The slope of a kink is its mean
+over each cell:
 
     D_c = integral (sigma - 1) grad phi_i grad phi_j = A_sigma - A_1
     C_sigma = C_1 - D held,   K_sigma = K_1 + held^T D held      held: the enrichment's values at the nodes

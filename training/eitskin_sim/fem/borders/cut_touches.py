@@ -2,9 +2,11 @@
 
 An element is cut by a piece when its border passes through. Its share inside is integrated over ``POINTS`` x ``POINTS``
 cells, each cut by a straight line. Pieces of a set that cut one element make one inside: where they abut there is no
-seam. :mod:`eitskin_sim.fem.borders.cut_blocks` computes a cut element's block.
+seam. Scenes, of any shapes, are cut by the same rule (:mod:`eitskin_sim.fem.borders.cut_elements`).
+:mod:`eitskin_sim.fem.borders.cut_blocks` computes a cut element's block.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -85,11 +87,15 @@ def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh, among: npt.NDA
     middle = _distance(pieces[piece], mesh.centres_mm[element][:, None, :])[:, 0]
     reach = mesh.reach_mm[element]
     whole, crossed = middle <= -reach, np.abs(middle) < reach
-    pair = _integrate(pieces, piece[crossed], element[crossed], mesh)
-    inside = pair.mean > 1.0 - SHARE_TOLERANCE
+    own = piece[crossed]
+
+    def border(points: Array) -> tuple[Array, Array]:
+        return _border(pieces[own], points)
+
+    pairs = pairs_of(border, element[crossed], pieces[own, 6], mesh, owner[own])
+    inside = pairs.mean > 1.0 - SHARE_TOLERANCE
     full = np.concatenate([np.flatnonzero(whole), np.flatnonzero(crossed)[inside]])
-    cut = np.flatnonzero((pair.mean > SHARE_TOLERANCE) & ~inside)
-    united = _unite(pair, cut, owner, mesh)
+    cut = united(pairs.chosen((pairs.mean > SHARE_TOLERANCE) & ~inside), mesh)
     covered = (owner[piece[full]], element[full], pieces[piece[full], 6])
     if graded is not None:
         of_set, number, sigma, _ = graded
@@ -99,11 +105,11 @@ def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh, among: npt.NDA
             np.concatenate([sigma, covered[2]]),
         )
     return Cuts(
-        of_set=np.concatenate([united.of_set, covered[0]]),
-        element=np.concatenate([united.element, covered[1]]),
-        sigma=np.concatenate([united.sigma, covered[2]]),
-        share=np.concatenate([united.share, np.ones(len(covered[0]))]),
-        integrals=united.integrals,
+        of_set=np.concatenate([cut.of_set, covered[0]]),
+        element=np.concatenate([cut.element, covered[1]]),
+        sigma=np.concatenate([cut.sigma, covered[2]]),
+        share=np.concatenate([cut.share, np.ones(len(covered[0]))]),
+        integrals=cut.integrals,
         graded=None if graded is None else graded[3],
     )
 
@@ -249,53 +255,89 @@ def _from_round(pieces: Array, local: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Pairs:
-    """Pieces and elements that they may cut."""
+class Pairs:
+    """Pieces of touches and elements that they may cut, n pairs."""
 
-    piece: Index
     element: Index
+    owner: Index
+    """(n,) which set the piece belongs to."""
     sigma: Array
+    """(n,) S/m of the piece."""
     distance: Array
     """(n, q + 10) mm at the points, the nodes and the middle."""
     normal: Array
+    """(n, q + 10, 2)"""
     share: Array
     """(n, q) of each point's cell inside."""
-    mean: Array
+
+    @property
+    def mean(self) -> Array:
+        """(n,) share of the element inside."""
+        return np.asarray(self.share.mean(axis=1))
+
+    def chosen(self, which: npt.NDArray[np.bool_] | Index) -> "Pairs":
+        """Return some of them."""
+        return Pairs(*(getattr(self, name)[which] for name in self.__slots__))
+
+    @classmethod
+    def together(cls, parts: Sequence["Pairs"]) -> "Pairs":
+        """Return all of several, in their order."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__))
+
+    @classmethod
+    def none(cls) -> "Pairs":
+        """Return no pairs."""
+        no, q = np.zeros(0, dtype=np.intp), len(UNIT)
+        return cls(no, no, np.zeros(0), np.zeros((0, q)), np.zeros((0, q, 2)), np.zeros((0, len(UNIT_POINTS))))
 
 
-def _integrate(pieces: Array, piece: Index, element: Index, mesh: TensorMesh) -> _Pairs:
-    sizes = mesh.sizes_mm[element]
-    distance, normal = _border(pieces[piece], _points(element, mesh))
+Border = Callable[[Array], tuple[Array, Array]]
+"""Points (n, q, 2) mm of n elements -> signed distances (n, q) from their pieces' borders, and outward normals."""
+
+
+def pairs_of(border: Border, element: Index, sigma: Array, mesh: TensorMesh, owner: Index | None = None) -> Pairs:
+    """Return pairs of elements with pieces of conductivities (n,), whose borders are given."""
+    distance, normal = border(_points(element, mesh))
     q = len(UNIT_POINTS)
-    share = half_plane_share(distance[:, :q], normal[:, :q], sizes[:, None, :] / POINTS)
-    return _Pairs(piece, element, pieces[piece, 6], distance, normal, share, share.mean(axis=1))
+    share = half_plane_share(distance[:, :q], normal[:, :q], mesh.sizes_mm[element][:, None, :] / POINTS)
+    return Pairs(element, np.zeros_like(element) if owner is None else owner, sigma, distance, normal, share)
 
 
-def _unite(pair: _Pairs, cut: Index, owner: Index, mesh: TensorMesh) -> Cuts:
-    """Return cut elements, each once a set: pieces in one element make one inside."""
-    key = owner[pair.piece[cut]] * mesh.n_elements + pair.element[cut]
+def united(pairs: Pairs, mesh: TensorMesh, outside: Array | None = None) -> Cuts:
+    """Return cut elements, each once a set: pieces in one element make one inside, later ones over earlier ones.
+
+    Args:
+        pairs: Pieces and elements.
+        mesh: The elements'.
+        outside: (n_elements,) S/m of elements beside the pieces; None is 1. Integrals are over this.
+    """
+    key = pairs.owner * mesh.n_elements + pairs.element
     order = np.argsort(key, kind="stable")
-    cut, key = cut[order], key[order]
+    pairs, key = pairs.chosen(order), key[order]
     fresh = np.append(True, key[1:] != key[:-1]) if len(key) else np.zeros(0, dtype=np.bool_)
     group = np.cumsum(fresh) - 1
-    first = cut[fresh]
+    first = np.flatnonzero(fresh)
     q = len(UNIT_POINTS)
-    distance, normal, share = pair.distance[first], pair.normal[first], pair.share[first]
-    inside = np.repeat(pair.sigma[first][:, None], q, axis=1)
-    rank = np.arange(len(cut)) - np.flatnonzero(fresh)[group] if len(cut) else group
+    distance, normal, share = pairs.distance[first], pairs.normal[first], pairs.share[first]
+    inside = np.repeat(pairs.sigma[first][:, None], q, axis=1)
+    rank = np.arange(len(key)) - first[group] if len(key) else group
     for level in range(1, int(rank.max(initial=0)) + 1):
-        own, row = cut[rank == level], group[rank == level]
-        nearer = pair.distance[own] < distance[row]
-        facing = np.einsum("kqa,kqa->kq", pair.normal[own][:, :q], normal[row][:, :q])
-        inside[row] = np.where(nearer[:, :q], pair.sigma[own][:, None], inside[row])
-        share[row] = union(share[row], pair.share[own], facing)
-        distance[row] = np.where(nearer, pair.distance[own], distance[row])
-        normal[row] = np.where(nearer[..., None], pair.normal[own], normal[row])
-    element, total = pair.element[first], np.maximum(share.sum(axis=1), 1e-30)
+        own, row = pairs.chosen(rank == level), group[rank == level]
+        nearer = own.distance < distance[row]
+        facing = np.einsum("kqa,kqa->kq", own.normal[:, :q], normal[row][:, :q])
+        later = (own.share >= 0.5) | nearer[:, :q] & (share[row] < 0.5)
+        inside[row] = np.where(later, own.sigma[:, None], inside[row])
+        share[row] = union(share[row], own.share, facing)
+        distance[row] = np.where(nearer, own.distance, distance[row])
+        normal[row] = np.where(nearer[..., None], own.normal, normal[row])
+    element, total = pairs.element[first], np.maximum(share.sum(axis=1), 1e-30)
+    sigma = (inside * share).sum(axis=1) / total
+    if outside is not None:
+        inside = inside / outside[element, None]
     return Cuts(
-        of_set=owner[pair.piece[first]],
+        of_set=pairs.owner[first],
         element=element,
-        sigma=(inside * share).sum(axis=1) / total,
+        sigma=sigma,
         share=share.mean(axis=1),
         integrals=integrate(mesh.sizes_mm[element], distance, normal, share, inside),
     )
