@@ -17,11 +17,12 @@ from eitskin_sim.fem.forward import Factor
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet, sheet_blocks
 from eitskin_sim.freeform.voltages import set_responses
+from eitskin_sim.measurement.front_end import to_voltages
 from eitskin_sim.scene.parts import Bend, Electrodes, LaterChanges, Scene, SmoothField, Touch
 from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.scene.touch_table import DISC, ELLIPSE, RECTANGLE, gather
 from eitskin_sim.unit_grid.skeleton import unit_system
-from eitskin_sim.unit_grid.units import UnitGenerator, to_voltages
+from eitskin_sim.unit_grid.units import UnitGenerator
 
 BEND = Bend(angle_deg=70.0, axis_deg=-30.0, twist_deg=10.0, stretch_along=1.08, stretch_across=0.97, nonuniformity=0.05)
 SETS = {

@@ -9,9 +9,8 @@ import pytest
 from eitskin_proto.sensor.table import FULL_TABLE, RECIPROCAL_IN_FULL, ROW_IN_FULL, TABLE
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.measurement.faults import response_of
-from eitskin_sim.measurement.front_end import FrontEnd
+from eitskin_sim.measurement.front_end import FrontEnd, to_voltages
 from eitskin_sim.scene.parts import Scene
-from eitskin_sim.unit_grid.units import to_voltages
 
 UNEVEN = tuple(float(s) for s in np.linspace(1e-4, 4e-4, 16))
 """Stray conductances, S."""

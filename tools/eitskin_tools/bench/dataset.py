@@ -21,10 +21,11 @@ from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.parts import geometry
 from eitskin_sim.freeform.sheet import inverted_sheet, sheet_blocks
 from eitskin_sim.freeform.voltages import pool_responses
+from eitskin_sim.measurement.front_end import to_voltages
 from eitskin_sim.scene.family import draw, paper_bends
 from eitskin_sim.unit_grid.patterns import paper_touch_sets
 from eitskin_sim.unit_grid.skeleton import unit_system
-from eitskin_sim.unit_grid.units import UnitGenerator, to_voltages
+from eitskin_sim.unit_grid.units import UnitGenerator
 from eitskin_tools.bench.harness import Row, report, say
 from eitskin_tools.errors import UsageError
 

@@ -25,11 +25,12 @@ from eitskin_sim.freeform.parts import geometry
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.touches import CLASSES, Ranges, contrasts_of, ranges_of
 from eitskin_sim.freeform.voltages import pool_responses
+from eitskin_sim.measurement.front_end import to_voltages
 from eitskin_sim.scene.parts import Bend, Scene
 from eitskin_sim.scene.touch_table import TouchTable
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.unit_grid.patterns import Bits, UnitContrasts, pack, paper_touch_sets, rich_touch_sets, touch_classes
-from eitskin_sim.unit_grid.units import UnitGenerator, to_voltages
+from eitskin_sim.unit_grid.units import UnitGenerator
 
 Arrays = dict[str, npt.NDArray[Any]]
 """The arrays of one ``.npz``."""
@@ -143,7 +144,7 @@ _Made = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 
 
 def _ideal_file(job: dict[str, Any], number: int, bend: Bend, made: _Made) -> Arrays:
-    fine, coarse = untouched(bend, job_skin(job)), to_voltages(made[1][None])[0]
+    fine, coarse = untouched(bend, job_skin(job)), to_voltages(made[1])
     voltages = (to_voltages(made[0]) * (fine / coarse)).astype(np.float32)
     if job["set"] != "free" and job["touches"] == "hard":
         voltages = np.ascontiguousarray(voltages)  # these files have always been so, and digests are of their bytes

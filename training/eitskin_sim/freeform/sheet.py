@@ -16,11 +16,11 @@ from eitskin_sim.fem.forward import System, assemble, conductance_of
 from eitskin_sim.fem.inverse import dense_inverse
 from eitskin_sim.fem.mesh import Metric
 from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh, with_contacts, without_middle
+from eitskin_sim.measurement.front_end import to_voltages
 from eitskin_sim.scene.bend import metric
 from eitskin_sim.scene.layer import is_uneven, relative_conductivity
 from eitskin_sim.scene.parts import Bend, Sheet
 from eitskin_sim.scene.touch_table import TouchTable
-from eitskin_sim.unit_grid.units import to_voltages
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class InvertedSheet(AssembledSheet):
     @property
     def untouched_V(self) -> Array:
         """(104,) V under 1 A with nothing touched."""
-        return np.asarray(to_voltages(self.at_terminals[None])[0])
+        return np.asarray(to_voltages(self.at_terminals))
 
 
 def inverted_sheet(

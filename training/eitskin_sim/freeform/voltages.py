@@ -29,9 +29,9 @@ from eitskin_sim.freeform.mesh import ELEMENT_MM, SharedMesh, shared_mesh
 from eitskin_sim.freeform.parts import CondensedPart, PartGeometry, between, condense, geometry, joined_geometry
 from eitskin_sim.freeform.sets import PartSets, chains, merged
 from eitskin_sim.freeform.sheet import InvertedSheet
+from eitskin_sim.measurement.front_end import to_voltages
 from eitskin_sim.scene.parts import Electrodes
 from eitskin_sim.scene.touch_table import TouchTable
-from eitskin_sim.unit_grid.units import to_voltages
 
 
 def set_voltages(
@@ -114,33 +114,47 @@ def _falls(sheet: InvertedSheet, parts: list[CondensedPart]) -> list[Array]:
     if len(parts) < 2:
         return [part.load for part in parts]
     first = list(accumulate((len(part.load) for part in parts), initial=0))
-    size = first[-1]
-    whole = np.zeros((size, size + N_ELECTRODES))
+    square, load = np.zeros((first[-1], first[-1])), np.empty((N_ELECTRODES, first[-1])).T
     for row, part in enumerate(parts):
         own = slice(first[row], first[row + 1])
-        whole[own, size:] = part.load
-        whole[own, own] = np.diag(np.where(np.arange(len(part.load)) < part.positive, 1.0, -1.0))
+        load[own] = part.load
+        square[own, own] = np.diag(np.where(np.arange(len(part.load)) < part.positive, 1.0, -1.0))
         if row + 1 < len(parts):
             after = parts[row + 1 :]
             seen = (between(sheet.inverse, np.concatenate([p.dofs for p in after]), part.dofs) @ part.factor).T
             where = list(accumulate((len(p.dofs) for p in after), initial=0))
             for other, begin, start, stop in zip(after, first[row + 1 :], where, where[1:], strict=False):
-                np.matmul(seen[:, start:stop], other.factor, out=whole[own, begin : begin + len(other.load)])
-    for row, part in enumerate(parts):
-        middle = first[row] + part.positive
-        for start, stop, sign in ((first[row], middle, 1.0), (middle, first[row + 1], -1.0)):
-            if start == stop:
-                continue
-            panel = whole[start:stop, stop:]
-            if start > 0:  # the first block is J itself
-                root, failed = lapack.dpotrf(sign * whole[start:stop, start:stop].T, lower=1, clean=0)
-                if failed:
-                    raise ValueError("a set of touches takes away more conductance than the sheet has")
-                panel = blas.dtrsm(1.0, root, np.asfortranarray(panel), lower=1)
-            if sign < 0.0:
-                panel = -panel
-            whole[start:stop, stop:] = panel
-            if stop < size:
-                # Half of these numbers are not needed, but one product takes no longer than the needed half alone.
-                whole[stop:size, stop:] -= sign * (panel[:, : size - stop].T @ panel)
-    return [whole[start:stop, size:] for start, stop in pairwise(first)]
+                np.matmul(seen[:, start:stop], other.factor, out=square[own, begin : begin + len(other.load)])
+    signs = square.diagonal()
+    ends = [0, *(np.flatnonzero(signs[1:] != signs[:-1]) + 1).tolist(), first[-1]]
+    eliminate(square, load, [(start, stop, float(signs[start])) for start, stop in pairwise(ends) if start < stop])
+    return [load[start:stop] for start, stop in pairwise(first)]
+
+
+def eliminate(square: Array, load: Array, blocks: Sequence[tuple[int, int, float]]) -> None:
+    """Overwrite loads, block of rows by block, with E: what of them the blocks before leave; overwrites both arrays.
+
+    Args:
+        square: (r, r) of which the part below the diagonal is not read.
+        load: (r, 16), in Fortran's order.
+        blocks: First row, row behind the last, and sign of J.
+
+    Raises:
+        ValueError: Blocks of -1 take away more conductance than the sheet has.
+    """
+    size = len(square)
+    for start, stop, sign in blocks:
+        own = square[start:stop, start:stop].T
+        if sign < 0.0:
+            np.negative(own, out=own)
+        root, failed = lapack.dpotrf(own, lower=1, clean=0, overwrite_a=1)
+        if failed:
+            raise ValueError("a set of touches takes away more conductance than the sheet has")
+        if stop - start == size:
+            blas.dtrsm(sign, root, load, lower=1, overwrite_b=1)
+            return
+        load[start:stop] = blas.dtrsm(sign, root, load[start:stop], lower=1)
+        if stop < size:
+            panel = blas.dtrsm(sign, root, square[start:stop, stop:], lower=1)
+            square[stop:, stop:] -= sign * (panel.T @ panel)
+            load[stop:] -= sign * (panel.T @ load[start:stop])

@@ -118,3 +118,8 @@ def _floating(response: Array) -> Array:
 
 IDEAL = FrontEnd()
 """Four wires: what the forward model gives."""
+
+
+def to_voltages(response: Array) -> Array:
+    """Return (..., 104) V of an ideal front end, from (..., 16, 16) potentials for a current into each electrode."""
+    return IDEAL.read(response)

@@ -26,8 +26,8 @@ from eitskin_sim.arrays import Array, Index
 from eitskin_sim.fem.inverse import PartialInverse, solve_lines
 from eitskin_sim.freeform.mesh import SharedMesh
 from eitskin_sim.freeform.sheet import AssembledSheet
+from eitskin_sim.measurement.front_end import to_voltages
 from eitskin_sim.shapes.elements import Blocks, Rates, rates, touched
-from eitskin_sim.unit_grid.units import to_voltages
 
 WHOLE_SOLVE_NODES: Final = 380
 """Nodes of D from which the whole sheet is solved sooner than D alone: 9 ms."""
@@ -51,7 +51,7 @@ class Solved:
     @property
     def voltages_V(self) -> Array:
         """(104,) under 1 A."""
-        return np.asarray(to_voltages(self.response[None])[0])
+        return np.asarray(to_voltages(self.response))
 
 
 class _Sum:
@@ -122,7 +122,7 @@ class TouchedSheet:
     @property
     def untouched_V(self) -> Array:
         """(104,) under 1 A with nothing touched."""
-        return np.asarray(to_voltages(self._at_terminals[None])[0])
+        return np.asarray(to_voltages(self._at_terminals))
 
     def solve(self, pieces: Array) -> Solved:
         """Return a touch set's fields and voltages.

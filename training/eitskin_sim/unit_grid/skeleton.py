@@ -122,7 +122,7 @@ MESHES_KEPT: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnitNodes:
-    """One unit's n unknowns: nodes that it shares and its electrodes, b together, then nodes that it has alone."""
+    """One unit's n unknowns: b that it shares and its electrodes, nodes alone under its contacts, then all others."""
 
     elements: Index
     """(e,)"""
@@ -130,15 +130,13 @@ class UnitNodes:
     """(e * 81,) where each number of the elements' blocks goes in an (n, n) matrix."""
     size: int
     border: int
+    """b"""
+    near: int
+    """Unknowns before the others."""
     dofs: Index
     """(b,) places in the skeleton's numbering; electrode l is at s + l."""
     pieces: tuple[tuple[int, Index, int], ...]
     """The pieces of contact on it: number, (9,) unknowns under it, unknown of its electrode."""
-
-    def assembled(self, stiffness: Array) -> Array:
-        """Return the (n, n) S of the unit without contacts, of blocks (n_elements, 9, 9) for 1 S/m."""
-        numbers = np.bincount(self.slot, stiffness[self.elements].ravel(), self.size**2)
-        return np.asarray(numbers.reshape(self.size, self.size))
 
 
 def nodes_of_units(parts: UnitMesh, contacts: Contacts) -> tuple[UnitNodes, ...]:
@@ -160,8 +158,8 @@ def _nodes(unit: int, parts: UnitMesh, place: Index, element: Index, electrode: 
     nodes = np.unique(parts.mesh.element_nodes[elements])
     pieces = np.flatnonzero(np.isin(element, elements))
     terminals = np.unique(electrode[pieces])
-    shared = place[nodes] >= 0
-    ordered = np.concatenate([nodes[shared], nodes[~shared]])
+    shared, under = place[nodes] >= 0, np.isin(nodes, parts.mesh.element_nodes[element[pieces]])
+    ordered = np.concatenate([nodes[shared], nodes[~shared & under], nodes[~shared & ~under]])
     kept = int(np.count_nonzero(shared))
     order = np.argsort(ordered)
 
@@ -176,6 +174,7 @@ def _nodes(unit: int, parts: UnitMesh, place: Index, element: Index, electrode: 
         slot=(at[:, :, None] * size + at[:, None, :]).ravel(),
         size=size,
         border=kept + len(terminals),
+        near=int(np.count_nonzero(shared | under)) + len(terminals),
         dofs=np.concatenate([place[nodes[shared]], len(parts.skeleton) + terminals]),
         pieces=tuple(
             (
@@ -188,39 +187,41 @@ def _nodes(unit: int, parts: UnitMesh, place: Index, element: Index, electrode: 
     )
 
 
-@lru_cache(maxsize=MESHES_KEPT * N_ELECTRODES * 2)
-def near_contacts(unit: UnitNodes) -> tuple[UnitNodes, Index]:
-    """Return a unit without nodes that it has alone and no contact lies on, and the order that puts them last.
-
-    The unit that is left has no elements of its own: its stiffness comes from the whole one's.
-    """
-    kept = np.zeros(unit.size, dtype=np.bool_)
-    kept[: unit.border] = True
-    for _, own, _ in unit.pieces:
-        kept[own] = True
-    order = np.argsort(~kept, kind="stable")
-    place = np.empty(unit.size, dtype=np.intp)
-    place[order] = np.arange(unit.size)
-    none = np.zeros(0, dtype=np.intp)
-    pieces = tuple((piece, place[own], int(place[terminal])) for piece, own, terminal in unit.pieces)
-    return UnitNodes(none, none, int(kept.sum()), unit.border, unit.dofs, pieces), order
-
-
 ZERO_EIGENVALUE: Final = 1e-13
 """Relative size under which an eigenvalue of a unit is its one zero: a constant potential passes no current."""
 
 
-@dataclass(frozen=True, slots=True)
-class Condensed:
-    """One unit at some conductivities.
+class Unit:
+    """One unit at a bend, without the nodes that it has alone and no contact lies on: they serve all conductivities.
 
     Args:
-        dofs: (b,) places in the skeleton's numbering; electrode l is at s + l.
-        schur: (conductivities, b, b) S.
+        nodes: Its unknowns.
+        system: At the bend.
+
+    Raises:
+        ValueError: The sheet does not conduct.
     """
 
-    dofs: Index
-    schur: Array
+    def __init__(self, nodes: UnitNodes, system: System) -> None:
+        self.dofs, self._nodes, self._contacts = nodes.dofs, nodes, system.contacts
+        numbers = np.bincount(nodes.slot, system.stiffness[nodes.elements].ravel(), nodes.size**2)
+        self._near = without(numbers.reshape(nodes.size, nodes.size), nodes.near)
+
+    @property
+    def under_contact(self) -> bool:
+        """Whether a contact lies on it: its stiffness is then not in proportion to its conductivity."""
+        return bool(self._nodes.pieces)
+
+    def at(self, sigma: float) -> Array:
+        """Return its (b, b) S at a conductivity, S/m."""
+        whole, contacts = sigma * self._near, self._contacts
+        density = contacts.density(np.full(len(contacts.element), sigma)) if self._nodes.pieces else np.zeros(0)
+        for piece, own, terminal in self._nodes.pieces:
+            whole[own[:, None], own] += density[piece] * contacts.mass_m2[piece]
+            whole[own, terminal] -= density[piece] * contacts.load_m2[piece]
+            whole[terminal, own] -= density[piece] * contacts.load_m2[piece]
+            whole[terminal, terminal] += density[piece] * contacts.area_m2[piece]
+        return without(whole, self._nodes.border)
 
 
 @lru_cache(maxsize=8)
@@ -236,39 +237,7 @@ def unit_system(bend: Bend, device: Device | None = None, skin: Skin = PAPER) ->
     return parts, system
 
 
-def condense_units(parts: UnitMesh, system: System, conductivities: Sequence[float]) -> list[Condensed]:
-    """Return all units, each condensed at every one of some conductivities, S/m."""
-    return [
-        _condensed(unit, unit.assembled(system.stiffness), system.contacts, conductivities)
-        for unit in nodes_of_units(parts, system.contacts)
-    ]
-
-
-def condense_at(unit: int, parts: UnitMesh, system: System, conductivities: Sequence[float]) -> Condensed:
-    """Return one unit, condensed at each of some conductivities, S/m; what they share is done once."""
-    own = nodes_of_units(parts, system.contacts)[unit]
-    stiffness = own.assembled(system.stiffness)
-    if len(conductivities) > 1:
-        own, order = near_contacts(own)
-        stiffness = _without(stiffness[np.ix_(order, order)], own.size)
-    return _condensed(own, stiffness, system.contacts, conductivities)
-
-
-def _condensed(unit: UnitNodes, stiffness: Array, contacts: Contacts, conductivities: Sequence[float]) -> Condensed:
-    schur: Array = np.empty((len(conductivities), unit.border, unit.border))
-    for into, sigma in zip(schur, conductivities, strict=True):
-        whole = sigma * stiffness
-        density = contacts.density(np.full(len(contacts.element), sigma)) if unit.pieces else np.zeros(0)
-        for piece, own, terminal in unit.pieces:
-            whole[own[:, None], own] += density[piece] * contacts.mass_m2[piece]
-            whole[own, terminal] -= density[piece] * contacts.load_m2[piece]
-            whole[terminal, own] -= density[piece] * contacts.load_m2[piece]
-            whole[terminal, terminal] += density[piece] * contacts.area_m2[piece]
-        into[:] = _without(whole, unit.border)
-    return Condensed(dofs=unit.dofs, schur=schur)
-
-
-def _without(whole: Array, kept: int) -> Array:
+def without(whole: Array, kept: int) -> Array:
     """Return the (kept, kept) Schur complement of a symmetric matrix, its last unknowns eliminated.
 
     Raises:
@@ -283,11 +252,11 @@ def _without(whole: Array, kept: int) -> Array:
     return np.asarray((reduced + reduced.T) / 2)
 
 
-def assemble_skeleton(units: Sequence[Condensed], n_dofs: int) -> Array:
-    """Return the dense (s + 16, s + 16) S of the whole sheet, every unit at its first conductivity."""
+def assemble_skeleton(units: Sequence[Unit], stiffness: Sequence[Array], n_dofs: int) -> Array:
+    """Return the dense (s + 16, s + 16) S of the whole sheet, from the (b, b) of every unit."""
     total: npt.NDArray[np.float64] = np.zeros((n_dofs, n_dofs), order="F")
-    for unit in units:
-        total[np.ix_(unit.dofs, unit.dofs)] += unit.schur[0]
+    for unit, own in zip(units, stiffness, strict=True):
+        total[np.ix_(unit.dofs, unit.dofs)] += own
     total[-N_ELECTRODES:, -N_ELECTRODES:] += ground(total)
     return total
 
