@@ -72,7 +72,7 @@ def test_a_skin_tells_the_electrodes_widths_and_must_be_a_disc(tmp_path, frames,
         PAPER,
         name="tank",
         outline=Outline("disc", (60.0, 60.0)),
-        electrodes=Ring(arc_length_mm=Quantity(tuple(around.tolist())), size_mm=Quantity(4.0, "normal", 2.0)),
+        electrodes=Ring(arc_length_mm=Quantity(tuple(around.tolist())), size_mm=Quantity(4.0, "normal", 1.2)),
     )
     (tmp_path / "tank.toml").write_text(to_toml(skin))
     words = ["evaluate", "--tank", str(tmp_path / "tank.npz"), "--skin"]

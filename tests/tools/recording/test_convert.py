@@ -119,7 +119,7 @@ def test_touches_of_a_taught_bundle_are_those_that_were_published(tmp_path: Path
     bundle, steps, rng = taught_bundle(tmp_path, TINY), [], np.random.default_rng(1)
     for index in range(60):
         push = response([(61.0, 40.0)])[0] * (30 <= index < 50)
-        row = np.rint(counts() * np.exp(1e-3 * MIX @ (push + rng.normal(size=len(push))))).astype(np.int32)
+        row = np.rint(counts() * np.exp(1e-3 * MIX @ (push + 0.1 * rng.normal(size=len(push))))).astype(np.int32)
         payload = WireScan(100 + index, 1000 + 5000 * index, row).pack()
         steps.append(Step(WireFrame(payload, 100 + index, index * PERIOD_NS), 10**9 + index * PERIOD_NS))
     items = measured(steps=steps, touches=True, bundle=bundle)
