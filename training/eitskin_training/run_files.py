@@ -32,10 +32,6 @@ FORMAT: Final = 1
 LARGEST_FILE: Final = 1 << 30
 """Bytes of a .pt file; the largest of ours has 50 MB."""
 
-MAX_LAYERS: Final = 64
-MAX_WIDTH_RATIO: Final = 4
-"""Largest ratio of the squares of all widths to the weights; 0.75 in the shipped recipes."""
-
 
 @dataclass(frozen=True, slots=True)
 class Trained:
@@ -74,7 +70,6 @@ def trained(run: Path) -> Trained:
     skin = skin_of(content, run / "best.pt")
     try:
         recipe = Recipe.from_dict(content["recipe"])
-        check_weights(recipe, content["weights"])
         found = Trained(network(recipe, content["weights"], skin), recipe, content, run)
         _ = found.seed, content["data"], content["data_digest"]
         return found
@@ -102,30 +97,6 @@ def data_of(found: Trained, directories: Sequence[str] | None = None) -> Trainin
         )
     data.require(found.recipe)
     return data
-
-
-def check_weights(recipe: Recipe, state: dict[str, Tensor]) -> None:
-    """Refuse an architecture that is larger than the weights beside it, before memory is taken for its network.
-
-    Args:
-        recipe: With the architecture.
-        state: Weights by name.
-
-    Raises:
-        ValueError: It is, or the weights are no tensors that hold what their shapes say.
-    """
-    if not all(isinstance(value, Tensor) and _is_stored(value) for value in state.values()):
-        raise ValueError("its weights are not complete tensors")
-    given = sum(value.numel() for value in state.values())
-    shape = recipe.architecture
-    widths = (*shape.widths, *shape.convolutions, *shape.cloud_channels, *shape.sharpening, shape.hidden)
-    if len(widths) > MAX_LAYERS or min(widths) < 1 or sum(width**2 for width in widths) > MAX_WIDTH_RATIO * given:
-        raise ValueError(f"layers of widths {plain(str(widths))[:80]} do not fit {given} weights")
-
-
-def _is_stored(value: Tensor) -> bool:
-    """Return whether every element has its own place: a view could show one number a billion times."""
-    return value.untyped_storage().nbytes() >= value.numel() * value.element_size()
 
 
 def network(recipe: Recipe, state: dict[str, Tensor], skin: Skin) -> VD2T:

@@ -24,8 +24,7 @@ from eitskin_sim.calibration.parameters import (
     Parameters,
     check_contacts,
 )
-from eitskin_sim.calibration.recording import Recording
-from eitskin_sim.calibration.rows import noise_V, of_table
+from eitskin_sim.calibration.recording import Recording, noise_V, of_table
 from eitskin_sim.calibration.solved import Metric, Shape, Solved
 from eitskin_sim.calibration.unseen import UNSEEN, unseen_of
 from eitskin_sim.devices.readings import responses_of

@@ -197,3 +197,14 @@ def _check_size(volts: Array, name: str) -> None:
     largest = float(np.abs(volts).max())
     if largest > MAX_V:
         raise ValueError(f"{name} goes up to {largest:.3g} V, expected at most {MAX_V:g}: no front end reaches that")
+
+
+def of_table(values: Array) -> Array:
+    """Return the (104, ...) of the table, of (104, ...) or of (208, ...)."""
+    return values[ROW_IN_FULL] if len(values) == N_FULL_ROWS else values
+
+
+def noise_V(skin: Skin, volts: Array, level: float, frames: int) -> Array:
+    """Return (rows,) standard deviations of what noise does to the mean of some frames."""
+    size = np.sqrt(np.mean(volts**2)) * np.ones(len(volts)) if skin.front_end.noise == "N3" else np.abs(volts)
+    return np.asarray(level * size / np.sqrt(frames))

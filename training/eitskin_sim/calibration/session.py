@@ -19,8 +19,7 @@ from eitskin_sim.calibration import stamp as stamps
 from eitskin_sim.calibration.bends import bend_error
 from eitskin_sim.calibration.fit import MISFIT_LEVEL, CalibrationError
 from eitskin_sim.calibration.model import GAUGE, Model, ModelVoltages, SheetState
-from eitskin_sim.calibration.recording import LaterReading, Recording
-from eitskin_sim.calibration.rows import noise_V, of_table
+from eitskin_sim.calibration.recording import LaterReading, Recording, noise_V, of_table
 from eitskin_sim.surface.predict import fit_cloud
 
 DRIFT: Final = 0.01

@@ -44,13 +44,3 @@ def gradients(points: Array) -> tuple[Array, Array]:
     x, y = _line_values(points[:, 0]), _line_values(points[:, 1])
     dx, dy = _line_slopes(points[:, 0]), _line_slopes(points[:, 1])
     return (y[:, :, None] * dx[:, None, :]).reshape(-1, 9), (dy[:, :, None] * x[:, None, :]).reshape(-1, 9)
-
-
-def interpolation(at_mm: Array, lines_mm: Array) -> Array:
-    """Return the (n, 2 m - 1) values at positions (n,) of the nodes' functions along one direction of m lines."""
-    count = len(lines_mm) - 1
-    element = np.clip(np.searchsorted(lines_mm, at_mm, side="right") - 1, 0, count - 1)
-    share = (at_mm - lines_mm[element]) / (lines_mm[element + 1] - lines_mm[element])
-    found = np.zeros((len(at_mm), 2 * count + 1))
-    np.put_along_axis(found, 2 * element[:, None] + np.arange(3), _line_values(share), axis=1)
-    return found

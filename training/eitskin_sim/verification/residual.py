@@ -144,12 +144,10 @@ class Whitener:
         white = self.whiten(residual)
         return np.asarray(np.einsum("...r,...r->...", white, white))
 
-    def amplitudes(self, residual: Array) -> tuple[Array, Array]:
-        """Return (m,) how much of every column is in a residual (rows,), in standard deviations, and its errors."""
+    def amplitudes(self, residual: Array) -> Array:
+        """Return (m,) how much of every column is in a residual (rows,), in standard deviations."""
         white = self.matrix @ self.columns
-        value = white.T @ (self.matrix @ residual[self.rows])
-        left = 1.0 - np.einsum("rm,rm->m", white, white)
-        return np.asarray(value), np.sqrt(np.maximum(left, 0.0))
+        return np.asarray(white.T @ (self.matrix @ residual[self.rows]))
 
 
 def change_of(voltages_V: Array, reference_V: Array, rows: Rows | None = None) -> Array:

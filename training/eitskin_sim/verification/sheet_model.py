@@ -122,7 +122,7 @@ class SheetModel:
         if misfit:
             factor = float(np.sqrt(1.0 + c.ROW_ERROR_PER_MISFIT**2 * misfit))
             white = self.whitener(change, reference, noise, rows, floor_factor=factor)
-        return white.amplitudes(residual)[0][: self._columns().shape[1]]
+        return white.amplitudes(residual)[: self._columns().shape[1]]
 
     def _columns(self) -> Array:
         """Return the (104, m) dV that may differ, of one standard deviation each, on the untouched sheet."""

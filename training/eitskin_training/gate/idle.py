@@ -45,28 +45,6 @@ def information(covariance: Array, touches: Array, rows: npt.NDArray[np.intp]) -
     return float(0.5 * np.log1p(np.square(whitened).sum(axis=0)).mean())
 
 
-def idle_table(covariance: Array, touches: Array, most: int = DRIVES) -> list[tuple[int, float]]:
-    """Return the best subset of one drive, of two, and so on, as 16 bits, each with its share of the information.
-
-    Args:
-        covariance: (104, 104) of log(V / V0) of untouched frames.
-        touches: (t, 104) log(V touched / V untouched).
-        most: Drives of the largest subset.
-    """
-    whole = information(covariance, touches, np.arange(N_ROWS))
-    found = []
-    for count in range(1, most + 1):
-        masks = [drives_from_list(list(drives)) for drives in combinations(range(N_ELECTRODES), count)]
-        shares = {
-            mask: information(covariance, touches, table_rows(False, mask)) / whole
-            for mask in masks
-            if len(table_rows(False, mask))
-        }
-        best = max(shares, key=lambda mask: shares[mask])
-        found.append((best, shares[best]))
-    return found
-
-
 def covariance_of(dv: Array) -> Array:
     """Return the (104, 104) covariance of log(V / V0) of noisy untouched frames (n, 104)."""
     return np.asarray(np.cov(np.log(np.maximum(1.0 + dv, MIN_RATIO)).T) + 1e-8 * np.eye(N_ROWS))
@@ -77,4 +55,5 @@ def idle_choice(material: Material, rng: np.random.Generator) -> int:
     covariance = covariance_of(material.draw(FRAMES, rng, touched=0.0)[0])
     weakest = np.argsort(np.abs(material.touches).mean(axis=1))[: max(len(material.touches) // 2, 1)]
     touches = material.touches[rng.choice(weakest, size=min(TOUCHES, len(weakest)), replace=False)]
-    return idle_table(covariance, touches)[-1][0]
+    masks = [drives_from_list(list(drives)) for drives in combinations(range(N_ELECTRODES), DRIVES)]
+    return max(masks, key=lambda mask: information(covariance, touches, table_rows(False, mask)))
