@@ -124,7 +124,7 @@ def robot(start, skin, tmp_path_factory):
 
 def test_all_skins_are_felt_in_one_loop(example, robot):
     with example("all_skins.py", robot) as felt:
-        assert "turned by 0.707 0.707 0.000 0.000" in felt.until("forearm sits at 120 0 340 mm")
+        assert "axes x [1.0, 0.0, 0.0]" in felt.until("forearm sits at 120 0 340 mm")
         felt.until("hand: touch ")
         felt.until("forearm: touch ")
 

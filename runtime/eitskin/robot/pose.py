@@ -70,30 +70,6 @@ class Pose:
             values.flags.writeable = False
         return cls(turned, moved)
 
-    @property
-    def quaternion_wxyz(self) -> tuple[float, float, float, float]:
-        """The rotation as a quaternion, the real part first and not negative."""
-        r = self.rotation
-        # of the four equal ways the one that divides by the largest number
-        squares = np.array([1 + r[0, 0] + r[1, 1] + r[2, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2],
-                            1 - r[0, 0] + r[1, 1] - r[2, 2], 1 - r[0, 0] - r[1, 1] + r[2, 2]])  # fmt: skip
-        rows = {
-            0: [squares[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-            1: [r[2, 1] - r[1, 2], squares[1], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]],
-            2: [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], squares[2], r[1, 2] + r[2, 1]],
-            3: [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], squares[3]],
-        }
-        found = np.array(rows[int(squares.argmax())])
-        w, x, y, z = (found / np.linalg.norm(found) * (-1.0 if found[0] < 0.0 else 1.0)).tolist()
-        return w, x, y, z
-
-    @property
-    def matrix(self) -> Array:
-        """The pose as a (4, 4) matrix for homogeneous places in mm."""
-        found = np.eye(4)
-        found[:3, :3], found[:3, 3] = self.rotation, self.translation_mm
-        return found
-
     def place(self, places_mm: npt.ArrayLike) -> Array:
         """Return places in the robot's frame.
 
@@ -123,16 +99,18 @@ class Pose:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Pose):
             return NotImplemented
-        return bool(np.array_equal(self.matrix, other.matrix))
+        return self.fields() == other.fields()
 
     def __hash__(self) -> int:
-        return hash(self.matrix.tobytes())
+        return hash(self.rotation.tobytes() + self.translation_mm.tobytes())
 
     def __str__(self) -> str:
-        """Return one line: the origin and the rotation."""
+        """Return one line: the origin and the skin's axes."""
         x, y, z = self.translation_mm.tolist()
-        quaternion = " ".join(f"{part:.3f}" for part in self.quaternion_wxyz)
-        return f"at {x:g} {y:g} {z:g} mm, turned by {quaternion} (w x y z)"
+        axes = ", ".join(
+            f"{name} {column.round(3).tolist()}" for name, column in zip("xyz", self.rotation.T, strict=True)
+        )
+        return f"at {x:g} {y:g} {z:g} mm, axes {axes}"
 
 
 def _numbers(values: object, shape: tuple[int, ...], name: str) -> Array:
