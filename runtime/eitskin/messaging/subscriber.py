@@ -75,7 +75,6 @@ class Subscriber(Reader[Item]):
         self._timeout_s = math.inf if timeout_s is None else timeout_s
         self._first_s = FIRST_S if timeout_s is None else timeout_s
         self._nothing = nothing
-        self._queue = queue
         self._newest_only = mode == "latest" and not conflate
         self._wait_ms = -1
         """The socket's present receive timeout. It waits by itself, because a ``poll`` would delay frames."""
@@ -155,11 +154,9 @@ class Subscriber(Reader[Item]):
         return self._taken(self._recv()) if self.waits else None
 
     def _taken(self, message: bytes) -> Item | None:
-        """Return the item of a message, or the newest of all that wait, and no later ones: those may never end."""
+        """Return the item of a message, or the newest of all that wait, until the reader is stopped."""
         item = self._checked(message)
-        for _ in range(self._queue if self._newest_only else 0):
-            if self._stopped or not self.waits:
-                break
+        while self._newest_only and not self._stopped and self.waits:
             item = self._newer(item, self._checked(self._recv()))
         self.received += item is not None
         return item
