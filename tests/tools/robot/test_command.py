@@ -98,9 +98,9 @@ def test_every_key_of_the_file_becomes_an_option_that_run_takes(robot):
         "port": "/dev/ttyNONE9", "baud": 115200, "bundle": folder / "b", "skin": folder / "s", "touches": "lower",
         "reference": folder / "r", "curve_keys": folder / "k", "solver": "tikhonov", "budget_ms": 5.0,
         "every_map": True, "idle_after": 2.0, "exclude_electrode": [1, 2], "compensate_drift": False,
-        "reconnect": 60.0, "sched_fifo": 5, "affinity": "0,1", "mlock": True, "log_format": "json",
+        "reconnect": 60.0, "sched_fifo": 5, "affinity": (0, 1), "mlock": True, "log_format": "json",
         "publish": f"ipc://{folder}/sockets/left/frames", "control": f"ipc://{folder}/sockets/left/control",
-        "verify": "always", "verify_budget_ms": 30.0, "verify_nice": 3, "verify_affinity": "1",
+        "verify": "always", "verify_budget_ms": 30.0, "verify_nice": 3, "verify_affinity": (1,),
     }  # fmt: skip
     assert "--reference-frames=5" in command_line_of(load_robot(robot("reference_frames = 5")).skins[0])
 

@@ -110,12 +110,6 @@ def add_touches(parser: argparse.ArgumentParser, default: str, what: str = "touc
     )
 
 
-def chosen_touches(arguments: argparse.Namespace) -> TouchKind | None:
-    """Return which way the touches of ``--touches`` change conductance; None where nothing was said."""
-    kind: TouchKind | None = arguments.touches
-    return kind
-
-
 def add_client_keys(parser: argparse.ArgumentParser) -> None:
     """Declare the keys with which a runtime is reached over TCP."""
     parser.add_argument("--server-key", type=Path, metavar="FILE", help="CURVE: server.key of the runtime")

@@ -6,7 +6,7 @@ Its subparsers are of the same class, so that ``eitskin bench skp`` and ``eitski
 import argparse
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 from eitskin_proto.fields import did_you_mean
 from eitskin_proto.files.plain import plain
@@ -20,10 +20,10 @@ def expected_one_of(what: str, word: str, names: Iterable[str]) -> str:
 
 @dataclass(frozen=True)
 class Bounded:
-    """An argument's type: a number within bounds.
+    """An argument's type: a number within bounds, or several.
 
     Args:
-        kind: int or float.
+        kind: Makes it of a text.
         expected: What the parser says where a text is no such number.
         holds: Whether a number is within the bounds.
     """
@@ -59,6 +59,14 @@ def positive(most: float = float("inf")) -> Bounded:
 def within(low: float, high: float) -> Bounded:
     """Return the type of numbers within two bounds."""
     return Bounded(float, f"{low:g} to {high:g}", lambda value: low <= value <= high)
+
+
+CPUS: Final = Bounded(
+    lambda text: tuple(int(part) for part in text.split(",")),
+    "CPU numbers such as 2 or 2,3",
+    lambda cpus: min(cpus) >= 0,
+)
+"""``--affinity``."""
 
 
 class Parser(argparse.ArgumentParser):

@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     seconds = arguments.seconds if arguments.seconds is not None else 3600.0 if arguments.view else 20.0
     options.check_solver(arguments)
-    bundle, kind = choose(arguments.bundle, options.chosen_touches(arguments))
+    bundle, kind = choose(arguments.bundle, arguments.touches)
     for number in endings():
         signal.signal(number, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind
     wanted = Options(

@@ -10,7 +10,7 @@ from typing import Any
 from eitskin_tools.command_line import files, options
 from eitskin_tools.command_line.parser import expected_one_of
 from eitskin_tools.console.progress import ProgressBar
-from eitskin_tools.console.terminal import answer, say
+from eitskin_tools.console.terminal import answer, note
 from eitskin_tools.errors import UsageError
 from eitskin_tools.evaluation.options import MODE_OPTIONS, SIMULATED_SUBJECTS, add_arguments, way_of
 
@@ -67,7 +67,7 @@ def _check_classical(arguments: argparse.Namespace, way: str, request: Any) -> N
     if arguments.prediction != MODE_OPTIONS["prediction"].usual:
         raise UsageError(f"--prediction {said}: leave it out")
     if arguments.bundle is not None:
-        say(f"eitskin evaluate: --bundle {said}", error=True)
+        note(f"eitskin evaluate: --bundle {said}")
 
 
 def _measured(arguments: argparse.Namespace, request: Any) -> int:
@@ -197,7 +197,7 @@ def _tell_unknown(request: Any, groups: Any) -> None:
         if not knows(bundle.touch_kind, touches):
             known = f"{bundle.path} knows touches = {bundle.touch_kind}"
             hint = "; --single with --contrast 0.4 tries the others" if touches == "raise" else ""
-            say(f"eitskin evaluate: {known}, and is tried on touches = {touches}{hint}", error=True)
+            note(f"eitskin evaluate: {known}, and is tried on touches = {touches}{hint}")
 
 
 def _softness(arguments: argparse.Namespace) -> Any:

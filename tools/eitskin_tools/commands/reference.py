@@ -12,7 +12,7 @@ from typing import Any
 
 from eitskin_tools.command_line import files, kinds, options
 from eitskin_tools.command_line.parser import whole
-from eitskin_tools.console.terminal import answer, say
+from eitskin_tools.console.terminal import answer, note
 from eitskin_tools.errors import UsageError
 
 
@@ -98,7 +98,7 @@ def _older(arguments: argparse.Namespace, skin: Any) -> Any:
     try:
         return references.load(arguments.out, skin)
     except SkinError as error:
-        say(f"eitskin reference: replacing {arguments.out} without comparing: {error}", error=True)
+        note(f"eitskin reference: replacing {arguments.out} without comparing: {error}")
         return None
 
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from eitskin.pipeline.latency_budget import MOST_MS
 from eitskin_tools.command_line import options
 from eitskin_tools.command_line.options import flag
-from eitskin_tools.command_line.parser import Parser, positive, whole
+from eitskin_tools.command_line.parser import CPUS, Parser, positive, whole
 from eitskin_tools.console.run_log import FORMATS, RunLog, end_unread
 from eitskin_tools.console.run_status import closing, report
 from eitskin_tools.errors import UsageError
@@ -98,7 +98,7 @@ def add_arguments(parser: Parser) -> None:
 
     group = parser.add_more("real time")
     group.add_argument("--sched-fifo", type=int, metavar="PRIORITY", help="request SCHED_FIFO at this priority")
-    group.add_argument("--affinity", metavar="CPUS", help="run on these CPUs only, such as 2 or 2,3")
+    group.add_argument("--affinity", type=CPUS, metavar="CPUS", help="run on these CPUs only, such as 2 or 2,3")
     group.add_argument("--mlock", action="store_true", help="keep all pages in memory")
 
     group = parser.add_more("log")
@@ -132,7 +132,7 @@ def run(arguments: argparse.Namespace) -> int:
         keys = _check_endpoints(arguments)
         open_files = realtime.more_files()  # said once the port is open, so that a missing port is one line
         if arguments.affinity:
-            log.say(realtime.pin([int(cpu) for cpu in arguments.affinity.split(",")]))
+            log.say(realtime.pin(list(arguments.affinity)))
         keywords: dict[str, Any] = {} if arguments.baud is None else {"baud": arguments.baud}
         port = arguments.port
         if arguments.reconnect is not None:
@@ -145,7 +145,7 @@ def run(arguments: argparse.Namespace) -> int:
             Skin(
                 port,
                 bundle=arguments.bundle,
-                touches=options.chosen_touches(arguments),
+                touches=arguments.touches,
                 skin=arguments.skin,
                 reference=arguments.reference,
                 budget_ms=arguments.budget_ms,
@@ -246,8 +246,6 @@ def _check(arguments: argparse.Namespace) -> None:
     if arguments.check and arguments.config is None:
         raise UsageError("--check needs --config: it checks a robot.toml")
     options.check_solver(arguments)
-    if arguments.affinity and not all(part.isdecimal() for part in arguments.affinity.split(",")):
-        raise UsageError(f"--affinity is {arguments.affinity!r}, expected CPU numbers such as 2 or 2,3")
     for name in ("reference_frames", "force_reference"):
         if arguments.reference is not None and getattr(arguments, name):
             raise UsageError(f"{flag(name)} is for capturing a reference: leave out either it or --reference")

@@ -4,10 +4,15 @@ import argparse
 import sys
 from pathlib import Path
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 from eitskin_proto.skin.skin import Skin
 from eitskin_tools.command_line import kinds, options
 from eitskin_tools.console.terminal import answer
+
+if TYPE_CHECKING:
+    from eitskin_sim.fem.solve import Solution
+    from eitskin_sim.scene.scene import Scene
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,17 +64,14 @@ def run(arguments: argparse.Namespace) -> int:
     )
 
 
-def _write(out: Path, scene: object, solution: object, skin: Skin) -> None:
+def _write(out: Path, scene: "Scene", solution: "Solution", skin: Skin) -> None:
     """Write the voltages, whole or not at all."""
     import numpy as np
 
     from eitskin_proto.files.writing import replacing
     from eitskin_proto.sensor.ids import PROTOCOL_ID
-    from eitskin_sim.fem.solve import Solution
-    from eitskin_sim.scene.scene import Scene, scene_json
+    from eitskin_sim.scene.scene import scene_json
 
-    assert isinstance(scene, Scene)
-    assert isinstance(solution, Solution)
     with replacing(out) as file:
         np.savez(
             file,

@@ -13,7 +13,7 @@ from typing import Any, Final
 from eitskin_tools.command_line import files, kinds, options
 from eitskin_tools.command_line.options import flag
 from eitskin_tools.command_line.parser import whole, within
-from eitskin_tools.console.terminal import answer, say
+from eitskin_tools.console.terminal import answer, note
 from eitskin_tools.errors import UsageError
 
 NEEDS: Final = {
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("two files have the same name, expected one of each shape of the sheet: rename one")
     for name, presses in shapes.items():
         if wrong := physics.wiring_of(presses, fitting(presses, skin)):
-            say(f"eitskin teach: warning: {name}: {wrong}", error=True)
+            note(f"eitskin teach: warning: {name}: {wrong}")
     line = StatusLine(sys.stderr)
     taught = teach_shapes(shapes, skin, arguments.false_alarms, line.show)
     line.end()
@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None:
         card.draw(arguments.picture, taught)
     if presses.logarithmic and presses.is_change and presses.table.electrodes is None:
-        say("eitskin teach: no run can check the order of its rows: the file has no table, nor voltages", error=True)
+        note("eitskin teach: no run can check the order of its rows: the file has no table, nor voltages")
     after = "Wrote {}. Next: eitskin run --port PORT --bundle {}"
     if not presses.logarithmic:
         after = "Wrote {}. Its changes have no known unit, so it works with 'eitskin evaluate --measured' alone ({})."

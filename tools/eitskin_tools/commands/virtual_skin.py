@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     for path, written in ((arguments.wire_times, kinds.ARRAY), (arguments.log, kinds.LOG)):
         if path is not None:
             files.writable(path, written)
-    skin, kind = options.chosen_skin(arguments), options.chosen_touches(arguments)
+    skin, kind = options.chosen_skin(arguments), arguments.touches
     try:
         faults = tuple(parse(text) for text in arguments.fault)
     except ValueError as error:

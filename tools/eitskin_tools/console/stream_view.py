@@ -25,24 +25,12 @@ REPEAT_S: Final = 1.0
 """Between two lines elsewhere."""
 
 
-def peak_mm(image: Any, grid: Grid) -> tuple[float, float, float]:
-    """Return (height, x, y) of the highest pixel of a map, its centre in mm of the flat sheet.
-
-    Args:
-        image: (rows, columns) of the grid.
-        grid: Of the skin.
-    """
-    row, column = np.unravel_index(int(np.argmax(image)), image.shape)
-    dx, dy = grid.pixel_mm
-    return float(image[row, column]), (float(column) + 0.5) * dx, (float(row) + 0.5) * dy
-
-
 def peak(image: Any, grid: Grid | None) -> str:
     """Return height and place of the highest pixel: in mm, or by its numbers where the grid is unknown."""
-    if grid is not None and image.shape == grid.shape:
-        height, x_mm, y_mm = peak_mm(image, grid)
-        return f"peak {height:.2f} at x {x_mm:.1f}, y {y_mm:.1f} mm"
     row, column = np.unravel_index(int(np.argmax(image)), image.shape)
+    if grid is not None and image.shape == grid.shape:
+        dx, dy = grid.pixel_mm
+        return f"peak {image[row, column]:.2f} at x {(column + 0.5) * dx:.1f}, y {(row + 0.5) * dy:.1f} mm"
     return f"peak {float(image[row, column]):.2f} at row {row}, column {column}"
 
 

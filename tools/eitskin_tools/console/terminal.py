@@ -96,20 +96,14 @@ def has_display(stream: TextIO) -> bool:
     return stream.isatty() and bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def say(line: str, *, error: bool = False) -> None:
-    """Print one line.
-
-    Args:
-        line: What to print.
-        error: On stderr instead of stdout.
-    """
-    stream = sys.stderr if error else sys.stdout
-    print(plain(line), file=stream, flush=stream.isatty())
+def say(line: str) -> None:
+    """Print one line."""
+    print(plain(line), flush=sys.stdout.isatty())
 
 
 def note(line: str) -> None:
     """Print one line on stderr, of what goes on."""
-    say(line, error=True)
+    print(plain(line), file=sys.stderr, flush=True)
 
 
 def answer(arguments: argparse.Namespace, found: Mapping[str, Any], *lines: str) -> int:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from eitskin.pipeline.latency_budget import MOST_MS
 from eitskin_tools.command_line import needs
-from eitskin_tools.command_line.parser import expected_one_of
+from eitskin_tools.command_line.parser import CPUS, positive, whole
 from eitskin_tools.errors import UsageError
 
 if TYPE_CHECKING:
@@ -24,22 +24,24 @@ def add_arguments(parser: Any) -> None:
     """Declare the options of a parser or of a group."""
     parser.add_argument(
         "--verify",
+        choices=MODES,
         metavar="MODE",
         default="off",
         help="check published frames against the forward model: off, always (every changed frame, newest first) or "
         "idle (frames at rest, on an otherwise idle core) (default: off)",
     )
     parser.add_argument(
-        "--verify-budget-ms",
-        type=float,
-        metavar="B",
-        help="time limit for a frame in ms (default 200)",
+        "--verify-budget-ms", type=positive(MOST_MS), metavar="B", help="time limit for a frame in ms (default 200)"
     )
     parser.add_argument(
-        "--verify-nice", type=int, metavar="N", help=f"priority of the verifier's process, 0 to 19 (default {NICE})"
+        "--verify-nice",
+        type=whole(0, 19),
+        metavar="N",
+        help=f"priority of the verifier's process, 0 to 19 (default {NICE})",
     )
     parser.add_argument(
         "--verify-affinity",
+        type=CPUS,
         metavar="CPUS",
         help="CPUs of the verifier's process (default: those that --affinity leaves)",
     )
@@ -53,21 +55,11 @@ def check(arguments: argparse.Namespace) -> None:
         MissingExtraError: The forward model needs what is not installed.
     """
     arguments.verify_cpus = ()
-    if arguments.verify not in MODES:
-        raise UsageError(expected_one_of("--verify", arguments.verify, MODES))
     given = [name for name in ("budget_ms", "nice", "affinity") if getattr(arguments, f"verify_{name}") is not None]
     if arguments.verify == "off":
         if given:
             raise UsageError(f"--verify-{given[0].replace('_', '-')} needs --verify idle or --verify always")
         return
-    budget_ms, nice = arguments.verify_budget_ms, arguments.verify_nice
-    if budget_ms is not None and not 0 < budget_ms <= MOST_MS:
-        raise UsageError(
-            f"--verify-budget-ms is {budget_ms:g}, expected more than 0 and at most {MOST_MS:.0f}; --verify off "
-            "verifies nothing"
-        )
-    if nice is not None and not 0 <= nice <= 19:
-        raise UsageError(f"--verify-nice is {nice}, expected 0 to 19")
     arguments.verify_cpus = cpus(arguments, os.sched_getaffinity(0))  # before the runtime takes its own
     needs.require(f"--verify {arguments.verify}", ("scipy",))
 
@@ -82,13 +74,9 @@ def cpus(arguments: argparse.Namespace, available: set[int]) -> tuple[int, ...]:
     Raises:
         UsageError: One does not exist, or is not ours.
     """
-    text = arguments.verify_affinity
-    if text is None:
-        own = {int(cpu) for cpu in (getattr(arguments, "affinity", None) or "").split(",") if cpu.isdecimal()}
-        return tuple(sorted(available - own or available))
-    if not all(part.isdecimal() for part in text.split(",")):
-        raise UsageError(f"--verify-affinity is {text!r}, expected CPU numbers such as 2 or 2,3")
-    found = {int(part) for part in text.split(",")}
+    if arguments.verify_affinity is None:
+        return tuple(sorted(available - set(getattr(arguments, "affinity", None) or ()) or available))
+    found = set(arguments.verify_affinity)
     if missing := sorted(found - available):
         raise UsageError(f"--verify-affinity: CPU {missing}: expected some of {sorted(available)}")
     return tuple(sorted(found))

@@ -21,7 +21,7 @@ from importlib import resources
 from typing import Any, Final, Self
 
 from eitskin.errors import SkinError
-from eitskin_tools.console.terminal import say
+from eitskin_tools.console.terminal import note
 from eitskin_tools.view.board import MAX_PAGES, Board
 
 MAX_CONNECTIONS: Final = 64
@@ -146,7 +146,7 @@ def report_stalled_page() -> Iterator[None]:
         yield
     except TimeoutError:
         said = f"a page read nothing for {STALL_S:g} s and was disconnected; it reconnects by itself"
-        say(f"eitskin view: {said}", error=True)
+        note(f"eitskin view: {said}")
         raise
 
 
