@@ -39,6 +39,9 @@ USUAL_NOISE: Final = 0.005
 
 WELL: Final = "well"
 
+FITTED: Final = ("detached", "shorted", "swapped")
+"""States of electrodes whose rows do not fit the others'."""
+
 NOT_RECIPROCAL: Final = "not reciprocal"
 """State of an electrode that :mod:`eitskin.health.reciprocity` found; it goes back into use by the same evidence."""
 
@@ -142,13 +145,28 @@ class ElectrodeWatch:
         self._lost = self._weak | rows
         self.set_findings(self.findings if findings is None else findings)
 
-    def is_unlike(self, change: npt.NDArray[np.float32]) -> bool:
-        """Return whether the rows of some two pairs fit the others less than any touch or deformation lets them.
+    def is_mixed_up(self, change: npt.NDArray[np.float32], *, look: bool) -> bool:
+        """Return whether a frame differs from others as no sheet moves: rows are exchanged, or few are wrong.
 
         Args:
             change: (104,) dV, missing rows filled in.
+            look: Whether it is held against the reference, too, and not only against the last frame that was fit.
         """
+        return self._weigher.is_mixed_up(change, look=look)
+
+    def is_unlike(self, change: npt.NDArray[np.float32]) -> bool:
+        """Return whether rows of (104,) dV, missing ones filled in, fit the others less than on any sheet."""
         return self._weigher.is_unlike(change)
+
+    def is_doubtful(self, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
+        """Return whether a frame reads well at every electrode that was named by its rows, as if nothing failed.
+
+        Args:
+            raw: (104,) dV as measured.
+            change: The same after :meth:`correct`.
+        """
+        named = [finding for finding in self.findings if finding.state in FITTED]
+        return bool(named) and all(self._fits(finding, raw, change) for finding in named)
 
     def give_up(self, electrode: int) -> bool:
         """Leave an electrode out because it is not reciprocal, and return whether it is, now, for that reason.
@@ -269,12 +287,19 @@ class ElectrodeWatch:
     def _is_healthy(self, finding: Finding, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
         electrode, evidence = finding.electrode, self.evidence
         if finding.state == "swapped":
-            return self.surprise(raw)[1] < self.threshold_total and float(evidence.pair_sign.min()) > 0.0
+            return self._fits(finding, raw, change) and float(evidence.pair_sign.min()) > 0.0
         pairs = [electrode, (electrode - 1) % N_ELECTRODES]
         if evidence.pair_ratio[pairs].min() < SHORTED_RATIO or evidence.pair_sign[pairs].min() < 0.0:
             return False
         if finding.state == "noisy" and evidence.jumping[pairs].min() > 0.1:
             return False
+        return self._fits(finding, raw, change)
+
+    def _fits(self, finding: Finding, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
+        """Return whether what was measured at an electrode fits the other rows."""
+        electrode = finding.electrode
+        if finding.state == "swapped":
+            return self.surprise(raw)[1] < self.threshold_total
         others = tuple(f.electrode for f in self.findings if f.electrode not in (electrode, finding.partner))
         mine = rows_of((electrode,)) & ~rows_of(others)
         surprise, _ = self.surprise(np.where(mine, raw, change))
@@ -296,5 +321,6 @@ class ElectrodeWatch:
         taken = np.isin(np.arange(N_ELECTRODES), [finding.electrode for finding in self.findings])
         self._pair_in_use = ~(taken | np.roll(taken, -1))
         self.imputation.leave_out(rows, self.precision, out, self._noise)
+        self._weigher.forget_step()
         self.lacks_rows = bool(rows.any())
         self.alters = self.rearranged is not None or not self.imputation.idle

@@ -1,5 +1,6 @@
 """Finds the failure that explains a frame best, by likelihood: one electrode's rows ignored, or two wires exchanged."""
 
+import math
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
@@ -7,10 +8,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.health.evidence import Weigher
+from eitskin.health.evidence import LEAST_UNLIKE_WHOLE, Weigher
 from eitskin.health.imputation import Array
 from eitskin.health.swapped_wires import Rewiring, rewiring
-from eitskin_proto.sensor.table import N_ELECTRODES, TABLE
+from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS, TABLE
 
 UNKNOWN_ROW: Final = 3.8
 """Cost of a row that is left unexplained: twice the logarithm of the range of l that a faulty row can have."""
@@ -102,9 +103,13 @@ class Explanation:
         return best
 
     def _cost_of_exchange(self, undone: Rewiring, volts: Array) -> float:
+        """Return the cost of a frame with two wires exchanged back; infinite if that leaves no sheet's rows."""
         change = undone.matrix @ volts / self._reference - 1.0
         scores, logs = self._score(change)
-        return self._without(np.flatnonzero(undone.missing), scores, float(logs @ scores))
+        total, missing = float(logs @ scores), np.flatnonzero(undone.missing)
+        cost = self._without(missing, scores, total)
+        left = cost - self._without(missing, np.zeros(N_ROWS), 0.0)
+        return cost if left <= LEAST_UNLIKE_WHOLE * N_ROWS else math.inf
 
     def _score(self, change: npt.NDArray[np.floating]) -> tuple[Array, Array]:
         """Return (104,) y and l - mean."""

@@ -62,7 +62,7 @@ class Health:
         self._touched = 0
         """Frames since then that the gate called touched."""
         self._events: tuple[str, ...] = ()
-        self._unclear = False
+        self._unclear = self._doubtful = False
         self.drift = Drift(consistency, compensate=compensate_drift)
         self.electrodes = ElectrodeWatch(consistency, consistency.reference, np.zeros(N_ROWS), exclude)
         self.reciprocity = Reciprocity()
@@ -176,6 +176,13 @@ class Health:
         """
         if self.electrodes.alters:
             self.electrodes.imputation.fill(change, predicted)
+
+    def is_doubtful(self, change: npt.NDArray[np.float32]) -> bool:
+        """Return whether a touched frame, (104,) dV completed, may owe its touch to a failure that is over."""
+        electrodes, before = self.electrodes, self._doubtful
+        self._doubtful = electrodes.is_doubtful(self._raw[self._waiting], change)
+        many = electrodes.rearranged is not None or len(electrodes.findings) > 1
+        return self._doubtful and (many or not before)  # the rows of one electrode are filled in well
 
     def put_aside(self, counts: npt.NDArray[np.int32] | None = None, *, touched: bool) -> bool:
         """Queue the frame corrected last for examination, and return whether that is due now.

@@ -16,6 +16,7 @@ sheet. Without that number no frame is inferred.
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -42,7 +43,9 @@ from eitskin.reference.normaliser import Normaliser, normaliser_of
 from eitskin.reference.predicted import log_ratio
 from eitskin.reference.repeats import Repeats
 from eitskin.reference.row_noise import relative_spread, with_rounding
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable
+from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import Skin as SkinDescription
 from eitskin_proto.wire.frames import full_scale
 from eitskin_proto.wire.messages import Hello
@@ -58,8 +61,12 @@ REVERSED_SIGMAS: Final = 6.0
 REVERSED_SHARE: Final = 0.05
 """A row is reversed that reads below 0 by as many of its standard deviations, and by this share of its reference."""
 
+_OF_OTHERS: Final = ~np.array([rows_of(two) for two in combinations(range(N_ELECTRODES), 2)])
+"""(120, 104) rows at neither of two electrodes."""
+
 LOOK_FRAMES: Final = 48
-"""One of this many frames is held against what rows of a sheet have in common, and each in which a touch begins."""
+"""One of this many frames is held against what rows of a sheet have in common, and each in which a touch begins; the
+step from the frame before always is."""
 
 STRONG_VALUE: Final = 0.5
 """A pixel above it is touched."""
@@ -167,11 +174,12 @@ class FrontEndWatch:
         """
         self._reference = reference.voltages_V / step_V
         self._reference[reference.weak] = 0.0
-        size, spread = reference.voltages_V / step_V, reference.spread_V / step_V
-        self.repeats.use_reference(size, spread, self._limit)
+        unit_V = step_V if self._step is None else 1.0  # drivers send volts
+        size, spread, limit = reference.voltages_V / unit_V, reference.spread_V / step_V, self._limit * step_V / unit_V
+        self.repeats.use_reference(size, spread, limit)
         if self._idle_gate is not None:
             rows = self._idle_gate.rows
-            self.idle_repeats.use_reference(size[rows], spread[rows], self._limit)
+            self.idle_repeats.use_reference(size[rows], spread[rows], limit)
         sigma = relative_spread(reference.voltages_V, reference.spread_V)
         self._lowest[:] = -1.0 - np.maximum(REVERSED_SIGMAS * sigma, REVERSED_SHARE)
 
@@ -187,6 +195,10 @@ class FrontEndWatch:
             np.greater(self._below, missing, out=self._below)
         # Electrodes along a border order the rows' signs; of rows of an unknown protocol most must have turned
         return int(np.count_nonzero(self._below)) > (0 if self._own_rows else len(change) // 2)
+
+    def is_of_wires(self) -> bool:
+        """Return whether all reversed rows are those of some two electrodes, whose wires may be exchanged."""
+        return self._own_rows and not (self._below & _OF_OTHERS).any(axis=1).all()
 
     def check(self, normaliser: Normaliser) -> str:
         """Return the fault in the rows of a whole frame that no sheet can have, or "".
@@ -497,7 +509,8 @@ class Pipeline:
             record.events += health.take_events()
         judged = decided.touched is None
         if judged and self.normaliser.far and self.front_end.reversed(self._change, self._missing):
-            return self._give_up_fault("reversed")
+            of_wires = self.front_end.is_of_wires()
+            return self._give_up_fault("reversed") if of_wires else self.intake.give_up("reversed")
         stamps[NORMALISE] = time.perf_counter_ns()
         record.touched = True  # without a gate every frame is computed
         if gate is not None:
@@ -509,9 +522,8 @@ class Pipeline:
             record.touched = decided.touched
         if health is not None:
             health.complete(self._change, self.buffers.log_predicted[0])
-            due = record.touched != self._was_touched or self._since_look >= LOOK_FRAMES
-            if judged and due and self._is_unlike(health):
-                return self._give_up_fault("unlike")
+            if judged and not self._is_a_sheet(health):
+                return False
         self._since_look += 1
         stamps[GATE] = time.perf_counter_ns()
         if not record.touched and wanted and self._infers_untouched() and self._infer_untouched():
@@ -535,11 +547,20 @@ class Pipeline:
         """Return (104,) the rows that are filled in; None if nothing fills rows in."""
         return None if self.health is None else self.health.electrodes.missing
 
-    def _is_unlike(self, health: Health) -> bool:
-        """Hold the frame against what rows of a sheet have in common, and return whether it fails."""
-        unlike = health.electrodes.is_unlike(self._change)
-        self._was_touched, self._since_look = self.record.touched and not unlike, LOOK_FRAMES * unlike
-        return unlike
+    def _is_a_sheet(self, health: Health) -> bool:
+        """Hold the frame against what rows of a sheet have in common; withhold it if it fails."""
+        look = self.record.touched != self._was_touched or self._since_look >= LOOK_FRAMES
+        electrodes, change = health.electrodes, self._change
+        mixed_up = electrodes.is_mixed_up(change, look=look)
+        unlike = mixed_up or (look and electrodes.is_unlike(change))
+        unlike = unlike or (self.record.touched and bool(electrodes.findings) and health.is_doubtful(change))
+        if look or unlike:
+            self._was_touched, self._since_look = self.record.touched and not unlike, LOOK_FRAMES * unlike
+        if unlike:
+            self._reset_gates()  # it may have learned from the frame
+        if mixed_up:  # no failure of an electrode does that
+            return self.intake.give_up("unlike")
+        return not unlike or self._give_up_fault("unlike")
 
     def _give_up_fault(self, reason: str) -> bool:
         """Withhold the frame in hand, and let health look for the electrode that explains it."""

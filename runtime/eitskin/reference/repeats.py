@@ -7,8 +7,16 @@ in counts, by the reference ::
 
 That is too little where the spread comes from slow changes, so p is at least what the row did before, of which the
 reference counts as ``BELIEVED_FRAMES``. A row hangs if it repeats n times in a row and p^n < exp(-SURPRISE), and so do
-all rows that have repeated as long. Rows may share their noise, so a frame that repeats as a whole is judged by its
-best row. A coarse converter has p = 1 and is never blamed, and a row of no count is that of an electrode that is off.
+all rows that have repeated as long. A coarse converter has p = 1 and is never blamed, and a row of no count is that of
+an electrode that is off.
+
+Rows of a ring of old frames repeat at one lag. Every ``LOOK_FRAMES`` frames a frame is held against each of the last
+``RING_FRAMES``, and the looks in a row are counted by lag and row; of that many lags one may repeat by chance.
+
+Frames that are sent several times, or renewed in part, repeat now and then, in many rows. Rows may share their noise,
+so such a frame is as unlikely as its best row, or if not all rows repeat, as the best of half of those that do. With q
+= ``REPEATING`` the share of such frames, these add ln(q / p), others ln((1 - q) / (1 - p)), and the sum, at least 0, is
+below ``SURPRISE``.
 """
 
 import math
@@ -28,6 +36,19 @@ STEPPING: Final = 0.5
 
 MOST_SHARE: Final = 0.75
 """Share of the rows above which the frame as a whole repeats."""
+
+MANY_SHARE: Final = 0.25
+"""Share of the rows above which a frame repeats in part."""
+
+REPEATING: Final = 1.0 / 3.0
+
+QUIET_FRAMES: Final = 8
+"""Frames in a row that do not repeat, after which those before do not count."""
+
+RING_FRAMES: Final = 256
+LOOK_FRAMES: Final = 4
+MOST_LOOKS: Final = 250
+"""Up to which looks are counted."""
 
 BELIEVED_FRAMES: Final = 32
 REMEMBERED_FRAMES: Final = 1024
@@ -53,22 +74,31 @@ def ranges(rows: npt.NDArray[np.intp]) -> str:
 
 
 class Repeats:
-    """Holds each frame against the one before; an honest frame allocates nothing.
+    """Holds each frame against those before; an honest frame allocates nothing.
 
     Args:
         rows: Of a frame.
     """
 
     __slots__ = (
-        "_before", "_count", "_frames", "_limit", "_over", "_patience", "_running", "_runs", "_same", "_size",
-        "_spread", "_whole", "hanging",
+        "_before", "_count", "_evidence", "_frames", "_in_ring", "_lags", "_limit", "_looks", "_looks_needed",
+        "_matches", "_over", "_patience", "_quiet", "_ring", "_runs", "_same", "_score", "_size", "_spread",
+        "_taken", "_whole", "hanging",
     )  # fmt: skip
 
     def __init__(self, rows: int) -> None:
-        self._before, self._runs, self._count, self._spread = np.zeros((4, rows))
+        self._before, self._runs, self._count, self._spread, self._in_ring, self._evidence = np.zeros((6, rows))
         self._size, self._patience = np.ones(rows), np.full(rows, np.inf)
-        self._same, self._over = np.zeros((2, rows), dtype=np.bool_)
-        self._limit, self._frames, self._whole, self._running = math.inf, 0.0, 0, False
+        self._looks_needed = np.full(rows, MOST_LOOKS + 1, dtype=np.uint8)
+        self._same = np.zeros(rows, dtype=np.bool_)
+        self._ring = np.full((2 * RING_FRAMES, rows), np.nan)
+        """The last frames, each twice, the newest first from where it was put."""
+        self._looks = np.zeros((RING_FRAMES - 1, rows), dtype=np.uint8)
+        """Looks in a row at which a row repeated, by lag."""
+        self._matches = np.zeros((RING_FRAMES - 1, rows), dtype=np.bool_)
+        self._over, self._lags = np.zeros(rows, dtype=np.bool_), np.zeros(RING_FRAMES - 1, dtype=np.bool_)
+        self._limit, self._frames, self._score = math.inf, 0.0, 0.0
+        self._taken, self._quiet, self._whole = 0, 0, 0
         self.hanging: Rows = np.zeros(rows, dtype=np.bool_)
         """(rows,) those that hang in the frame judged last."""
 
@@ -76,14 +106,16 @@ class Repeats:
         """Judge by another reference from the next frame on.
 
         Args:
-            size: (rows,) of the reference, in counts.
+            size: (rows,) of the reference, in the unit of the frames.
             spread: (rows,) standard deviation of single frames, in counts.
-            limit: Largest count of the converter.
+            limit: Largest reading of the converter, in the unit of the frames.
         """
         self._size, self._spread, self._limit = np.maximum(np.abs(size), 1e-30), spread, limit
+        self._evidence = np.sort(evidence(spread))[::-1]
         with np.errstate(divide="ignore"):
             self._patience = np.ceil(SURPRISE / evidence(spread))
-        self._runs[:] = 0.0
+        self._looks_needed = np.minimum(self._patience + 1.0, MOST_LOOKS + 1.0).astype(np.uint8)
+        self._runs[:] = self._looks[:] = self._in_ring[:] = self._score = 0
 
     def add(self, counts: npt.NDArray[np.number]) -> bool:
         """Take a frame, and return whether it is worth a judgement.
@@ -95,20 +127,53 @@ class Repeats:
         np.copyto(self._before, counts)
         many = int(np.count_nonzero(self._same))
         self._frames += 1.0
-        if not (many or self._running):
-            return False
         if self._frames > REMEMBERED_FRAMES:
             self._frames *= 0.5
             np.multiply(self._count, 0.5, out=self._count)
         whole = many > MOST_SHARE * len(self._same)
         if self._whole and not whole:  # it moves again; a row that repeats once more does so by chance
             self._runs.fill(0.0)
-        self._whole, self._running = self._whole + 1 if whole else 0, many > 0
+        self._whole = self._whole + 1 if whole else 0
+        self._add_to_score(many)
         np.add(self._runs, self._same, out=self._runs)
         np.multiply(self._runs, self._same, out=self._runs)
         np.add(self._count, self._same, out=self._count)
         np.greater_equal(self._runs, self._patience, out=self._over)
-        return int(np.count_nonzero(self._over)) > 0
+        in_ring = self._look(counts)
+        return bool(in_ring or self._score >= SURPRISE or self._over.any())
+
+    def _add_to_score(self, many: int) -> None:
+        """Count a frame that repeats in many rows, or one that does not."""
+        rows = len(self._same)
+        found = self._evidence[0 if many == rows else rows - 1 - many // 2] if rows else 0.0
+        more = found + math.log(REPEATING)
+        self._quiet += 1
+        if many > MANY_SHARE * rows and more > 0.0:
+            self._quiet = 0
+        elif self._quiet < QUIET_FRAMES:
+            more = math.log(1.0 - REPEATING)
+        else:
+            more = -self._score
+        self._score = max(self._score + more, 0.0)
+
+    def _look(self, counts: npt.NDArray[np.number]) -> bool:
+        """Hold one frame of ``LOOK_FRAMES``, or each of a ring, against the last ones; return whether rows repeat."""
+        at = RING_FRAMES - 1 - self._taken % RING_FRAMES
+        self._ring[at] = self._ring[at + RING_FRAMES] = counts
+        self._taken += 1
+        if self._taken % LOOK_FRAMES == 0 or self._in_ring.any():
+            np.equal(self._ring[at + 1 : at + RING_FRAMES], counts, out=self._matches)
+            np.add(self._looks, 1, out=self._looks)
+            np.multiply(self._looks, self._matches.view(np.uint8), out=self._looks)
+            np.minimum(self._looks, MOST_LOOKS, out=self._looks)
+            before = np.count_nonzero(self._in_ring)
+            np.greater_equal(self._looks, self._looks_needed, out=self._matches)
+            np.logical_or.reduce(self._matches, axis=1, out=self._lags)
+            lag = int(np.argmax(self._lags))
+            self._in_ring[:] = self._looks[lag] if self._lags[lag] else 0.0
+            if np.count_nonzero(self._in_ring) < before / 2:  # it is over; rows that still repeat do so by chance
+                self._looks[:] = self._in_ring[:] = 0
+        return bool(self._in_ring.any())
 
     def is_old(self, counts: npt.NDArray[np.number], times: int, frames: int) -> bool:
         """Return whether the frame added last comes again as a whole, and find the rows that hang if it does not.
@@ -120,11 +185,21 @@ class Repeats:
         """
         size = np.abs(counts)  # what is cut off has no noise
         spread = self._spread * np.where(size < self._limit, np.minimum(size / self._size, 1.0), 0.0)
-        chance, runs = np.exp(-evidence(spread)), np.minimum(self._runs, self._count)
+        by_noise = evidence(spread)
+        chance, runs = np.exp(-by_noise), np.minimum(self._runs, self._count)
         before = np.maximum(self._frames - runs, 0.0)
         repeated = (self._count - runs + BELIEVED_FRAMES * chance) / (before + BELIEVED_FRAMES)
         found = -np.log(np.maximum(chance, np.minimum(repeated, 1.0)))
-        sure, best = self._runs * found >= SURPRISE, float(found.max(initial=0.0))
-        longest = self._runs[sure].min(initial=np.inf)
-        self.hanging = (self._runs >= longest) & (self._runs * found >= SURPRISE / 4.0) & (self._whole == 0)
-        return self._whole * best >= SURPRISE or times * best >= SURPRISE + math.log(frames)
+        self.hanging = np.zeros_like(self.hanging)
+        for run, least in ((self._runs * (self._whole == 0), SURPRISE), (self._in_ring, SURPRISE + _LOG_LAGS)):
+            sure = run * found >= least
+            self.hanging |= (run >= run[sure].min(initial=np.inf)) & (run * found >= SURPRISE / 4.0)
+        if self.hanging.any():
+            self._score = 0.0  # they are the rows that repeat
+        weaker = float(by_noise.sum()) / max(float(self._evidence.sum()), 1e-30)
+        best = float(found.max(initial=0.0))
+        old = self._quiet == 0 and self._score * weaker >= SURPRISE
+        return old or self._whole * best >= SURPRISE or times * best >= SURPRISE + math.log(frames)
+
+
+_LOG_LAGS: Final = math.log(RING_FRAMES)

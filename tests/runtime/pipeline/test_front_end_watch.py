@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
+from eitskin.acquisition.drivers.feed import Feed
 from eitskin.health.monitor import health_of
 from eitskin.model.bundle import load_bundle
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
+from eitskin.skin import Skin
+from eitskin_proto.sensor.table import TABLE
 
 from .passing import go, payload
 
@@ -52,6 +55,13 @@ def show(pipeline, frames, first=1):
     return seen, events
 
 
+def scenes(bundle, count, seed=0):
+    """Return (count, 104) V / V0 of sheets that are touched or bent, as the bundle knows them."""
+    known = bundle.consistency_arrays()
+    rng = np.random.default_rng(seed)
+    return np.exp(0.6 * rng.multivariate_normal(np.zeros(104), known["covariance"], count, method="cholesky"))
+
+
 def test_rows_at_one_count_are_withheld_and_the_next_frame_says_so(noisy, counts):
     for number, value in enumerate((2**31 - 1, -(2**31), 1_000_000, 1)):
         assert not go(noisy, payload(np.full(104, value, dtype=np.int32), number))
@@ -84,6 +94,39 @@ def test_rows_that_hang_are_named_and_filled_in_until_they_move(hello, rows):
     _, events = show(pipeline, frames[60:], 100)
     assert any(event.startswith("rows:") and event.endswith(":back") for event in events)
     assert not pipeline.health.lacks_rows
+
+
+def ring(frames, number, rng):
+    rows = np.arange(104) % 3 > 0
+    return np.where(rows, frames[70 + number % 23], frames[100 + number])
+
+
+def thrice(frames, number, rng):
+    return frames[100 + number // 3]
+
+
+def half_renewed(frames, number, rng):
+    return np.where(np.arange(104) % 2 == number % 2, frames[100 + number], frames[99 + number])
+
+
+@pytest.mark.parametrize("old", [ring, thrice, half_renewed])
+def test_old_readings_are_said_within_50_frames(hello, old):
+    pipeline, counts = watched(load_bundle(), hello)
+    frames, rng = living(counts, 200), np.random.default_rng(1)
+    show(pipeline, frames[:100])
+    _, events = show(pipeline, [old(frames, number, rng) for number in range(50)], 101)
+    assert pipeline.intake.withheld["frozen"] or any(event.startswith("rows:") for event in events)
+    before = pipeline.intake.withheld_total
+    seen, _ = show(pipeline, living(counts, 40, 2), 200)
+    assert (all(seen), pipeline.intake.withheld_total) == (True, before), "what is over is over at once"
+
+
+def test_readings_of_a_driver_that_hang_are_withheld():
+    rng, flat = np.random.default_rng(0), load_bundle().consistency_arrays()["reference"]
+    frames = flat * (1.0 + NOISE * rng.standard_normal((100, 104)))
+    with Skin(bundle=load_bundle(), reference=frames, source=Feed(step_V=1e-7)) as skin:
+        assert any(skin.feed(frames[0]) is None for _ in range(50))
+        assert skin.status()["withheld_by_reason"]["frozen"]
 
 
 @pytest.mark.parametrize("level", [0.2, 1.0, 3.0])
@@ -121,6 +164,65 @@ def test_signs_that_turn_and_columns_that_are_exchanged_are_no_touch(hello, name
     seen, events = show(pipeline, [turned(frame, how) for frame in living(counts, 50, 1)], 21)
     assert pipeline.intake.withheld[reason] > 5 or "electrode:0:detached:imputed" in events
     assert pipeline.intake.withheld_total + sum(seen) == 50, "none is published as touched"
-    show(pipeline, living(counts, 300, 2), 100)
-    assert go(pipeline, payload(living(counts, 1, 3)[0], 500))
-    assert not pipeline.record.touched
+    seen, _ = show(pipeline, living(counts, 300, 2), 100)
+    assert sum(seen) > 290, "nor is any later one"
+
+
+def mixed_up(frame, how, rng):
+    """Return a frame whose rows are exchanged, shifted or silent, or one drive of which reads half."""
+    found, drive = frame.copy(), int(rng.integers(7))
+    if how == "rows":
+        two = rng.choice(104, 2, replace=False)
+        found[two] = found[two[::-1]]
+    elif how == "drives":
+        one, other = (np.flatnonzero(TABLE[:, 0] == k)[:6] for k in (drive, drive + 1))
+        found[one], found[other] = found[other], found[one].copy()
+    elif how == "half a drive":
+        found[TABLE[:, 0] == drive] //= 2
+    elif how == "silent":
+        found[rng.choice(104, 15, replace=False)] = 0
+    else:
+        found = np.roll(found, 1)
+    return found
+
+
+@pytest.mark.parametrize("name", ["free", "press"])
+@pytest.mark.parametrize("how", ["rows", "drives", "half a drive", "silent", "shifted"])
+def test_rows_that_are_mixed_up_are_said_and_are_no_touch(hello, name, how):
+    bundle = load_bundle(name)
+    for draw in range(3):
+        pipeline, flat = watched(bundle, hello)
+        sheet = flat * scenes(bundle, 1, draw)[0] if draw else flat
+        show(pipeline, living(flat, 30, 0))
+        honest = living(sheet, 70, 1)
+        show(pipeline, honest[:20], 101)
+        frames = [mixed_up(one, how, np.random.default_rng(draw)) for one in honest[20:]]
+        if np.abs(frames[0] / honest[20] - 1.0).max() < 0.07:
+            continue  # two rows that read nearly the same
+        _, events = show(pipeline, frames, 201)
+        assert pipeline.intake.withheld["unlike"] or any(one.startswith("electrode") for one in events), draw
+        before = pipeline.intake.withheld_total
+        seen, _ = show(pipeline, living(flat, 80, 2), 301)
+        assert sum(seen) + pipeline.intake.withheld_total - before == 80, "nothing is touched behind it"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["free", "press"])
+def test_no_alarm_comes_in_720_000_frames_of_honest_sheets_that_drift(hello, name):
+    """None comes in 20,000 frames with 1.5 times the noise: a limit is beyond 1.5 * 3.6 standard deviations.
+
+    So 0.05 of 720,000 frames exceed it. Rows that repeat come with less noise, and have a test of their own.
+    """
+    bundle = load_bundle(name)
+    pipeline, flat = watched(bundle, hello)
+    known, rng, events = np.log(scenes(bundle, 201)), np.random.default_rng(0), set()
+    known[::2] = 0.0
+    for number in range(20_000):
+        part, scene = min(number % 100 / 50.0, 1.0), number // 100
+        drift = 0.03 * np.sin(number / 3000.0) + 0.005 * np.sin(number / 5000.0 + np.arange(104.0))
+        sheet = np.exp((1.0 - part) * known[scene] + part * known[scene + 1]) * (1.0 + drift)
+        counts = np.rint(flat * sheet * (1.0 + 1.5 * NOISE * rng.standard_normal(104))).astype(np.int32)
+        assert go(pipeline, payload(counts, number + 1), wanted=False), pipeline.intake.last_reason
+        events.update(pipeline.record.events)
+        pipeline.keep_for_health()
+    assert not [event for event in events if not event.startswith(("drift", "gate", "touches"))]
