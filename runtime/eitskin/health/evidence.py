@@ -5,8 +5,7 @@ mean. So a heavy touch, which moves all rows, surprises at no particular electro
 
     D_e = y_e^T P_ee^-1 y_e          surprise_e = (D_e / 26) / ((2 + D - D_e) / (2 + 78))      D = (l - mean)^T y
 
-Any two rows, the rows of a pair (e, e + 1) and those of two pairs surprise the same way, by which rows are found that
-were exchanged, shifted or silenced (``LEAST_UNLIKE``).
+Any two rows surprise the same way, by which rows are found that were exchanged (``LEAST_UNLIKE``).
 
 No touch or bend only exchanges readings, moves few rows alone, or multiplies the rows of one drive or one measurement
 by a factor. With x the change of a frame's l against the reference, or against the last frame that was fit ::
@@ -25,7 +24,6 @@ examined together because most of the cost is overhead: four cost little more th
 
 from dataclasses import dataclass
 from functools import cache
-from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -59,9 +57,8 @@ MAX_OTHER_SHARE: Final = 0.2
 OWN_ROWS: Final = 26
 """Rows of the table that drive or measure at one electrode."""
 
-LEAST_UNLIKE: Final = {2: 200.0, 13: 300.0, 26: 150.0}
-"""Rows of a group, and the surprise of such a group that is no sheet's; of 26, the bundle's threshold if that is more.
-Touches of all kinds and contrasts on random devices reach 165, 240 and 110, or the bundle's threshold."""
+LEAST_UNLIKE: Final = 200.0
+"""Surprise of two rows that is no sheet's: touches of all kinds and contrasts on random devices reach 165."""
 
 LEAST_UNLIKE_WHOLE: Final = 15.0
 """The same of the whole frame per row, or the bundle's threshold if that is more; they reach 13."""
@@ -144,9 +141,9 @@ class Weigher:
     """
 
     __slots__ = (
-        "_before", "_fit", "_groups", "_harmless", "_hum", "_inner", "_jump", "_last", "_low_high", "_mean",
-        "_members", "_one", "_own", "_pair_weight", "_pairs", "_precision", "_quiet", "_seen", "_sizes", "_square",
-        "_step", "_steps", "_still", "_thresholds", "_trust", "of",
+        "_before", "_first", "_fit", "_harmless", "_hum", "_inner", "_jump", "_last", "_low_high", "_mean",
+        "_members", "_mixed", "_one", "_own", "_pair_weight", "_pairs", "_precision", "_quiet", "_seen", "_sizes",
+        "_square", "_step", "_steps", "_still", "_thresholds", "_trust", "of",
     )  # fmt: skip
 
     def __init__(
@@ -160,8 +157,9 @@ class Weigher:
         self.of = _rows_of_each()
         """(16, 26) rows of each electrode."""
         self._inner = _inner(precision, self.of)
-        self._groups: Groups | None = None
-        """Made when it is first asked for; it takes 20 ms."""
+        size = np.diag(precision)
+        square = np.outer(size, size) - precision**2 + np.diag(np.full(N_ROWS, np.inf))
+        self._first, self._mixed = size[None, :] / square, -2.0 * precision / square  # of P_gg^-1 of any two rows g
         self._trust = np.minimum(LEAST_STEP / 8.0 / np.maximum(sigma, 1e-9), 1.0)
         self._sizes = np.log(np.maximum(np.abs(reference_V), 1e-30))
         self._fit, self._one, self._step, self._square, self._still = np.zeros((5, N_ROWS))
@@ -299,15 +297,12 @@ class Weigher:
         total = float(logs @ scores)
         if total > max(LEAST_UNLIKE_WHOLE, self._thresholds[1]) * N_ROWS:
             return True
-        if not total > LEAST_UNLIKE[2] * 2.0 * DEGREES_OF_FREEDOM / N_ROWS:
+        if not total > LEAST_UNLIKE * 2.0 * DEGREES_OF_FREEDOM / N_ROWS:
             return False  # less than what surprises most easily
-        if self._groups is None:
-            self._groups = Groups(self._precision)
-        return any(
-            own / many * (DEGREES_OF_FREEDOM + N_ROWS - many) / (max(total - own, 0.0) + DEGREES_OF_FREEDOM)
-            > max(LEAST_UNLIKE[many], self._thresholds[0] if many == OWN_ROWS else 0.0)
-            for many, own in self._groups.largest(scores)
-        )
+        two = self._first * np.square(scores)[:, None]
+        own = float((two + two.T + self._mixed * np.outer(scores, scores)).max())  # y_g^T P_gg^-1 y_g
+        rest = (max(total - own, 0.0) + DEGREES_OF_FREEDOM) / (DEGREES_OF_FREEDOM + N_ROWS - 2.0)
+        return own / 2.0 > LEAST_UNLIKE * rest
 
     def _surprise(self, scores: Array, total: Array) -> Array:
         """Return the (n, 16) surprises of electrodes."""
@@ -333,34 +328,6 @@ def _rows_of_each() -> npt.NDArray[np.intp]:
 def _inner(precision: Array, of: npt.NDArray[np.intp]) -> Array:
     """Return (k, 26, 26) P_gg^-1 of k groups of rows."""
     return np.asarray(np.linalg.inv(precision[of[:, :, None], of[:, None, :]]))
-
-
-class Groups:
-    """What is left of the distance D without a group of rows.
-
-    Args:
-        precision: (104, 104) P.
-    """
-
-    def __init__(self, precision: Array) -> None:
-        self._of = [np.array([np.flatnonzero(np.equal(TABLE, pair).any(axis=1)) for pair in range(N_ELECTRODES)])]
-        both = [np.equal(TABLE[:, :, None], two).any(axis=(1, 2)) for two in combinations(range(N_ELECTRODES), 2)]
-        # where two pairs share a row, any other one with them
-        self._of.append(np.argsort(~np.array(both), axis=1, kind="stable")[:, :OWN_ROWS])
-        self._inner = [_inner(precision, of) for of in self._of]
-        size = np.diag(precision)
-        square = np.outer(size, size) - precision**2 + np.diag(np.full(N_ROWS, np.inf))
-        self._first, self._mixed = size[None, :] / square, -2.0 * precision / square
-
-    def largest(self, scores: Array) -> list[tuple[int, float]]:
-        """Return sizes of groups and the largest y_g^T P_gg^-1 y_g of each, of (104,) y."""
-        square = np.square(scores)[:, None]
-        two = self._first * square + self._first.T * square.T + self._mixed * np.outer(scores, scores)
-        found = [(2, float(two.max()))]
-        for of, inner in zip(self._of, self._inner, strict=True):
-            part = scores[of]
-            found.append((of.shape[1], float(np.einsum("er,ers,es->e", part, inner, part).max())))
-        return found
 
 
 def _columns(column: int) -> Array:
