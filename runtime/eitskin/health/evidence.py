@@ -302,7 +302,7 @@ class Weigher:
         two = self._first * np.square(scores)[:, None]
         own = float((two + two.T + self._mixed * np.outer(scores, scores)).max())  # y_g^T P_gg^-1 y_g
         rest = (max(total - own, 0.0) + DEGREES_OF_FREEDOM) / (DEGREES_OF_FREEDOM + N_ROWS - 2.0)
-        return own / 2.0 > LEAST_UNLIKE * rest
+        return bool(own / 2.0 > LEAST_UNLIKE * rest)
 
     def _surprise(self, scores: Array, total: Array) -> Array:
         """Return the (n, 16) surprises of electrodes."""
@@ -333,7 +333,7 @@ def _inner(precision: Array, of: npt.NDArray[np.intp]) -> Array:
 def _columns(column: int) -> Array:
     """Return (104, k) unit vectors, each of the rows with one drive (0) or measurement (1)."""
     same = np.equal(TABLE[:, column, None], np.unique(TABLE[:, column])).astype(np.float64)
-    return same / np.sqrt(same.sum(axis=0))
+    return np.asarray(same / np.sqrt(same.sum(axis=0)))
 
 
 _GAINS: Final = np.hstack([_columns(0), _columns(1)])

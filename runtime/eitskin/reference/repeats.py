@@ -82,7 +82,7 @@ class Repeats:
 
     __slots__ = (
         "_before", "_count", "_evidence", "_frames", "_in_ring", "_lags", "_limit", "_looks", "_looks_needed",
-        "_matches", "_over", "_patience", "_quiet", "_ring", "_runs", "_same", "_score", "_size", "_spread",
+        "_matches", "_old", "_over", "_patience", "_quiet", "_ring", "_runs", "_same", "_score", "_size", "_spread",
         "_taken", "_whole", "hanging",
     )  # fmt: skip
 
@@ -97,7 +97,7 @@ class Repeats:
         """Looks in a row at which a row repeated, by lag."""
         self._matches = np.zeros((RING_FRAMES - 1, rows), dtype=np.bool_)
         self._over, self._lags = np.zeros(rows, dtype=np.bool_), np.zeros(RING_FRAMES - 1, dtype=np.bool_)
-        self._limit, self._frames, self._score = math.inf, 0.0, 0.0
+        self._limit, self._frames, self._score, self._old = math.inf, 0.0, 0.0, False
         self._taken, self._quiet, self._whole = 0, 0, 0
         self.hanging: Rows = np.zeros(rows, dtype=np.bool_)
         """(rows,) those that hang in the frame judged last."""
@@ -198,8 +198,11 @@ class Repeats:
             self._score = 0.0  # they are the rows that repeat
         weaker = float(by_noise.sum()) / max(float(self._evidence.sum()), 1e-30)
         best = float(found.max(initial=0.0))
-        old = self._quiet == 0 and self._score * weaker >= SURPRISE
-        return old or self._whole * best >= SURPRISE or times * best >= SURPRISE + math.log(frames)
+        was_old, self._old = self._old, bool(self._quiet == 0 and self._score * weaker >= SURPRISE)
+        self._old |= self._whole * best >= SURPRISE or times * best >= SURPRISE + math.log(frames)
+        if was_old and not self._old:  # old frames say nothing of how often honest rows repeat
+            self._count[:] = self._frames = 0.0
+        return self._old
 
 
 _LOG_LAGS: Final = math.log(RING_FRAMES)
