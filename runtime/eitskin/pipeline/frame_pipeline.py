@@ -556,8 +556,8 @@ class Pipeline:
         unlike = unlike or (self.record.touched and bool(electrodes.findings) and health.is_doubtful(change))
         if look or unlike:
             self._was_touched, self._since_look = self.record.touched and not unlike, LOOK_FRAMES * unlike
-        if unlike:
-            self._reset_gates()  # it may have learned from the frame
+        if unlike and self.field is None:
+            self._reset_gates()  # they may have learned from the frame
         if mixed_up:  # no failure of an electrode does that
             return self.intake.give_up("unlike")
         return not unlike or self._give_up_fault("unlike")
