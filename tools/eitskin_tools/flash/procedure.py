@@ -161,7 +161,8 @@ def check(hello: messages.Hello, configuration: Configuration, host_bytes_per_s:
         ValueError: A value or a rate that electronics or line cannot reach; the largest that works is given.
     """
     if configuration.hardware_id != hello.hardware_id:
-        names = [KNOWN[i].name if i in KNOWN else f"0x{i:08x}" for i in (configuration.hardware_id, hello.hardware_id)]
+        known = {one.id: one.name for one in KNOWN}
+        names = [known.get(i, f"0x{i:08x}") for i in (configuration.hardware_id, hello.hardware_id)]
         raise FlashError(
             f"configuration {configuration.name!r} is for {names[0]}, the device is {names[1]}: nothing was written"
         )
