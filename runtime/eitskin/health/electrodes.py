@@ -72,10 +72,11 @@ class ElectrodeWatch:
         self._range = consistency.ratio_range
         self._reference = reference_V
         thresholds = np.array([self.threshold, self.threshold_total])
-        self._weigher = Weigher(
+        self.weigher = Weigher(
             consistency.mean, self.precision, consistency.ratio_range, reference_V, self.sigma, thresholds
         )
-        self._explanation = Explanation(self._weigher, self.precision, reference_V)
+        """Gives each frame's evidence."""
+        self._explanation = Explanation(self.weigher, self.precision, reference_V)
         self._history: Votes = np.zeros((WINDOW, N_VOTES), dtype=np.bool_)
         self._suspected = False
         """Whether any vote is in the history."""
@@ -102,7 +103,7 @@ class ElectrodeWatch:
     @property
     def evidence(self) -> Evidence:
         """The votes of the last frame."""
-        return self._weigher.evidence(self._row)
+        return self.weigher.evidence(self._row)
 
     @property
     def missing(self) -> npt.NDArray[np.bool_]:
@@ -144,19 +145,6 @@ class ElectrodeWatch:
         """
         self._lost = self._weak | rows
         self.set_findings(self.findings if findings is None else findings)
-
-    def is_mixed_up(self, change: npt.NDArray[np.float32], *, look: bool) -> bool:
-        """Return whether a frame differs from others as no sheet moves: rows are exchanged, or few are wrong.
-
-        Args:
-            change: (104,) dV, missing rows filled in.
-            look: Whether it is held against the reference, too, and not only against the last frame that was fit.
-        """
-        return self._weigher.is_mixed_up(change, look=look)
-
-    def is_unlike(self, change: npt.NDArray[np.float32]) -> bool:
-        """Return whether rows of (104,) dV, missing ones filled in, fit the others less than on any sheet."""
-        return self._weigher.is_unlike(change)
 
     def is_doubtful(self, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
         """Return whether a frame reads well at every electrode that was named by its rows, as if nothing failed.
@@ -211,7 +199,7 @@ class ElectrodeWatch:
         if self._noisy.any() and self.rearranged is None:
             measured = self._noisy & ~self.missing
             change = np.where(measured, raw, change)  # P knows of their noise: evidence is what was measured
-        votes = self._weigher.weigh(raw, change, self._pair_in_use)
+        votes = self.weigher.weigh(raw, change, self._pair_in_use)
         suspicious = bool(votes.any())
         if not (suspicious or self._suspected or self.findings or self._pause or self.unclear):
             self._row = -1
@@ -242,7 +230,7 @@ class ElectrodeWatch:
 
     def surprise(self, change: npt.NDArray[np.floating]) -> tuple[Array, float]:
         """Return the (16,) surprises of (104,) dV, and that of the whole frame per row."""
-        surprise, total = self._weigher.surprise(change[None])
+        surprise, total = self.weigher.surprise(change[None])
         return surprise[0], float(total[0])
 
     def _judge(self, counts: npt.NDArray[np.intp], change: npt.NDArray[np.float32]) -> bool:
@@ -321,6 +309,6 @@ class ElectrodeWatch:
         taken = np.isin(np.arange(N_ELECTRODES), [finding.electrode for finding in self.findings])
         self._pair_in_use = ~(taken | np.roll(taken, -1))
         self.imputation.leave_out(rows, self.precision, out, self._noise)
-        self._weigher.forget_step()
+        self.weigher.forget_step()
         self.lacks_rows = bool(rows.any())
         self.alters = self.rearranged is not None or not self.imputation.idle

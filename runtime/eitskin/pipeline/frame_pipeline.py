@@ -551,8 +551,8 @@ class Pipeline:
         """Hold the frame against what rows of a sheet have in common; withhold it if it fails."""
         look = self.record.touched != self._was_touched or self._since_look >= LOOK_FRAMES
         electrodes, change = health.electrodes, self._change
-        mixed_up = electrodes.is_mixed_up(change, look=look)
-        unlike = mixed_up or (look and electrodes.is_unlike(change))
+        mixed_up = electrodes.weigher.is_mixed_up(change, look=look)
+        unlike = mixed_up or (look and electrodes.weigher.is_unlike(change))
         unlike = unlike or (self.record.touched and bool(electrodes.findings) and health.is_doubtful(change))
         if look or unlike:
             self._was_touched, self._since_look = self.record.touched and not unlike, LOOK_FRAMES * unlike
