@@ -205,7 +205,7 @@ class Unit:
     def __init__(self, nodes: UnitNodes, system: System) -> None:
         self.dofs, self._nodes, self._contacts = nodes.dofs, nodes, system.contacts
         numbers = np.bincount(nodes.slot, system.stiffness[nodes.elements].ravel(), nodes.size**2)
-        self._near = without(numbers.reshape(nodes.size, nodes.size), nodes.near)
+        self._near = without(np.asarray(numbers.reshape(nodes.size, nodes.size), dtype=np.float64), nodes.near)
 
     @property
     def under_contact(self) -> bool:
