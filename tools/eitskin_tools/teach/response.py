@@ -9,11 +9,11 @@ j the field is a process of its own, with the variance ``scales[j]`` and one len
 
     f_j(x) = b phi_j(x) + N(0, scales[j] exp(-|x - x'|^2 / 2 length^2))
 
-With the eigenvalues of the places' kernel every likelihood is a sum. Scales have the largest marginal likelihood, and
-the length scale the largest posterior, by a wide distribution of lengths on other sheets; an axis that is likelier to
-hold noise alone is left out. phi is what physics expects, if anything (:mod:`eitskin_tools.teach.physics`); its weight
-b has the largest likelihood too, and is 0 where that gains too little. The four steps are repeated: scales and length;
-amplitudes; weights w_i; and C from what is left, shrunk to its diagonal as much as its own scatter asks for.
+With the eigenvalues of the places' kernel every likelihood is a sum. Length and scales have the largest marginal
+likelihood; an axis that is likelier to hold noise alone is left out. phi is what physics expects, if anything
+(:mod:`eitskin_tools.teach.physics`); its weight b has the largest likelihood too, and is 0 where that gains too little.
+The four steps are repeated: scales and length; amplitudes; weights w_i; and C from what is left, shrunk to its
+diagonal as much as its own scatter asks for.
 """
 
 from dataclasses import dataclass
@@ -26,12 +26,6 @@ Array = npt.NDArray[np.float64]
 
 LENGTHS_OF_SIZE: Final = np.geomspace(0.06, 0.35, 8)
 """Length scales that are tried, over the sheet's shorter side."""
-
-USUAL_LENGTH: Final = 0.27
-"""Length scale over the sheet's shorter side, about: 0.16, 0.27 and 0.3 on three sheets with many presses."""
-
-LENGTH_SPREAD: Final = 0.5
-"""Standard deviation of its logarithm, by which a few presses are not taken at their word."""
 
 SCALES: Final = np.geomspace(0.01, 1000.0, 24)
 """Variances of the field along an axis that are tried, over that of noise."""
@@ -141,9 +135,7 @@ def learn(changes: Array, places_mm: Array, size_mm: tuple[float, float], prior:
                 )
                 for one in lengths
             ]
-            usual = -0.5 * (np.log(lengths / (USUAL_LENGTH * min(size_mm))) / LENGTH_SPREAD) ** 2
-            alone = np.array([one.prior_weight == 0.0 for one in trials])  # what physics leaves has lengths of its own
-            length = lengths[int(np.argmax(usual * alone + [one.log_likelihood for one in trials]))]
+            length = lengths[int(np.argmax([one.log_likelihood for one in trials]))]
         kernel = _kernel(places_mm, places_mm, length)
         best = _Evidence(root[:, None] * data, kernel * np.outer(strength, strength), expected)
         kept = best.scales > 0.0
