@@ -15,11 +15,11 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.arrays import Array
-from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet
+from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.family import FLAT_SHARE, SCALED, bounds, draw, scaled
 from eitskin_sim.scene.parts import Bend
-from eitskin_sim.scene.touch_table import DISC, RECTANGLE, TouchTable, gather
+from eitskin_sim.scene.touch_table import DISC, RECTANGLE, gather
 from eitskin_training.gate.presses import drawn_presses, probe_presses
 
 DENTED_SHARE: Final = 0.7
@@ -97,18 +97,9 @@ def small_touches(bends: int, skin: Skin, each: int = 400, kind: TouchKind = "ra
 
 def touch_logs(bend: Bend, sets: Sequence[Array], skin: Skin) -> Array:
     """Return (n, 104) log(V touched / V untouched) of touch sets at a bend, each given by its (p, 7) pieces."""
-    sheet = _inverted(bend, skin)
-    ratio = _touched_V(sheet, gather(sets), skin) / sheet.untouched_V
+    sheet = inverted_sheet(bend, skin=skin)
+    ratio = set_voltages([sheet], gather(sets), skin=skin)[0] / sheet.untouched_V
     return np.asarray(np.log(ratio[(ratio > 0).all(axis=1)]))
-
-
-def _inverted(bend: Bend, skin: Skin) -> InvertedSheet:
-    return inverted_sheet(bend, skin=skin)
-
-
-def _touched_V(sheet: InvertedSheet, table: TouchTable, skin: Skin) -> Array:
-    """Return (s, 104) V of touch sets on a sheet."""
-    return np.asarray(set_voltages([sheet], table, skin=skin)[0])
 
 
 def _contrast(rng: np.random.Generator, skin: Skin) -> float:
@@ -172,12 +163,12 @@ def _probes(bends: int, seed: int, skin: Skin, presses: bool) -> tuple[Probe, ..
     sets = probe_presses(seed, skin) if presses else probe_sets(seed, skin)
     table = gather([pieces for group in sets.values() for pieces in group])
     ends = np.cumsum([len(group) for group in sets.values()])
-    flat_V = _inverted(Bend(), skin).untouched_V
+    flat_V = inverted_sheet(Bend(), skin=skin).untouched_V
     families = {"flat": (Bend(),), "A": draw("A", bends, seed, skin), "B": draw("B", bends, seed, skin)}
     found = []
     for family, members in families.items():
-        sheets = [_inverted(bend, skin) for bend in members]
-        voltages = np.array([_touched_V(sheet, table, skin) for sheet in sheets])
+        sheets = [inverted_sheet(bend, skin=skin) for bend in members]
+        voltages = np.array([set_voltages([sheet], table, skin=skin)[0] for sheet in sheets])
         logs = np.log(np.maximum(voltages / flat_V, 1e-6))
         before = np.log(np.array([sheet.untouched_V for sheet in sheets]) / flat_V)
         for name, group in zip(sets, np.split(logs, ends[:-1], axis=1), strict=True):
