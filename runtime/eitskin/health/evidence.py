@@ -11,8 +11,8 @@ No touch or bend only exchanges readings, moves few rows alone, or multiplies th
 by a factor. With x the change of a frame's l against the reference, or against the last frame that was fit ::
 
     rms(sort(l + log V0) - sort(log V0)) < SORTED_SHARE rms(x)      the same readings in other rows
-    rms of all rows but k <= FEW_ROWS  < FEW_ROWS_SHARE rms of these k
-    rms(x - g)                             < GAIN_SHARE |g|, with g the mean of a drive's or a measurement's rows
+    rms of all rows but k <= FEW_ROWS    < FEW_ROWS_SHARE rms of these k
+    rms(x - g)                           < GAIN_SHARE |g|, with g the mean of a drive's or a measurement's rows
 
 This needs no model. On a sheet that holds still, bent or touched, with noise of 0.3 %, it shows two rows whose readings
 are more than 7 % apart; on the flat sheet those of 5 %.
@@ -279,7 +279,7 @@ class Weigher:
         np.multiply(self._own[FEW_ROWS:], self._own[FEW_ROWS:], out=self._own[FEW_ROWS:])
         for own, many, share in zip(self._own.tolist(), _MANY, _SHARES, strict=True):
             if own / many > LEAST_STEP**2 and (total - own) / (N_ROWS - many) < share * own / many:
-                return many <= FEW_ROWS or own / many < SILENT_STEP**2
+                return bool(many <= FEW_ROWS or own / many < SILENT_STEP**2)
         if total < (LEAST_STEP / 2.0) ** 2 * N_ROWS:
             return False
         np.add(after, self._sizes, out=change)
