@@ -144,7 +144,13 @@ class TaughtField:
             apart = np.where(known, self._levels - np.log(np.abs(np.where(known, voltages_V, 1.0))), 0.0)
             apart -= np.where(known, np.median(apart[:, known], axis=1, keepdims=True), 0.0)  # another current
             self._home = int(((apart @ self._project[:, self._parts[-1]]) ** 2).sum(axis=1).argmin())
-            self._check_order(self._levels[self._home, known], np.log(np.abs(voltages_V[known])))
+            alike = rank_correlation(self._levels[self._home, known], np.abs(voltages_V[known]))
+            if known.sum() >= MIN_ELECTRODES and alike < LEAST_ALIKE:
+                found = f"a rank correlation of {alike:.2f} with the taught sheet's voltages"
+                hint = "print rows in the taught order, or teach this sheet again"
+                raise MismatchError(
+                    "the reference: the order of its rows", found=found, expected=LEAST_ALIKE, hint=hint
+                )
         levels = np.where(known, self._levels - self._levels[self._home], 0.0)
         np.matmul(levels, self._project, out=self._offsets[:-1], casting="same_kind")
         self.use_prediction(levels[self._home])
@@ -154,22 +160,6 @@ class TaughtField:
         own = np.zeros(len(carries)) if spread_V is None else np.maximum(spread_V**2 - (shared**2).sum(axis=1), 0.0)
         noise = float((own @ project**2).sum() + ((shared.T @ project) ** 2).sum())
         self._usual = noise or self._field.noise
-
-    @staticmethod
-    def _check_order(taught: npt.NDArray[np.float64], found: npt.NDArray[np.float64]) -> None:
-        """Refuse rows of another order, which no table need show.
-
-        Raises:
-            MismatchError: Levels of rows that are large in one are small in the other.
-        """
-        alike = rank_correlation(taught, found) if len(found) >= MIN_ELECTRODES else 1.0
-        if alike < LEAST_ALIKE:
-            raise MismatchError(
-                "the reference: the order of its rows",
-                found=f"a rank correlation of {alike:.2f} with the taught sheet's voltages",
-                expected=f"at least {LEAST_ALIKE:g}",
-                hint="print rows in the taught order, or teach this sheet again",
-            )
 
     def use_prediction(self, log_predicted: npt.NDArray[np.floating]) -> None:
         """Take the level that the forward model predicts, (rows,) log(V_pred / V_reference); zeros for none."""
