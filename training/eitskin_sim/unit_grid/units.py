@@ -50,10 +50,17 @@ UNITS_PER_BLOCK: Final = 16
 
 @dataclass(frozen=True, slots=True)
 class Condensed:
-    """Some units as one: (b,) places in the skeleton's numbering, and (2, b, b) S untouched and touched."""
+    """Some units as one: (b,) places in the skeleton's numbering, and (2, b, b) S untouched and touched.
+
+    Without a contact on them it is (1, b, b), untouched: touched they are in proportion.
+    """
 
     dofs: Index
     schur: Array
+
+    def both(self, contrast: float) -> Array:
+        """Return (2, b, b) S, untouched and touched."""
+        return self.schur if len(self.schur) > 1 else self.schur * np.array([1.0, contrast])[:, None, None]
 
 
 class UnitGenerator:
@@ -119,8 +126,8 @@ class UnitGenerator:
             raise ValueError(f"contrasts have shape {own.shape}; they must have that of the sets, {units.shape}")
         _check_contrasts(own[units])
         found = np.empty((len(units), N_ELECTRODES, N_ELECTRODES))
-        for row, bits in enumerate(units):
-            touched = np.flatnonzero(bits)
+        for row in np.argsort(units.sum(axis=1), kind="stable").tolist():  # sets of one size work in the same memory
+            touched = np.flatnonzero(units[row])
             if contrast is None and len(touched) > MAX_PAIRED_UNITS:
                 found[row] = self._outlined(touched)
             else:
@@ -212,7 +219,8 @@ class UnitGenerator:
     def _outlined(self, units: Index) -> Array:
         """Return the (16, 16) potentials of electrodes of one set of many units, condensed onto what it shares."""
         region = self._region(tuple(units.tolist()))
-        dofs, change = region.dofs, region.schur[1] - region.schur[0]
+        dofs, (before, touched) = region.dofs, region.both(self._contrast)
+        change = touched - before
         seen = self._inverse[np.ix_(dofs, dofs)] @ change
         seen[np.diag_indices(len(dofs))] += 1.0
         load = self._inverse[dofs, -N_ELECTRODES:]
@@ -224,10 +232,11 @@ class UnitGenerator:
         if found is None:
             if len(units) == 1:
                 unit = self._units[units[0]]
-                found = Condensed(unit.dofs, np.array([self._before[units[0]], unit.at(TOUCHED_S_PER_M)]))
+                touched = [unit.at(TOUCHED_S_PER_M)] if unit.under_contact else []
+                found = Condensed(unit.dofs, np.array([self._before[units[0]], *touched]))
             else:
                 first, second = _halves(units, self._columns)
-                found = _merged(self._region(first), self._region(second), self._inside(units))
+                found = _merged(self._region(first), self._region(second), self._inside(units), self._contrast)
             self._regions[units] = found
         return found
 
@@ -273,17 +282,20 @@ def _halves(units: tuple[int, ...], columns: int) -> tuple[tuple[int, ...], tupl
     return tuple(numbers[first].tolist()), tuple(numbers[~first].tolist())
 
 
-def _merged(first: Condensed, second: Condensed, inside: npt.NDArray[np.bool_]) -> Condensed:
+def _merged(first: Condensed, second: Condensed, inside: npt.NDArray[np.bool_], contrast: float) -> Condensed:
     """Return the sum of two condensed parts, without the dofs that are inside now."""
     dofs = np.union1d(first.dofs, second.dofs)
     gone = inside[dofs]
     order, count = np.argsort(~gone, kind="stable"), np.count_nonzero(gone)
     place = np.empty(len(dofs), dtype=np.intp)
     place[order] = np.arange(len(dofs))
-    total = np.zeros((len(first.schur), len(dofs) ** 2))
+    alike = len(first.schur) == len(second.schur) == 1
+    total = np.zeros((1 if alike else 2, len(dofs) ** 2))
     for part in (first, second):
         at = place[np.searchsorted(dofs, part.dofs)]
-        total[:, (at[:, None] * len(dofs) + at).ravel()] += part.schur.reshape(len(total), -1)
+        total[:, (at[:, None] * len(dofs) + at).ravel()] += (part.schur if alike else part.both(contrast)).reshape(
+            len(total), -1
+        )
     squares = total.reshape(-1, len(dofs), len(dofs))
     left = squares[:, count:, count:].copy()
     if count:
