@@ -107,7 +107,7 @@ def in_file(field: str, value: Any) -> tuple[str, Any]:
     """
     idle, of_both = ("idle ", field.removeprefix("idle_")) if field.startswith("idle_") else ("", field)
     if field == "hardware_id":
-        return "hardware", next((one.name for one in hardware.KNOWN if one.id == value), f"0x{value:08x}")
+        return "hardware", hardware.name_of(value)
     if of_both == "drives":
         return f"{idle}drives", drives_to_list(value)
     if of_both in ("rate_mHz", "rate_millihertz"):

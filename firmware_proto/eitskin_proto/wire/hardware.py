@@ -57,3 +57,8 @@ def hardware_of(which: int | str) -> Hardware:
     found = f"0x{which:08x}" if isinstance(which, int) else quoted(which)
     known = ", ".join(f"{one.name!r} (0x{one.id:08x})" for one in KNOWN)
     raise ValueError(f"hardware {found} is unknown; known are {known}")
+
+
+def name_of(hardware_id: int) -> str:
+    """Return the name of these electronics, or the digits of an unknown id."""
+    return next((one.name for one in KNOWN if one.id == hardware_id), f"0x{hardware_id:08x}")

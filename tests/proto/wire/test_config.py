@@ -186,3 +186,7 @@ def test_a_mistake_in_a_file_is_named(tmp_path, old, new, text):
     file.write_text(TOML.replace(old, new))
     with pytest.raises(ValueError, match=rf"mine\.toml: .*{text}"):
         config_toml.load(file)
+
+
+def test_electronics_are_named_and_unknown_ones_by_their_digits():
+    assert (hardware.name_of(PAPER.hardware_id), hardware.name_of(5)) == ("eitskin-16", "0x00000005")

@@ -20,7 +20,7 @@ from eitskin.errors import SkinError, TransportError
 from eitskin_proto.wire import messages
 from eitskin_proto.wire.codes import Code, HelloFlag, Slot
 from eitskin_proto.wire.config import BLOB_BYTES, FORMAT, Configuration
-from eitskin_proto.wire.hardware import KNOWN
+from eitskin_proto.wire.hardware import name_of
 from eitskin_tools.flash.exchange import Exchange, Refused, Silent
 
 
@@ -161,8 +161,7 @@ def check(hello: messages.Hello, configuration: Configuration, host_bytes_per_s:
         ValueError: A value or a rate that electronics or line cannot reach; the largest that works is given.
     """
     if configuration.hardware_id != hello.hardware_id:
-        known = {one.id: one.name for one in KNOWN}
-        names = [known.get(i, f"0x{i:08x}") for i in (configuration.hardware_id, hello.hardware_id)]
+        names = [name_of(configuration.hardware_id), name_of(hello.hardware_id)]
         raise FlashError(
             f"configuration {configuration.name!r} is for {names[0]}, the device is {names[1]}: nothing was written"
         )
