@@ -177,12 +177,16 @@ class Health:
         if self.electrodes.alters:
             self.electrodes.imputation.fill(change, predicted)
 
-    def is_doubtful(self, change: npt.NDArray[np.float32]) -> bool:
-        """Return whether a touched frame, (104,) dV completed, may owe its touch to a failure that is over."""
+    def doubts(self, change: npt.NDArray[np.float32]) -> tuple[bool, bool]:
+        """Return whether a touched frame may owe its touch to a failure that is over, and whether to withhold it.
+
+        Args:
+            change: (104,) dV, completed.
+        """
         electrodes, before = self.electrodes, self._doubtful
         self._doubtful = electrodes.is_doubtful(self._raw[self._waiting], change)
         many = electrodes.rearranged is not None or len(electrodes.findings) > 1
-        return self._doubtful and (many or not before)  # the rows of one electrode are filled in well
+        return self._doubtful, self._doubtful and (many or not before)  # one electrode's rows are filled in well
 
     def put_aside(self, counts: npt.NDArray[np.int32] | None = None, *, touched: bool) -> bool:
         """Queue the frame corrected last for examination, and return whether that is due now.

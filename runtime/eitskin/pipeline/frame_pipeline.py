@@ -553,10 +553,12 @@ class Pipeline:
         electrodes, change = health.electrodes, self._change
         mixed_up = electrodes.weigher.is_mixed_up(change, look=look)
         unlike = mixed_up or (look and electrodes.weigher.is_unlike(change))
-        unlike = unlike or (self.record.touched and bool(electrodes.findings) and health.is_doubtful(change))
+        doubtful = self.record.touched and electrodes.unclear
+        if self.record.touched and electrodes.findings and not unlike:
+            doubtful, unlike = health.doubts(change)
         if look or unlike:
             self._was_touched, self._since_look = self.record.touched and not unlike, LOOK_FRAMES * unlike
-        if unlike and self.field is None:
+        if (unlike or doubtful) and self.field is None:
             self._reset_gates()  # they may have learned from the frame
         if mixed_up:  # no failure of an electrode does that
             return self.intake.give_up("unlike")
