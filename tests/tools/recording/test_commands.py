@@ -38,6 +38,7 @@ def one_line(capsys: Capture, *words: str) -> tuple[int, str]:
         (["replay", "a.mcap", "--from", "3", "--to", "2"], "--from 3 is not before --to 2"),
         (["reinfer", "a.mcap", "--every", "0"], "--every"),
         (["convert", "a.mcap", "--out", "a.xlsx"], ".parquet"),
+        (["convert", "a.mcap", "--out", "a", "--rate", "30"], "--rate and --clock do nothing with rosbag2"),
         (["record", "--out", "a.mcap", "--every", "0"], "--every"),
         (["record", "--out", "a.mcap", "--wire-only", "--maps"], "--wire-only"),
         (["record", "--out", "a.mcap", "--wire-only", "--pictures-hz", "5"], "--wire-only records neither"),

@@ -1,5 +1,6 @@
 """A recording in other programs' files: the same voltages, clouds and maps."""
 
+import csv
 import json
 import struct
 from collections import Counter
@@ -25,6 +26,7 @@ from eitskin_tools.recording.layout import CLOUD as CLOUDS
 from eitskin_tools.recording.layout import MAP, STATE
 from eitskin_tools.recording.recorder import RecorderOptions
 from eitskin_tools.recording.reinfer import reinfer
+from eitskin_tools.recording.resample import resampled
 from eitskin_tools.recording.script import Script, Step
 
 from .conftest import CLOUD, PERIOD_NS, TINY, VOLTS, counts, measured, recorded, reference, scans
@@ -76,6 +78,75 @@ def test_npz_has_what_was_measured_and_published(with_maps: Path, items: list[An
         for name in ("id", "parent", "centre_mm", "peak", "place_mm", "normal", "confidence", "amplitude"):
             np.testing.assert_allclose(found[f"touch_{name}"], published(items, name), rtol=1e-5, atol=1e-5)
         assert np.isnan(found["touch_error_mm"]).all(), "the bundle was not taught"
+
+
+def test_csv_has_a_line_a_touch_and_one_for_a_frame_without(with_maps: Path, items: list[Any], tmp_path: Path) -> None:
+    assert cli.main(["convert", str(with_maps), "--bundle", str(TINY), "--out", str(tmp_path / "a.csv")]) == 0
+    lines = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
+    frames = [item for item in items if isinstance(item, Frame)]
+    assert [int(line["seq"]) for line in lines] == [
+        frame.sequence for frame in frames for _ in range(max(1, len(frame.touches)))
+    ]
+    touches = [line for line in lines if line["id"]]
+    assert [int(line["id"]) for line in touches] == published(items, "id")
+    for name, ends in (("centre_mm", "xy"), ("place_mm", "xyz"), ("axes_mm", ("long", "short"))):
+        found = [[float(line[f"{name}_{end}"]) for end in ends] for line in touches]
+        np.testing.assert_allclose(found, published(items, name), rtol=1e-5, atol=1e-5)
+    assert {line["error_mm_x"] for line in touches} == {"nan"}, "the bundle was not taught"
+
+
+def test_a_camera_gets_the_newest_published_frame_and_never_an_old_one(with_maps: Path, tmp_path: Path) -> None:
+    clock, out = tmp_path / "clock.txt", tmp_path / "a.npz"
+    table, _ = computed(Script(with_maps))
+    every_ns = table.columns["wall_ns"]
+    table.columns["withheld"] = table.columns["withheld"].astype("<U20")
+    table.columns["withheld"][70] = "damaged"
+    times_ns = np.array(
+        [every_ns[0] - 1, every_ns[0], every_ns[70] + 1, every_ns[-1] + 10**8, every_ns[-1] + 10**8 + 1]
+    )
+    found = resampled(table, times_ns)
+    assert found.columns["seq"].tolist() == [100, 169, 249]
+    assert found.columns["clock_ns"].tolist() == times_ns[1:4].tolist()
+    assert found.touches is not None
+    assert table.touches is not None
+    assert found.touches.tobytes() == table.touches[table.touch_row == 69].tobytes() != b""
+    assert set(found.touch_row.tolist()) == {1}
+
+    words = ["convert", str(with_maps), "--bundle", str(TINY), "--out", str(out), "--rate", "30"]
+    assert cli.main(words) == 0
+    with np.load(out) as regular:
+        at_ns, seq = regular["clock_ns"], regular["seq"].tolist()
+    assert np.abs(np.diff(at_ns) - 1e9 / 30).max() <= 1
+    assert seq == [100 + np.flatnonzero(every_ns <= one_ns)[-1] for one_ns in at_ns]
+    clock.write_text("".join(f"{1e-9 * one_ns + 1e-6:.6f}\n" for one_ns in at_ns))
+    assert cli.main([*words, "--clock", str(clock)]) == 0
+    with np.load(out) as found_by_clock:
+        assert found_by_clock["seq"].tolist() == seq
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "says"),
+    [
+        ("", (), "is empty, expected one time a line"),
+        ("time\n1.0\n", (), "line 1 of"),
+        ("1.0\nnan\n", (), "line 2 of"),
+        ("1.0\n1.0\n", (), "each after the one before"),
+        ("1000\n1001\n", (), "name the clock of this recording"),
+        ("1.0\n1.1\n1.2\n", ("--rate", "30"), "has 10 times a second, expected --rate 30"),
+        (None, (), "no file"),
+    ],
+)
+def test_a_clock_that_is_none_is_one_line(
+    with_maps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str | None, words: tuple[str], says: str
+) -> None:
+    clock = tmp_path / "clock.txt"
+    if text is not None:
+        clock.write_text(text)
+    out = str(tmp_path / "a.csv")
+    assert cli.main(["convert", str(with_maps), "--out", out, "--clock", str(clock), *words]) == 1
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert says in err
 
 
 def twice() -> list[Step]:

@@ -52,6 +52,7 @@ COMPUTED: Final = FileKind(
     "maps of 'eitskin reinfer'", holds=("map.npy", "solver.npy", "wall_ns.npy"), lacks="serial.npy"
 )
 PARQUET: Final = FileKind("a Parquet file", rb"\APAR1")
+CSV: Final = FileKind("touches of 'eitskin convert'", rb"\Aseq,device_us,")
 RECORDING: Final = FileKind("a recording (.mcap)", rb"\A\x89MCAP0")
 PICTURE: Final = FileKind(
     "a picture",

@@ -1,4 +1,4 @@
-"""Converts recordings for other programs: NPZ, Parquet and rosbag2.
+"""Converts recordings for other programs: NPZ, Parquet, CSV and rosbag2.
 
 NPZ and Parquet have a row a frame ::
 
@@ -11,6 +11,9 @@ NPZ and Parquet have a row a frame ::
 Parquet has a list of touches in each row. NPZ has an array a field, ``touch_id`` (m,), ``touch_centre_mm`` (m, 2), ...,
 and ``touch_row`` (m,), the row of each touch. Frames of the idle mode, of a few drives, are left out and counted.
 
+CSV has a line a touch, with the scalar columns of its frame and a column for each number of the touch. A frame without
+touches has one line, on which these are empty.
+
 rosbag2 is written without ROS, in standard messages that every ROS 2 machine plays:
 
 ===================  =======================  =======================================================
@@ -22,11 +25,13 @@ rosbag2 is written without ROS, in standard messages that every ROS 2 machine pl
 ===================  =======================  =======================================================
 """
 
+import csv
 import math
 import shutil
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
+from io import BytesIO, TextIOWrapper
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -332,14 +337,34 @@ def write_parquet(path: Path, found: Table, script: Script) -> None:
         pq.write_table(table, stream, compression="zstd")
 
 
+def write_csv(path: Path, found: Table, script: Script) -> None:
+    """Write the touches of a table as CSV, in the order of the frames.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    touches = touch_array(()) if found.touches is None else found.touches
+    counts = np.bincount(found.touch_row, minlength=len(found.voltages_V))
+    rows = np.repeat(np.arange(len(counts)), np.maximum(counts, 1))
+    columns = {name: values[rows].astype(str) for name, values in found.columns.items()}
+    for name in TOUCH.names or ():
+        numbers = touches[name].reshape(len(touches), -1)
+        ends = ("_long", "_short") if name == "axes_mm" else ("_x", "_y", "_z")
+        for k in range(numbers.shape[1]):
+            column = columns[name + ends[k] if numbers.shape[1] > 1 else name] = np.full(len(rows), "", dtype="<U16")
+            column[counts[rows] > 0] = numbers[:, k].astype(str)
+    with replacing(path) as stream:
+        text = TextIOWrapper(stream, encoding="utf-8", newline="")
+        csv.writer(text, lineterminator="\n").writerows([columns, *zip(*columns.values(), strict=True)])
+        text.detach()  # written, and left open to be put on disk
+
+
 def _lists(pa: Any, values: npt.NDArray[Any]) -> Any:
     """Return the rows of an array as lists of one length."""
     return pa.FixedSizeListArray.from_arrays(pa.array(values.reshape(-1)), values.shape[1])
 
 
 def _hex(values: npt.NDArray[Any]) -> str:
-    from io import BytesIO
-
     stream = BytesIO()
     np.save(stream, values)
     return stream.getvalue().hex()
