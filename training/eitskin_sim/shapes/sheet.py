@@ -134,14 +134,26 @@ class TouchedSheet:
             ValueError: A border cannot be represented, a touch would change nothing, or takes more than there is; or
                 all of them lie beyond the sheet.
         """
-        sheet = self.sheet
         if not len(pieces):
             none = np.zeros(0, dtype=np.intp)
             base = Blocks(none, none, np.zeros((0, 9, 9)))
             return Solved(pieces, base, none, np.zeros((0, 16)), self._at_terminals)
-        base = touched(sheet, [pieces])
+        base = touched(self.sheet, [pieces])
         if not len(base.element):
             raise ValueError("touches lie beyond the sheet")
+        return self.solve_blocks(base, pieces)
+
+    def solve_blocks(self, base: Blocks, pieces: Array) -> Solved:
+        """Return fields and voltages of a sheet on which the blocks of some elements are others.
+
+        Args:
+            base: One or more elements of one set.
+            pieces: (n, 8) the touches that changed them.
+
+        Raises:
+            ValueError: They take away more conductance than the sheet has.
+        """
+        sheet = self.sheet
         adding = _sum_of(self.grid, base.element.tobytes())
         dofs = adding.dofs
         if len(dofs) > WHOLE_SOLVE_NODES:
