@@ -74,7 +74,9 @@ COMMANDS: Final[dict[str, Command]] = {
         RECORDINGS, "draw the maps, touches and drift of a recording", "plot session.mcap --out session.png"
     ),
     "convert": Command(
-        RECORDINGS, "convert a recording to NPZ, Parquet, CSV or rosbag2", "convert session.mcap --out session.npz"
+        RECORDINGS,
+        "convert a recording to NPZ, Parquet, CSV, rosbag2 or LeRobot",
+        "convert session.mcap --out session.npz",
     ),
     "skin": Command(SHEET, "show or check the description of a sheet", "skin show paper"),
     "calibrate": Command(

@@ -39,6 +39,8 @@ def one_line(capsys: Capture, *words: str) -> tuple[int, str]:
         (["reinfer", "a.mcap", "--every", "0"], "--every"),
         (["convert", "a.mcap", "--out", "a.xlsx"], ".parquet"),
         (["convert", "a.mcap", "--out", "a", "--rate", "30"], "--rate and --clock do nothing with rosbag2"),
+        (["convert", "a.mcap", "--out", "a", "--lerobot", "--rate", "29.97"], "--lerobot needs --rate HZ, a whole"),
+        (["convert", "a.mcap", "b.mcap", "--out", "a.csv"], "several recordings are for --lerobot"),
         (["record", "--out", "a.mcap", "--every", "0"], "--every"),
         (["record", "--out", "a.mcap", "--wire-only", "--maps"], "--wire-only"),
         (["record", "--out", "a.mcap", "--wire-only", "--pictures-hz", "5"], "--wire-only records neither"),

@@ -1,4 +1,4 @@
-"""``eitskin convert``: a recording as NPZ, Parquet, CSV or rosbag2."""
+"""``eitskin convert``: a recording as NPZ, Parquet, CSV, rosbag2 or a LeRobot data set."""
 
 import argparse
 import os
@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from eitskin_proto.errors import SkinError
 from eitskin_tools.command_line import files, kinds, needs
 from eitskin_tools.command_line.options import add_bundle, add_span, check_span
 from eitskin_tools.command_line.parser import expected_one_of, positive
@@ -17,16 +18,25 @@ FORMATS = {".npz": "npz", ".parquet": "parquet", ".csv": "csv", "": "rosbag2"}
 
 OUTPUT_KINDS = {"npz": kinds.CONVERTED, "parquet": kinds.PARQUET, "csv": kinds.CSV}
 
-NEEDED_MODULES = {"npz": (), "parquet": ("pyarrow",), "csv": (), "rosbag2": ("rosbags",)}
+FOLDERS = ("rosbag2", "lerobot")
+"""Formats that are written as a folder."""
+
+NEEDED_MODULES = {"npz": (), "parquet": ("pyarrow",), "csv": (), "rosbag2": ("rosbags",), "lerobot": ()}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("file", type=Path, metavar="FILE.mcap", help="made by 'eitskin record'")
     parser.add_argument(
-        "--out", type=Path, required=True, metavar="OUT", help="X.npz, .parquet or .csv, or a new folder for rosbag2"
+        "file", type=Path, nargs="+", metavar="FILE.mcap", help="made by 'eitskin record'; several for --lerobot alone"
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="OUT", help="X.npz, .parquet or .csv, or a new folder"
     )
     parser.add_argument("--format", choices=tuple(NEEDED_MODULES), help="default: from the ending of OUT")
+    parser.add_argument(
+        "--lerobot", action="store_const", dest="format", const="lerobot", help="a data set of LeRobot, at --rate"
+    )
+    parser.add_argument("--task", default="", metavar="TEXT", help="with --lerobot: what the robot does")
     parser.add_argument(
         "--rosbag-version", type=int, choices=(8, 9), metavar="N", help="8 for ROS 2 Humble, 9 for Jazzy (default 9)"
     )
@@ -46,17 +56,16 @@ def run(arguments: argparse.Namespace) -> int:
             expected_one_of("the end of --out", arguments.out.suffix, (".npz", ".parquet", ".csv", "none"))
         )
     check_span(arguments)
+    _check(arguments, kind)
     needs.require(f"convert to {kind}", NEEDED_MODULES[kind])
-    files.parent(arguments.out) if kind == "rosbag2" else files.writable(arguments.out, OUTPUT_KINDS[kind])
-    if arguments.rosbag_version is not None and kind != "rosbag2":
-        raise UsageError(f"--rosbag-version is for rosbag2, found {kind}: name a folder with --out")
-    if (arguments.rate or arguments.clock) and kind == "rosbag2":
-        raise UsageError("--rate and --clock do nothing with rosbag2, which has each frame: leave them out")
+    files.parent(arguments.out) if kind in FOLDERS else files.writable(arguments.out, OUTPUT_KINDS[kind])
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from eitskin_tools.recording import convert, resample
+    if kind == "lerobot":
+        return _write_lerobot(arguments)
+    from eitskin_tools.recording import convert
     from eitskin_tools.recording.script import Script
 
-    script = Script(arguments.file)
+    script = Script(arguments.file[0])
     frames = _frames(script, arguments.bundle)
     found: dict[str, Any] = {"file": str(script.path), "out": str(arguments.out), "format": kind}
     span = arguments.from_s, arguments.to_s
@@ -65,18 +74,13 @@ def run(arguments: argparse.Namespace) -> int:
         found["messages"] = convert.write_rosbag(arguments.out, script, *span, frames=frames, version=version)
         said = f"{found['messages']} messages"
     else:
-        times_ns = resample.clock_ns(arguments.clock, arguments.rate) if arguments.clock else None
-        table = convert.table_of(script, *span, frames)
-        if arguments.rate and times_ns is None:
-            times_ns = resample.regular_ns(table, arguments.rate)
-        if times_ns is not None:
-            table = resample.resampled(table, times_ns)
+        table, times = _rows(arguments, script, frames)
         write = {"npz": convert.write_npz, "parquet": convert.write_parquet, "csv": convert.write_csv}[kind]
         write(arguments.out, table, script)
         found |= {"frames": len(table.voltages_V), "left_out": table.left_out, "maps": table.maps is not None}
         said = f"{found['frames']} frames, {table.left_out} idle scans of a few drives left out"
-        if times_ns is not None:
-            found["without_frame"] = len(times_ns) - found["frames"]
+        if times is not None:
+            found["without_frame"] = times - found["frames"]
             said += f", {found['without_frame']} times without a frame"
         if table.later.any():
             found["later_reference"] = count = int(table.later.sum())
@@ -92,6 +96,68 @@ def run(arguments: argparse.Namespace) -> int:
     if frames is None:
         said += "; no touches, because the bundle that was running is not a shipped one: name it with --bundle FILE"
     return answer(arguments, found, f"{arguments.out}: {said}")
+
+
+def _check(arguments: argparse.Namespace, kind: str) -> None:
+    """Refuse options that another format has."""
+    if arguments.rosbag_version is not None and kind != "rosbag2":
+        raise UsageError(f"--rosbag-version is for rosbag2, found {kind}: name a folder with --out")
+    if (arguments.rate or arguments.clock) and kind == "rosbag2":
+        raise UsageError("--rate and --clock do nothing with rosbag2, which has each frame: leave them out")
+    if kind == "lerobot" and not (arguments.rate and arguments.rate.is_integer()):
+        raise UsageError("--lerobot needs --rate HZ, a whole number of frames a second")
+    if kind != "lerobot" and (arguments.task or len(arguments.file) > 1):
+        raise UsageError("--task and several recordings are for --lerobot: leave them out")
+
+
+def _rows(arguments: argparse.Namespace, script: Any, frames: Any, **options: Any) -> tuple[Any, int | None]:
+    """Return the table of a recording, and how many times were named for its rows; None for none."""
+    from eitskin_tools.recording.convert import table_of
+    from eitskin_tools.recording.resample import clock_ns, regular_ns, resampled
+
+    times_ns = None if arguments.clock is None else clock_ns(arguments.clock, arguments.rate)
+    table = table_of(script, arguments.from_s, arguments.to_s, frames, **options)
+    if times_ns is None and arguments.rate is None:
+        return table, None
+    if times_ns is None:
+        times_ns = regular_ns(table, arguments.rate)
+    return resampled(table, times_ns), len(times_ns)
+
+
+def _write_lerobot(arguments: argparse.Namespace) -> int:
+    """Write each recording as an episode of a data set, and return 0."""
+    from eitskin_tools.recording.layout import RecordingError
+    from eitskin_tools.recording.script import Script
+
+    try:
+        from lerobot_camera_eitskin.dataset import write_dataset
+    except ImportError as error:
+        raise SkinError(
+            f"--lerobot needs LeRobot and the plug-in of tools/lerobot ({error}): install both as docs/lerobot.md says"
+        ) from error
+    if arguments.out.exists():
+        raise RecordingError(f"{arguments.out} already exists: name another folder, or remove it")
+    tables = list[Any]()
+    for path in arguments.file:
+        script = Script(path)
+        frames = _frames(script, arguments.bundle)
+        if frames is None:
+            raise RecordingError(
+                f"{path}: the bundle that was running is not a shipped one: name it with --bundle FILE"
+            )
+        table, times = _rows(arguments, script, frames, compute_maps=True)
+        if missing := (times or 0) - len(table.maps):
+            raise RecordingError(
+                f"{path}: {missing} of {times} times have no published frame, but an episode has no gap: choose a part "
+                "with --from and --to, or other times"
+            )
+        tables.append(table)
+    episodes = ((zip(table.maps, table.touches_by_row(), strict=True)) for table in tables)
+    write_dataset(arguments.out, episodes, tables[0].maps.shape[1:], int(arguments.rate), arguments.task)
+    count = sum(len(table.maps) for table in tables)
+    found = {"files": [str(path) for path in arguments.file], "out": str(arguments.out), "format": "lerobot",
+             "episodes": len(tables), "frames": count}  # fmt: skip
+    return answer(arguments, found, f"{arguments.out}: {len(tables)} episodes, {count} frames")
 
 
 def _frames(script: Any, bundle: Path | None) -> Any:

@@ -65,6 +65,9 @@ MAX_MAPS: Final = 200_000
 NUMBER_MASK: Final = (1 << 32) - 1
 """Of published frames are kept beside maps modulo one more."""
 
+NOT_COMPUTED: Final = "not computed"
+"""Why a frame without a computed map is not used, where maps are computed."""
+
 COLUMNS: Final[dict[str, Any]] = {
     "seq": np.int64, "device_us": np.int64, "read_ns": np.int64, "wall_ns": np.int64, "withheld": np.str_,
     "touched": np.bool_, "gate_logit": np.float64, "solver": np.str_, "map_seq": np.int64, "conditions": np.int64,
@@ -115,6 +118,12 @@ class Table:
     left_out: int
     """Frames of a few drives, or malformed ones."""
 
+    def touches_by_row(self) -> list[Any]:
+        """Return the touches of each row as records, whose attributes are the fields of ``TOUCH``."""
+        touches = touch_array(()) if self.touches is None else self.touches
+        ends = np.searchsorted(self.touch_row, np.arange(1, len(self.voltages_V)))
+        return np.split(touches.view(np.recarray), ends)
+
 
 def _computed(
     script: Script, from_s: float | None, to_s: float | None, frames: RecordedFrames | None
@@ -126,7 +135,12 @@ def _computed(
 
 
 def table_of(
-    script: Script, from_s: float | None = None, to_s: float | None = None, frames: RecordedFrames | None = None
+    script: Script,
+    from_s: float | None = None,
+    to_s: float | None = None,
+    frames: RecordedFrames | None = None,
+    *,
+    compute_maps: bool = False,
 ) -> Table:
     """Return a recording as arrays.
 
@@ -135,6 +149,7 @@ def table_of(
         from_s: Begin so long after the first frame.
         to_s: End so long after it.
         frames: Computes the touches; None for none.
+        compute_maps: Have ``frames`` compute the maps too, instead of taking those that the recording has.
 
     Raises:
         RecordingError: It holds no whole frame, or more than fit into memory.
@@ -146,7 +161,7 @@ def table_of(
     rows: dict[str, list[Any]] = {name: [] for name in COLUMNS}
     volts: list[npt.NDArray[np.float64]] = []
     numbers, later, touch_row = list[int](), list[bool](), list[int]()
-    touches, clouds = [touch_array(())], list[Any]()
+    touches, clouds, maps = [touch_array(())], list[Any](), list[npt.NDArray[np.float32]]()
     index_of = dict[int, int]()
     left_out, cloud = 0, -1
     for step, computed in _computed(script, from_s, to_s, frames):
@@ -168,16 +183,21 @@ def table_of(
             continue
         if len(volts) >= MAX_FRAMES:
             raise RecordingError(f"{script.path} has more than {MAX_FRAMES} frames: choose a part with --from and --to")
+        if compute_maps and frames is not None:
+            if len(maps) >= MAX_MAPS:
+                raise RecordingError(f"{script.path} has more than {MAX_MAPS} maps: choose a part with --from and --to")
+            maps.append(np.full(frames.shape, np.nan, dtype=np.float32) if computed is None else computed.map)
         if computed is not None and computed.touches:
             touches.append(touch_array(computed.touches))
             touch_row += [len(volts)] * len(computed.touches)
         normaliser.load(view.counts)
         volts.append(normaliser.voltages().copy())
         later.append(held != first)
+        unknown = NOT_COMPUTED if compute_maps and computed is None else ""
         numbers.append(-1 if frame.frame is None else frame.frame)
         found = {
             "seq": frame.seq, "device_us": frame.device_us or 0, "read_ns": frame.read_ns, "wall_ns": step.log_ns,
-            "withheld": frame.withheld, "touched": frame.touched, "gate_logit": frame.gate_logit,
+            "withheld": frame.withheld or unknown, "touched": frame.touched, "gate_logit": frame.gate_logit,
             "solver": frame.solver, "map_seq": -1 if frame.map_seq is None else frame.map_seq,
             "conditions": frame.conditions, "cloud_index": cloud if step.known else -1,
         }  # fmt: skip
@@ -194,7 +214,7 @@ def table_of(
         np.array([one.cloud for one in clouds], dtype=np.float32),
         _volts([one.predicted for one in clouds]),
         _volts([one.predicted_flat for one in clouds]),
-        _maps(script, numbers, columns),
+        np.array(maps) if compute_maps else _maps(script, numbers, columns),
         None if frames is None else np.concatenate(touches),
         np.array(touch_row, dtype=np.int64),
         left_out,

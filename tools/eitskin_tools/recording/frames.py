@@ -37,6 +37,8 @@ class RecordedFrames:
     def __init__(self, script: Script, bundle: Bundle) -> None:
         self._script, self._grid = script, bundle.skin.grid
         self._rerun = Rerun(script, bundle)
+        self.shape = self._grid.shape
+        """(rows, columns) of its maps."""
         self._nothing = np.zeros(self._grid.shape, dtype=np.float32)
         self._solver = default_solver(bundle)
         self._blank = blank(script, self._nothing)

@@ -27,16 +27,18 @@ LARGEST_CLOCK: Final = 32 * MAX_FRAMES
 
 
 def regular_ns(found: Table, rate_hz: float) -> npt.NDArray[np.int64]:
-    """Return (k,) times at a rate, from the first to the last frame of a recording.
+    """Return (k,) times at a rate, from the first to the last published frame of a recording.
 
     Raises:
         RecordingError: There are more than fit into memory.
     """
-    first, last = (int(found.columns["wall_ns"][at]) for at in (0, -1))
+    published_ns = found.columns["wall_ns"][found.columns["withheld"] == ""]
+    first, last = (int(at_ns) for at_ns in published_ns[[0, -1]]) if len(published_ns) else (0, 0)
     count = (last - first) * 1e-9 * rate_hz
     if not count < MAX_FRAMES:
         raise RecordingError(f"--rate {rate_hz:g} makes {count:.0f} rows, expected fewer than {MAX_FRAMES}: lower it")
-    return first + np.rint(np.arange(int(count) + 1) * (1e9 / rate_hz)).astype(np.int64)
+    times_ns: npt.NDArray[np.int64] = first + np.rint(np.arange(int(count) + 1) * (1e9 / rate_hz)).astype(np.int64)
+    return times_ns
 
 
 def clock_ns(path: Path, rate_hz: float | None = None) -> npt.NDArray[np.int64]:
@@ -97,10 +99,10 @@ def resampled(found: Table, times_ns: npt.NDArray[np.int64]) -> Table:
     rows = published[at[fit]]
     touches, touch_row = found.touches, found.touch_row
     if touches is not None:
-        begins = np.searchsorted(touch_row, np.arange(len(found.voltages_V) + 1))
-        picked = [np.arange(begins[row], begins[row + 1]) for row in rows]
+        by_row = found.touches_by_row()
+        picked = [by_row[row] for row in rows]
         touch_row = np.repeat(np.arange(len(rows)), [len(some) for some in picked])
-        touches = touches[np.concatenate(picked)]
+        touches = np.concatenate(picked).view(np.ndarray)
     return replace(
         found,
         columns={**{name: values[rows] for name, values in found.columns.items()}, "clock_ns": times_ns[fit]},
