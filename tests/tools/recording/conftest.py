@@ -48,9 +48,9 @@ def counts() -> np.ndarray:
     return size
 
 
-def scans(frames: int, first: int = 100) -> list[Step]:
+def scans(frames: int, first: int = 100, seed: int = 3) -> list[Step]:
     """Return frames of a sheet that is touched in the middle third, with noise, 5 ms apart."""
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(seed)
     found = []
     for index in range(frames):
         touch = 0.3 * np.cos(np.arange(104)) * (frames // 3 <= index < 2 * frames // 3)

@@ -153,7 +153,7 @@ def twice() -> list[Step]:
     """Return frames of a device that starts anew amid them: it measures other voltages under the same numbers."""
     once = scans(60)
     again = []
-    for index, step in enumerate(once[7:]):
+    for index, step in enumerate(scans(60, seed=4)[7:]):
         payload = bytearray(step.frame.payload)
         struct.pack_into("<II", payload, 8, 100 + index, 1000 + 5000 * index)
         behind_ns = (60 + index) * PERIOD_NS

@@ -391,8 +391,6 @@ def _hex(values: npt.NDArray[Any]) -> str:
 
 
 FRAME_ID: Final = "skin"
-LATEST_S: Final = 1 << 31
-"""What ``builtin_interfaces/Time`` holds."""
 
 FLOAT32, UINT32 = 7, 6
 """``sensor_msgs/PointField``"""
@@ -500,8 +498,6 @@ class _Messages:
                 yield "state", entry.log_ns, self._text(entry.data)
 
     def _header(self, wall_ns: int) -> Any:
-        if wall_ns >= LATEST_S * 10**9:
-            raise RecordingError("the recording has messages from after 2038, which ROS has no time for; choose --to")
         stamp = self._types["builtin_interfaces/msg/Time"](sec=wall_ns // 10**9, nanosec=wall_ns % 10**9)
         return self._types["std_msgs/msg/Header"](stamp=stamp, frame_id=FRAME_ID)
 
