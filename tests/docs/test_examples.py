@@ -189,3 +189,10 @@ def test_presses_are_simulated_with_an_untouched_reading_before_each(example, tm
     with np.load(tmp_path / "presses.npz") as found:
         assert np.isnan(found["xy_mm"][:, 0]).tolist() == [True, False, True, False]
         assert 0.01 < np.log(found["voltages_V"][1] / found["voltages_V"][0]).std() < 0.3
+
+
+def test_a_finger_in_mujoco_is_felt(example, tmp_path):
+    pytest.importorskip("mujoco", reason="a simulated finger needs the extra 'simulators'")
+    with example("mujoco_finger.py", 3, tmp_path / "finger.png") as program:
+        assert program.ends().startswith("felt 3 of 3 presses, 0.")
+    assert (tmp_path / "finger.png").read_bytes().startswith(b"\x89PNG")

@@ -25,7 +25,7 @@ from eitskin_proto.skin.sheet_cloud import check_sheet
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.arrays import Array, Index
 from eitskin_sim.fem.mesh import Metric
-from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh, with_contacts, without_middle
+from eitskin_sim.freeform.mesh import shared_mesh, with_contacts, without_middle
 from eitskin_sim.freeform.sheet import assembled_metric
 from eitskin_sim.measurement.front_end import to_voltages
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_sheet
@@ -104,18 +104,13 @@ class Sheet:
         skin: The skin as it is stated.
         cloud: Its shape: (3, rows, columns) mm, or the file that ``eitskin surface`` wrote; None is flat.
         law: What presses and stretch do to conductivity.
-        element_mm: The largest element.
 
     Raises:
         ValueError: The cloud is malformed or of another skin, or the skin's outline is no rectangle.
     """
 
     def __init__(
-        self,
-        skin: Skin = PAPER,
-        cloud: npt.ArrayLike | str | Path | None = None,
-        law: Law | None = None,
-        element_mm: float = ELEMENT_MM,
+        self, skin: Skin = PAPER, cloud: npt.ArrayLike | str | Path | None = None, law: Law | None = None
     ) -> None:
         self.skin, self.law = skin, law or Law()
         if isinstance(cloud, str | Path):
@@ -125,16 +120,16 @@ class Sheet:
         """(3, rows, columns), in the pose in which it was given."""
         self._surface = fit_cloud(points, skin.grid)
         flat = flat_metric_of(skin)
-        self._sheet = self._of(flat if cloud is None else self._surface.metric, element_mm)
+        self._sheet = self._of(flat if cloud is None else self._surface.metric)
         self.untouched_V: Array = self._sheet.untouched_V
         """(104,) of this shape, untouched: the prediction that goes with the cloud."""
-        self.flat_V: Array = self.untouched_V if cloud is None else self._of(flat, element_mm).untouched_V
+        self.flat_V: Array = self.untouched_V if cloud is None else self._of(flat).untouched_V
         """(104,) of the flat sheet, untouched: the runtime's reference."""
 
-    def _of(self, metric: Metric, element_mm: float) -> TouchedSheet:
+    def _of(self, metric: Metric) -> TouchedSheet:
         stated, own = nominal_sheet(self.skin).gauge_factor, self.law.gauge_factor
-        assembled = assembled_metric(metric, element_mm, skin=self.skin, gauge=0.0 if own is None else own - stated)
-        return TouchedSheet(assembled, shared_mesh(element_mm, None, self.skin))
+        assembled = assembled_metric(metric, skin=self.skin, gauge=0.0 if own is None else own - stated)
+        return TouchedSheet(assembled, shared_mesh(skin=self.skin))
 
     def voltages(self, presses: Sequence[Press]) -> Array:
         """Return (104,) V under 1 A while something presses; where presses overlap, their ratios multiply.
