@@ -2,11 +2,8 @@
 
 import re
 import shutil
-import struct
 import subprocess
 import sys
-import threading
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -14,12 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.tools.view.scripted import Runtime, Scene, disc
 
 import eitskin
-from eitskin.messaging.frame_message import FramePacker
-from eitskin.messaging.publish import Publisher
 from eitskin.model.bundle import load_bundle
-from eitskin_proto.skin.skin import PAPER
 from eitskin_tools import cli
 from eitskin_tools.recording.convert import table_of
 from eitskin_tools.recording.frames import RecordedFrames
@@ -84,61 +79,29 @@ def test_touches_are_the_four_largest_in_order_and_then_zeros(plug_in: Any) -> N
     assert plug_in.touch_array([touch(n, 10.0 * n) for n in range(1, 7)])[:, 6].tolist() == [30, 40, 50, 60]
 
 
-@pytest.fixture
-def stream(tmp_path: Path) -> Any:
-    """A runtime that publishes touched frames, each with another map, while ``sending`` is set."""
-    packer = FramePacker(configuration="paper/1", bundle="b", serial_number="s", run="r", shape=PAPER.grid.shape)
-    packer.put_texts("vd2t", (), ())
-    publisher, ending = Publisher(f"ipc://{tmp_path}/frames"), threading.Event()
-    found = SimpleNamespace(endpoint=publisher.endpoint, sending=threading.Event(), age_us=1000)
-    found.sending.set()
-
-    def send() -> None:
-        number = 0
-        while not ending.wait(0.005):
-            publisher.update()
-            if found.sending.is_set():
-                number += 1
-                for name, value in (("n", number), ("age_us", found.age_us), ("publish", time.perf_counter_ns())):
-                    packer.put(name, value)
-                packer.put_map(memoryview(np.full(1350, number % 256 / 255, dtype=np.float32)).cast("B"))
-                packer.put_touches((struct.pack("<II21f", number, 0, *[1.0] * 21), b"", 0))
-                publisher.send(packer.message())
-
-    thread = threading.Thread(target=send)
-    thread.start()
-    yield found
-    ending.set()
-    thread.join()
-    publisher.close()
-
-
-def test_a_camera_reads_the_newest_map_and_touches_and_never_an_old_one(plug_in: Any, stream: Any) -> None:
-    config = plug_in.EitskinCameraConfig(endpoint=stream.endpoint, max_age_s=60.0)
-    camera = plug_in.EitskinCamera(config)
+def test_a_camera_reads_the_newest_map_and_touches_and_never_an_old_one(plug_in: Any, tmp_path: Path) -> None:
+    endpoint, scene = f"ipc://{tmp_path}/frames", Scene(map=disc(60.0, 40.0))
+    camera = plug_in.EitskinCamera(plug_in.EitskinCameraConfig(endpoint=endpoint, max_age_s=60.0))
     with pytest.raises(ConnectionError):
         camera.read()
-    camera.connect()
-    before, image = camera.frame.number, camera.async_read(timeout_ms=5000)
-    assert camera.frame.number > before
-    assert (image.shape, image.dtype) == ((240, 360, 3), np.uint8)
-    assert set(image.ravel()) == {camera.frame.number % 256}
-    assert camera.touches[:, 7].tolist() == [1, 0, 0, 0]
-
-    stream.sending.clear()
+    with Runtime(endpoint, scene):
+        camera.connect()
+        before, image = camera.frame.number, camera.async_read(timeout_ms=5000)
+        assert camera.frame.number > before
+        assert (image.shape, image.dtype) == ((240, 360, 3), np.uint8)
+        np.testing.assert_array_equal(image[::8, ::8, 1], np.rint(255 * scene.map))
+        assert camera.touches.tolist() == plug_in.touch_array(camera.frame.touches).tolist()
+        assert camera.touches[0, 7] == scene.map.max()
+        with pytest.raises(eitskin.StaleFrame, match="s old, expected at most 1e-06 s"):
+            plug_in.EitskinCamera(plug_in.EitskinCameraConfig(endpoint=endpoint, max_age_s=1e-6)).connect()
+        with pytest.raises(ValueError, match="height 240 and width 360, expected 240 and 640: set both"):
+            plug_in.EitskinCamera(plug_in.EitskinCameraConfig(endpoint=endpoint, width=640)).connect()
     with pytest.raises(eitskin.NoFrame, match="no frame from"):  # behind those on their way
-        list(iter(camera.async_read, None))
+        _ = [camera.async_read() for _ in range(1000)]
     with pytest.raises(eitskin.StaleFrame):
-        camera.read_latest(max_age_ms=1)
-    stream.age_us = 10**9
-    stream.sending.set()
-    with pytest.raises(eitskin.StaleFrame, match="s old, expected at most 60 s"):
-        camera.async_read(timeout_ms=1000)
+        camera.read_latest(max_age_ms=0)
     camera.disconnect()
     assert not camera.is_connected
-    stream.age_us = 1000
-    with pytest.raises(ValueError, match="height 240 and width 360, expected 240 and 640: set both"):
-        plug_in.EitskinCamera(plug_in.EitskinCameraConfig(endpoint=stream.endpoint, width=640)).connect()
 
 
 def test_without_lerobot_a_data_set_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -208,17 +171,19 @@ def lerobot_python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 @pytest.mark.process
 def test_two_recordings_are_two_episodes_that_lerobot_reads_back_equal(
-    lerobot_python: Path, plug_in: Any, stream: Any, tmp_path: Path
+    lerobot_python: Path, plug_in: Any, tmp_path: Path
 ) -> None:
     paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
     for path, frames in zip(paths, (150, 90), strict=True):
         recorded(path, measured(frames))
     (tmp_path / "program.py").write_text(PROGRAM)
     words = ["convert", *map(str, paths), "--lerobot", "--rate", "30", "--bundle", str(TINY), "--task", "touch"]
-    done = subprocess.run(
-        [lerobot_python, tmp_path / "program.py", stream.endpoint, tmp_path / "set", *words],
-        capture_output=True, text=True, check=False, cwd=tmp_path,
-    )  # fmt: skip
+    endpoint = f"ipc://{tmp_path}/frames"
+    with Runtime(endpoint, Scene(map=disc(60.0, 40.0))):
+        done = subprocess.run(
+            [lerobot_python, tmp_path / "program.py", endpoint, tmp_path / "set", *words],
+            capture_output=True, text=True, check=False, cwd=tmp_path,
+        )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "read (240, 360, 3) 1" in done.stdout
     maps, touches, episode = list[Any](), list[Any](), list[int]()

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rosbag-version", type=int, choices=(8, 9), metavar="N", help="8 for ROS 2 Humble, 9 for Jazzy (default 9)"
     )
-    parser.add_argument("--rate", type=positive(1e5), metavar="HZ", help="rows a second (default: a row a frame)")
+    parser.add_argument("--rate", type=positive(1000), metavar="HZ", help="rows a second (default: a row a frame)")
     parser.add_argument(
         "--clock", type=Path, metavar="FILE", help="rows at the times in FILE: a line each, in seconds since 1970"
     )
@@ -126,8 +126,9 @@ def _rows(arguments: argparse.Namespace, script: Any, frames: Any, **options: An
 
 def _write_lerobot(arguments: argparse.Namespace) -> int:
     """Write each recording as an episode of a data set, and return 0."""
+    from eitskin_tools.recording.frames import RecordedFrames
     from eitskin_tools.recording.layout import RecordingError
-    from eitskin_tools.recording.script import Script
+    from eitskin_tools.recording.script import Script, bundle_of
 
     try:
         from lerobot_camera_eitskin.dataset import write_dataset
@@ -140,11 +141,7 @@ def _write_lerobot(arguments: argparse.Namespace) -> int:
     tables = list[Any]()
     for path in arguments.file:
         script = Script(path)
-        frames = _frames(script, arguments.bundle)
-        if frames is None:
-            raise RecordingError(
-                f"{path}: the bundle that was running is not a shipped one: name it with --bundle FILE"
-            )
+        frames = RecordedFrames(script, bundle_of(script, arguments.bundle))
         table, times = _rows(arguments, script, frames, compute_maps=True)
         if missing := (times or 0) - len(table.maps):
             raise RecordingError(

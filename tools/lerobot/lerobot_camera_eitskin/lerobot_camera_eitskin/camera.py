@@ -43,8 +43,8 @@ class EitskinCamera(Camera):
         """Keep the configuration; nothing is opened."""
         super().__init__(config)
         self.config = config
-        self.frame: eitskin.Frame | None = None
-        """The frame of the last image."""
+        self.frame: Any = None
+        """The :class:`eitskin.Frame` of the last image."""
         self._frames: Any = None
 
     @property
@@ -105,18 +105,12 @@ class EitskinCamera(Camera):
             DeviceNotConnectedError: It is not connected.
             eitskin.StaleFrame: It is older than ``max_age_ms``.
         """
-        if self.frame is None:
-            raise DeviceNotConnectedError("the skin is not connected: call connect() first")
-        try:
-            return self._image(0.0, 1e-3 * max_age_ms)
-        except eitskin.NoFrame:
-            return self._fresh(self.frame, 1e-3 * max_age_ms)
+        return self._fresh(self._connected().waiting() or self.frame, 1e-3 * max_age_ms)
 
     @property
     def touches(self) -> npt.NDArray[np.float32]:
         """The touches of the last image, (4, 9), see :func:`touch_array`."""
-        if self.frame is None:
-            raise DeviceNotConnectedError("the skin is not connected: call connect() first")
+        self._connected()
         return touch_array(self.frame.touches)
 
     def disconnect(self) -> None:
@@ -125,22 +119,26 @@ class EitskinCamera(Camera):
             self._frames.close()
         self._frames = self.frame = None
 
-    def _image(self, timeout_s: float, max_age_s: float) -> npt.NDArray[np.uint8]:
-        """Return the newest image; frames that waited through a pause are too old and passed over."""
+    def _connected(self) -> Any:
         if self._frames is None:
             raise DeviceNotConnectedError("the skin is not connected: call connect() first")
+        return self._frames
+
+    def _image(self, timeout_s: float, max_age_s: float) -> npt.NDArray[np.uint8]:
+        """Return the newest image; frames that waited through a pause are too old and passed over."""
+        frames = self._connected()
         end_s, stale = time.monotonic() + timeout_s, None
         while True:
-            if (frame := self._frames.waiting()) is not None:
+            if (frame := frames.waiting()) is not None:
                 try:
                     return self._fresh(frame, max_age_s)
                 except eitskin.StaleFrame as error:
                     stale = error
             if (left_s := end_s - time.monotonic()) <= 0.0:
                 raise stale or eitskin.NoFrame(
-                    f"no frame from {self._frames.endpoint} within {timeout_s:g} s: {self._frames.silence(timeout_s)}"
+                    f"no frame from {frames.endpoint} within {timeout_s:g} s: {frames.silence(timeout_s)}"
                 )
-            self._frames.socket.poll(1000.0 * left_s)
+            frames.socket.poll(1000.0 * left_s)
 
     def _fresh(self, frame: eitskin.Frame, max_age_s: float) -> npt.NDArray[np.uint8]:
         """Return the image of a frame, which is kept, or refuse an old one."""
