@@ -327,7 +327,9 @@ def test_a_part_is_converted_by_the_command_line_and_a_folder_that_is_there_stay
     assert (found["out"], found["format"]) == (str(out), kind)
     if kind == "parquet":
         assert (found["frames"], found["left_out"], found["maps"]) == (60, 0, True)
-        assert in_parquet(out) == [step.frame.seq for step in steps[40:100]]
+        import pyarrow.parquet as pq
+
+        assert pq.read_table(out)["seq"].to_pylist() == [step.frame.seq for step in steps[40:100]]
     else:
         topics = Counter(one.topic for one in script.recording.entries() if begin_ns <= one.log_ns <= end_ns)
         maps = topics[MAP.topic]
@@ -346,14 +348,6 @@ def test_a_part_is_converted_by_the_command_line_and_a_folder_that_is_there_stay
     assert [(path.name, path.read_bytes()) for path in there.parent.rglob("*") if path != there] == [
         ("mine", b"precious")
     ]
-
-
-def in_parquet(path: Path) -> list[int]:
-    """Return ``seq`` of each row."""
-    import pyarrow.parquet as pq
-
-    found: list[int] = pq.read_table(path)["seq"].to_pylist()
-    return found
 
 
 def in_bag(folder: Path) -> Counter[str]:

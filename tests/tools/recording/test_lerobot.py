@@ -157,7 +157,8 @@ def lerobot_python(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ["torch==2.13.0"],  # alone and first, as constraints.txt says
         ["--no-deps", "lerobot==0.4.4", "torchvision==0.29.1"],
         ["datasets>=4,<5", "huggingface-hub<0.36", "av<16", "draccus==0.10.0", "jsonlines", "packaging<26", "deepdiff",
-         "termcolor", "imageio", "einops", "accelerate", "opencv-python-headless", "torch==2.13.0", f"{ROOT}[record]"],
+         "termcolor", "imageio", "einops", "accelerate", "opencv-python-headless", "torch==2.13.0", "--editable",
+         f"{ROOT}[record]"],
         ["--no-deps", str(PLUG_IN)],
     ):  # fmt: skip
         pip = [python, "-m", "pip", "--disable-pip-version-check", "--quiet", "install", *words]
