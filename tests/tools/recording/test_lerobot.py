@@ -100,6 +100,9 @@ def test_a_camera_reads_the_newest_map_and_touches_and_never_an_old_one(plug_in:
         _ = [camera.async_read() for _ in range(1000)]
     with pytest.raises(eitskin.StaleFrame):
         camera.read_latest(max_age_ms=0)
+    camera.config.max_age_s = 0.0
+    with pytest.raises(eitskin.StaleFrame):
+        _ = camera.touches
     camera.disconnect()
     assert not camera.is_connected
 

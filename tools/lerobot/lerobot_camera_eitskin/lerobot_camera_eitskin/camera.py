@@ -74,7 +74,7 @@ class EitskinCamera(Camera):
         keys = eitskin.load_client_keys(*map(Path, names)) if names else None
         self._frames = eitskin.subscribe(self.config.endpoint, touches=True, keys=keys)
         try:
-            height, width, _ = self._image(5.0, self.config.max_age_s).shape
+            height, width, _ = image_of(self._newest(5.0).map).shape
             if (height, width) != (self.height, self.width):
                 raise ValueError(
                     f"the skin's images have height {height} and width {width}, expected {self.height} and "
@@ -86,7 +86,7 @@ class EitskinCamera(Camera):
 
     def read(self) -> npt.NDArray[np.uint8]:
         """Return the newest image (height, width, 3), waiting a second for one; errors as of :meth:`async_read`."""
-        return self._image(1.0, self.config.max_age_s)
+        return image_of(self._newest(1.0).map)
 
     def async_read(self, timeout_ms: float = 200) -> npt.NDArray[np.uint8]:
         """Return the newest image (height, width, 3) that was not yet read.
@@ -96,7 +96,7 @@ class EitskinCamera(Camera):
             eitskin.NoFrame: None came in time; the text says why.
             eitskin.StaleFrame: Only older ones than ``max_age_s`` came in time.
         """
-        return self._image(1e-3 * timeout_ms, self.config.max_age_s)
+        return image_of(self._newest(1e-3 * timeout_ms).map)
 
     def read_latest(self, max_age_ms: int = 500) -> npt.NDArray[np.uint8]:
         """Return the newest image without waiting, also one that was read before.
@@ -105,13 +105,13 @@ class EitskinCamera(Camera):
             DeviceNotConnectedError: It is not connected.
             eitskin.StaleFrame: It is older than ``max_age_ms``.
         """
-        return self._fresh(self._connected().waiting() or self.frame, 1e-3 * max_age_ms)
+        return image_of(self._fresh(self._connected().waiting() or self.frame, 1e-3 * max_age_ms).map)
 
     @property
     def touches(self) -> npt.NDArray[np.float32]:
-        """The touches of the last image, (4, 9), see :func:`touch_array`."""
+        """The touches of the last image, (4, 9), see :func:`touch_array`; ``eitskin.StaleFrame`` if that is too old."""
         self._connected()
-        return touch_array(self.frame.touches)
+        return touch_array(self._fresh(self.frame, self.config.max_age_s).touches)
 
     def disconnect(self) -> None:
         """End the subscription."""
@@ -124,14 +124,14 @@ class EitskinCamera(Camera):
             raise DeviceNotConnectedError("the skin is not connected: call connect() first")
         return self._frames
 
-    def _image(self, timeout_s: float, max_age_s: float) -> npt.NDArray[np.uint8]:
-        """Return the newest image; frames that waited through a pause are too old and passed over."""
+    def _newest(self, timeout_s: float) -> eitskin.Frame:
+        """Return the newest frame; frames that waited through a pause are too old and passed over."""
         frames = self._connected()
         end_s, stale = time.monotonic() + timeout_s, None
         while True:
             if (frame := frames.waiting()) is not None:
                 try:
-                    return self._fresh(frame, max_age_s)
+                    return self._fresh(frame, self.config.max_age_s)
                 except eitskin.StaleFrame as error:
                     stale = error
             if (left_s := end_s - time.monotonic()) <= 0.0:
@@ -140,9 +140,9 @@ class EitskinCamera(Camera):
                 )
             frames.socket.poll(1000.0 * left_s)
 
-    def _fresh(self, frame: eitskin.Frame, max_age_s: float) -> npt.NDArray[np.uint8]:
-        """Return the image of a frame, which is kept, or refuse an old one."""
+    def _fresh(self, frame: eitskin.Frame, max_age_s: float) -> eitskin.Frame:
+        """Return a frame, which is kept, or refuse an old one."""
         if (age_s := frame.age_s) > max_age_s:
             raise eitskin.StaleFrame(f"the newest frame is {age_s:.3f} s old, expected at most {max_age_s:g} s")
         self.frame = frame
-        return image_of(frame.map)
+        return frame
