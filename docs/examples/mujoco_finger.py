@@ -67,7 +67,7 @@ def draw(path: str, sheet: Sheet, frame: eitskin.Frame, pairs: np.ndarray) -> No
     bent.plot_surface(
         *sheet.cloud_mm, facecolors=colormaps["viridis"](frame.map.clip(0.0, 1.0)), shade=False, rstride=1, cstride=1
     )
-    bent.set(xlabel="x, mm", ylabel="y, mm", zlabel="z, mm", aspect="equal", zticks=(80, 100))
+    bent.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", zticks=(80, 100))
     bent.set_title("the last map that was touched")
     flat = figure.add_subplot(1, 2, 2)
     flat.scatter(*pairs[:, :2].T, s=120, facecolors="none", edgecolors="tab:blue", label="contact")

@@ -39,35 +39,36 @@ LIGHT_MM, FIRM_MM, ALL_MM = (4.0, 9.0), (9.0, 12.5), (4.0, 12.5)
 FOUND_MM: Final = 10.0
 """A press is found if the largest touch is nearer than this."""
 
-BORDER_MM: Final = 12.0
-"""Centres keep this distance from the border."""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--presses", type=int, default=100, metavar="N", help="presses that are felt (default 100)")
     parser.add_argument("--fine", type=int, default=20, metavar="N", help="frames solved on a fine mesh (default 20)")
+    parser.add_argument("--border", type=float, default=12.0, metavar="MM", help="from it to centres (default 12)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
-    if arguments.presses < 1 or arguments.fine < 1:
-        raise UsageError("--presses and --fine must be at least 1")
+    if arguments.presses < 1 or arguments.fine < 1 or not 0.0 <= arguments.border <= 40.0:
+        raise UsageError("--presses and --fine must be at least 1, and --border 0 to 40")
     skin, random = named("hydrogel"), np.random.default_rng(0)
     sheet = Sheet(skin, measured_cloud(BEND, skin=skin))
     rows: list[dict[str, Any]] = []
     for count in (1, 2):
-        rows += compared(sheet, [drawn(sheet, random, count, ALL_MM) for _ in range(arguments.fine)])
+        frames = [drawn(sheet, random, count, ALL_MM, arguments.border) for _ in range(arguments.fine)]
+        rows += compared(sheet, frames)
     for name, depths_mm in (("light", LIGHT_MM), ("firm", FIRM_MM)):
-        presses = [drawn(sheet, random, 1, depths_mm) for _ in range(arguments.presses)]
+        presses = [drawn(sheet, random, 1, depths_mm, arguments.border) for _ in range(arguments.presses)]
         rows.append({"what": name, **felt(sheet, presses, random)})
     return report(arguments, rows[:-1], rows[-1])
 
 
-def drawn(sheet: Sheet, random: np.random.Generator, count: int, depths_mm: tuple[float, float]) -> list[Press]:
+def drawn(
+    sheet: Sheet, random: np.random.Generator, count: int, depths_mm: tuple[float, float], border_mm: float
+) -> list[Press]:
     """Return presses of a frame; they may overlap."""
-    x_mm, y_mm = ((BORDER_MM, size_mm - BORDER_MM) for size_mm in sheet.skin.outline.size_mm)
+    x_mm, y_mm = ((border_mm, size_mm - border_mm) for size_mm in sheet.skin.outline.size_mm)
     low, high = np.array([x_mm, y_mm, RADII_MM, depths_mm]).T
     return [Press(*row) for row in random.uniform(low, high, (count, 4)).tolist()]
 
