@@ -11,7 +11,7 @@ No touch or bend only exchanges readings, moves few rows alone, or multiplies th
 by a factor. With x the change of a frame's l against the reference, or against the last frame that was fit ::
 
     rms(sort(l + log V0) - sort(log V0)) < SORTED_SHARE rms(x)      the same readings in other rows
-    rms of all rows but k <= FEW_ROWS    < FEW_ROWS_SHARE rms of these k
+    rms of all rows but k <= FEW_ROWS    < FEW_ROWS_SHARE rms of these k, weak readings weighed by their noise
     rms(x - g)                           < GAIN_SHARE |g|, with g the mean of a drive's or a measurement's rows
 
 This needs no model. On a sheet that holds still, bent or touched, with noise of 0.3 %, it shows two rows whose readings
@@ -141,9 +141,10 @@ class Weigher:
     """
 
     __slots__ = (
-        "_before", "_first", "_fit", "_harmless", "_hum", "_inner", "_jump", "_last", "_low_high", "_mean",
-        "_members", "_mixed", "_one", "_own", "_pair_weight", "_pairs", "_precision", "_quiet", "_seen", "_sizes",
-        "_square", "_step", "_steps", "_still", "_thresholds", "_trust", "of",
+        "_before", "_both_heard", "_first", "_fit", "_fit_heard", "_harmless", "_heard", "_hum", "_inner", "_jump",
+        "_last", "_loud", "_low_high", "_mean", "_members", "_mixed", "_one", "_own", "_pair_weight", "_pairs",
+        "_precision", "_quiet", "_seen", "_sizes", "_square", "_step", "_steps", "_still", "_thresholds", "_trust",
+        "of",
     )  # fmt: skip
 
     def __init__(
@@ -161,6 +162,8 @@ class Weigher:
         square = np.outer(size, size) - precision**2 + np.diag(np.full(N_ROWS, np.inf))
         self._first, self._mixed = size[None, :] / square, -2.0 * precision / square  # of P_gg^-1 of any two rows g
         self._trust = np.minimum(LEAST_STEP / 8.0 / np.maximum(sigma, 1e-9), 1.0)
+        self._loud = np.maximum(LEAST_STEP / 8.0 / np.maximum(sigma, 1e-9), 1.0)
+        self._heard, self._fit_heard, self._both_heard = np.ones((3, N_ROWS))
         self._sizes = np.log(np.maximum(np.abs(reference_V), 1e-30))
         self._fit, self._one, self._step, self._square, self._still = np.zeros((5, N_ROWS))
         self._own = np.zeros(len(_MANY))
@@ -251,34 +254,47 @@ class Weigher:
         logs = self._one
         np.maximum(change, self._low_high[0], out=logs)
         np.minimum(logs, self._low_high[1], out=logs)
+        heard = self._heard
+        np.add(logs, 1.0, out=heard)
+        np.multiply(heard, self._loud, out=heard)
+        np.minimum(heard, 1.0, out=heard)
         np.log1p(logs, out=logs)
         np.multiply(logs, self._trust, out=logs)
-        if look and self._is_no_move(logs, self._still):
+        if look and self._is_no_move(logs, self._still, heard):
             return True
-        if self._steps and self._is_no_move(logs, self._fit):
+        if self._steps and self._is_no_move(logs, self._fit, np.minimum(heard, self._fit_heard, out=self._both_heard)):
             self._steps -= 1
             return True
         self._fit, self._one, self._steps = logs, self._fit, STEP_FRAMES
+        self._fit_heard, self._heard = heard, self._fit_heard
         return False
 
     def forget_step(self) -> None:
         """Compare the next frame with none before it."""
         self._steps = 0
 
-    def _is_no_move(self, after: Array, before: Array) -> bool:
-        """Return whether no touch or bend leads from one (104,) l to another, both weighed by trust."""
+    def _is_no_move(self, after: Array, before: Array, heard: Array) -> bool:
+        """Return whether no touch or bend leads from one (104,) l to another, both weighed by trust.
+
+        Args:
+            after: (104,) l.
+            before: (104,) l.
+            heard: (104,) weights where few rows move. A touch leaves a row fewer counts, but not less noise.
+        """
         change, square = self._step, self._square
         np.subtract(after, before, out=change)
         if max(change.max(), -change.min()) < LEAST_STEP:
             return False
-        np.multiply(change, change, out=square)
-        total = float(square.sum())
+        np.multiply(change, heard, out=square)
+        np.multiply(square, square, out=square)
+        few_total, total = float(square.sum()), float(change.dot(change))
         square.sort()
         np.add.accumulate(square[: -FEW_ROWS - 1 : -1], out=self._own[:FEW_ROWS])
         np.matmul(change, _GAINS, out=self._own[FEW_ROWS:])
         np.multiply(self._own[FEW_ROWS:], self._own[FEW_ROWS:], out=self._own[FEW_ROWS:])
         for own, many, share in zip(self._own.tolist(), _MANY, _SHARES, strict=True):
-            if own / many > LEAST_STEP**2 and (total - own) / (N_ROWS - many) < share * own / many:
+            rest = (few_total if share == FEW_ROWS_SHARE**2 else total) - own
+            if own / many > LEAST_STEP**2 and rest / (N_ROWS - many) < share * own / many:
                 return bool(many <= FEW_ROWS or own / many < SILENT_STEP**2)
         if total < (LEAST_STEP / 2.0) ** 2 * N_ROWS:
             return False

@@ -82,3 +82,16 @@ def test_frames_are_looked_at_in_any_case_if_the_line_never_rests():
     assert must == [False] * BATCH_FRAMES + [True]
     assert not health.examine(NO_SCAN)
     assert not health.due
+
+
+def test_a_row_that_a_touch_leaves_few_counts_may_move_by_one():
+    known, size = consistency(), np.abs(REFERENCE)
+    row, step = int(size.argmin()), size.min() / 60.0
+    rounding = step / size / np.sqrt(12.0)
+    weighs = Weigher(known.mean, known.precision(), known.ratio_range, REFERENCE, rounding, known.thresholds)
+    change = healthy(1)[0]
+    for counts in (3, 4, 3):
+        change[row] = counts / 60.0 - 1.0
+        assert not weighs.is_mixed_up(change, look=False)
+    change[row] = 1.0
+    assert weighs.is_mixed_up(change, look=False)
