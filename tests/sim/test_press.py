@@ -74,6 +74,11 @@ def test_a_press_that_cannot_be_is_refused_in_one_line(press, said):
         sheet().linear_voltages([[PRESSES[0]], [press]])
 
 
+def test_a_press_in_no_list_is_refused():
+    with pytest.raises(ValueError, match="expected a list of Press"):
+        sheet().voltages(PRESSES[0])
+
+
 @pytest.mark.parametrize("table", [[], [(1.0, 0.5), (0.0, 1.0)], [(0.0, 1.0), (np.nan, 0.5)], [(0.0, 1.0), (1.0, 0.0)]])
 def test_a_table_that_is_none_is_refused(table):
     with pytest.raises(ValueError, match=r"the law's table is .* expected two or more rows"):

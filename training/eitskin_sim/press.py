@@ -204,7 +204,9 @@ class Sheet:
 
     def _checked(self, presses: Sequence[Press]) -> Array:
         """Return presses as (n, 4)."""
-        found = np.array(presses, dtype=np.float64).reshape(-1, 4)
+        found = np.array(presses, dtype=np.float64) if presses else np.zeros((0, 4))
+        if found.shape != (len(presses), 4):
+            raise ValueError(f"presses have shape {found.shape}; expected a list of Press(x, y, radius, depth) a frame")
         length, width = self.skin.outline.size_mm
         least = np.array([0.0, 0.0, SMALLEST_RADIUS_MM, self.law.depths_mm[0]])
         most = np.array([length, width, min(length, width) / 2, self.law.depths_mm[1]])
