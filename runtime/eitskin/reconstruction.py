@@ -37,8 +37,6 @@ def reconstruct(
 ) -> Reconstruction:
     """Return the maps of frames, by the gate and the solver that ``eitskin run`` uses.
 
-    The frames are taken in their order, as those of a stream: the gate remembers untouched ones.
-
     Args:
         voltages: (n, rows) or (rows,) V, signed or amounts; each frame is judged by itself.
         reference: (rows,) V of the untouched sheet, by the same device.
@@ -51,6 +49,7 @@ def reconstruct(
         ValueError: Voltages, reference or cloud have a wrong shape or are not finite, or the bundle's rows cannot be
             computed from these.
         BundleError: The bundle cannot be used.
+        MismatchError: The reference has other levels than the sheet that was taught.
     """
     loaded = bundle if isinstance(bundle, Bundle) else load_bundle(bundle, lazily=True)
     volts, untouched = _checked(voltages, reference)

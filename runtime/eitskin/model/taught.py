@@ -39,7 +39,10 @@ NOISE_STEP: Final = 0.05
 seen. Presses that change with every frame are no noise."""
 
 FOLLOW_FRAMES: Final = 32
-"""The baseline follows after so many untouched frames."""
+"""The baseline follows after so many untouched frames, with touches between them or none."""
+
+LEAST_AVERAGED: Final = 8
+"""It follows no mean of fewer frames."""
 
 FOLLOW_SHARE: Final = 0.5
 """Part of the way to their mean that it goes."""
@@ -171,7 +174,7 @@ class TaughtField:
         self._averaged = self._until_look = 0
         self._noise = self._step = self._usual
         self._peak = 0.0
-        self._held = 0
+        self._rested = 0
         self._use(self._home)
 
     def touched(self) -> bool:
@@ -180,7 +183,6 @@ class TaughtField:
         self._average()
         size = self._judge()
         if self.logit > self.threshold:
-            self._held = 0
             self._peak = max(self._peak, size)
             still = self._averaged >= FOLLOW_FRAMES
             if not (still and size < RELEASED * self._peak):
@@ -188,8 +190,8 @@ class TaughtField:
             self._follow(1.0)  # what is left of it is the sheet's from now on
         self._peak = 0.0
         self._noise *= 1.0 + NOISE_STEP if self._step > self._noise else 1.0 - NOISE_STEP
-        self._held += 1
-        if self._held >= FOLLOW_FRAMES:
+        self._rested += 1
+        if self._rested >= FOLLOW_FRAMES and self._averaged >= LEAST_AVERAGED:
             self._follow(FOLLOW_SHARE)
         return False
 
@@ -279,7 +281,7 @@ class TaughtField:
         """Let the baseline go a part of the way to the mean of untouched frames, which is in ``rest``."""
         np.multiply(self._rest, np.float32(share), out=self._rest)
         np.add(self._baseline, self._rest, out=self._baseline)
-        self._held = 0
+        self._rested = 0
 
 
 def field_of(bundle: Bundle) -> TaughtField | None:

@@ -89,6 +89,18 @@ def test_the_baseline_follows_drift_while_untouched_and_stays_under_a_held_press
     assert field.touched()
 
 
+def test_the_baseline_follows_drift_in_short_rests_between_presses():
+    field = TaughtField([arrays()], GRID)
+    for drift in np.linspace(0.0, 10.0, 2 * FOLLOW_FRAMES):  # as much in all as would be a touch at once
+        for _ in range(FOLLOW_FRAMES // 2):
+            frame(field, drift=drift)
+            untouched = not field.touched()
+        assert untouched
+        for _ in range(FOLLOW_FRAMES // 2):
+            frame(field, (75.0, 50.0), drift=drift)
+            assert field.touched()
+
+
 def test_a_faint_touch_shows_in_the_average_of_a_still_sheet():
     field, single, alone = TaughtField([arrays()], GRID), TaughtField([arrays()], GRID), 0
     for _ in range(20):
