@@ -220,7 +220,9 @@ class Weigher:
             votes[each, worst] = surprise[each, worst] > self._thresholds[0]
         if found.silent.min() < SHORTED_RATIO or found.sign.min() < REVERSED_RATIO:
             beside = np.minimum(found.silent[:, _BEFORE], found.silent[:, _AFTER])
-            shorted = (found.silent < SHORTED_RATIO) & (beside > OPEN_RATIO)
+            nothing = found.silent < SHORTED_RATIO
+            shorted = nothing & (beside > OPEN_RATIO)
+            votes[:, :N_ELECTRODES] |= nothing & nothing[:, _BEFORE] & in_use & in_use[_BEFORE]
             votes[:, PAIR_WRONG] = (shorted | (found.sign < REVERSED_RATIO)) & in_use
         if jumps.any():
             sums = jumps @ self._members

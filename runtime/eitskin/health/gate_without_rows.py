@@ -79,7 +79,8 @@ class GateWithoutRows:
         by_itself = self._gate.leave_out(rows)
         self._filling.leave_out(np.zeros_like(rows) if by_itself else rows, self._precision)
         self._gate.threshold = self._gate.usual_threshold
-        self._gate.reset()
+        if not by_itself:
+            self._gate.reset()
         self._logits = []
         self._rng = np.random.default_rng(SEED)
         self.due = bool(rows.any() or (self._sigma > LEARNED_NOISE).any() or self._shared is not None)

@@ -125,8 +125,8 @@ class Filters:
 
     def without(
         self, first: npt.NDArray[np.floating], rows: npt.NDArray[np.bool_]
-    ) -> tuple[npt.NDArray[np.float64], "Filters"]:
-        """Return the (n + 1, h) weights for the remaining rows, and the gate's parts then.
+    ) -> tuple[npt.NDArray[np.float64], "Filters", npt.NDArray[np.float64]]:
+        """Return the (n + 1, h) weights for the remaining rows, the gate's parts then, and (k, h) what makes p' of w.
 
         Args:
             first: (n + 1, h) weights of responses to the logarithms, and the bias.
@@ -145,7 +145,7 @@ class Filters:
         weights = product(whitening, change)
         weights[rows] = 0.0  # but for rounding they are
         smaller = float(np.sqrt(np.maximum(np.diag(left), 0.0)).mean())
-        return np.vstack([weights, product(bias[None], change)]), replace(self, still=smaller * self.still)
+        return np.vstack([weights, product(bias[None], change)]), replace(self, still=smaller * self.still), change
 
 
 def patterns_of(whitening: npt.NDArray[np.float64], filters: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -218,14 +218,20 @@ class ChangeDetector:
         self._sizes = np.zeros(filters.whitened, dtype=np.float32)
         self.begin(filters)
 
-    def begin(self, filters: Filters) -> None:
-        """Restart with other filters of the same size for the same touches.
+    def begin(self, filters: Filters, kept: npt.NDArray[np.float64] | None = None) -> None:
+        """Restart with other filters of the same size for the same touches; a touch that is held stays so if it can.
 
         Args:
             filters: The gate's from now on.
+            kept: (k, width) what makes new responses of the w of those before; None if nothing does.
         """
         self._filters = filters
-        self.reset()
+        if kept is None or not self.held:
+            self.reset()
+            return
+        for mean in (self._base, self._recent):
+            mean[:] = product(mean[None, : filters.whitened].astype(np.float64), kept)[0]
+        self._peak = 0.0  # the rows that are gone may have been wild
 
     def reset(self) -> None:
         """Restart: the untouched sheet's voltages are not known."""
@@ -271,7 +277,7 @@ class ChangeDetector:
         if stays or touched:
             self._missed = 0
             if self.strength > self._peak:
-                self._peak = min(self.strength, 2.0 * self._peak)  # one wild frame is no measure
+                self._peak = min(self.strength, 2.0 * self._peak or self.strength)  # one wild frame is no measure
             return stays
         self._missed += 1
         self._mix(self._recent, response, 1.0 / self._missed)
@@ -473,11 +479,14 @@ class Gate:
             if not rows.any():
                 return True
             self._whole = self._first.copy()
-        first, self.filters = self._whole, self._all_filters
+        first, self.filters, kept = self._whole, self._all_filters, None
         if rows.any():
-            weights, self.filters = self._all_filters.without(self._whole, rows)
+            weights, self.filters, change = self._all_filters.without(self._whole, rows)
             first = flushed(weights).astype(np.float32)
+            kept = change if self._first[:-1][~rows].any(axis=1).all() else None  # rows that come back tell news
         self._first[:] = first
+        if self.changes is not None:
+            self.changes.begin(self.filters, kept)
         return True
 
     def logits(self, changes: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:

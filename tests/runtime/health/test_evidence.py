@@ -95,3 +95,12 @@ def test_a_row_that_a_touch_leaves_few_counts_may_move_by_one():
         assert not weighs.is_mixed_up(change, look=False)
     change[row] = 1.0
     assert weighs.is_mixed_up(change, look=False)
+
+
+def test_an_electrode_whose_rows_read_nothing_needs_no_surprise():
+    known = consistency()
+    never = np.full(2, 1e9)
+    weighs = Weigher(known.mean, known.precision(), known.ratio_range, REFERENCE, np.full(N_ROWS, NOISE), never)
+    frame = healthy(1)
+    frame[:, rows_of((6,))] = -0.9999
+    assert np.flatnonzero(weighs.weigh(frame, frame, ALL)[0, :16]).tolist() == [6]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.gate import Filters, Gate
+from eitskin.model.gate import Filters, Gate, patterns_of
 from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ROWS
 
@@ -38,7 +38,7 @@ def drawn(arrays, first):
 
 def test_without_rows_it_says_what_it_would_of_the_rows_that_its_own_gaussian_expects(arrays, first, drawn):
     filters = Filters.of(arrays)
-    size, (weights, _) = filters.whitened, filters.without(first, LOST)
+    size, (weights, *_) = filters.whitened, filters.without(first, LOST)
     assert not weights[:-1][LOST].any()
     whitening, bias = first[:-1, :size], first[-1, :size]
     precision = whitening @ whitening.T
@@ -64,3 +64,21 @@ def test_a_gate_of_matched_filters_judges_as_the_layers_that_are_stored(arrays):
         assert gate.logit == pytest.approx(float(hidden @ stored["w3"] + stored["b3"]), rel=1e-4, abs=1e-3)
         assert touched == (gate.logit > gate.threshold)
         assert gate.logits(change[None])[0] == pytest.approx(gate.logit, rel=1e-5, abs=1e-4)
+
+
+def test_a_touch_that_is_held_while_rows_go_missing_stays_and_its_end_is_none(arrays, first):
+    gate, rng, size = Gate(arrays), np.random.default_rng(6), Filters.of(arrays).whitened
+    pattern = patterns_of(first[:-1, :size], first[:-1, size:])[:, 0]
+    press = 8.0 * pattern / np.linalg.norm(pattern) @ np.linalg.pinv(first[:-1, :size])
+
+    def said(logs, wild=0.0):
+        gate.change[:] = np.expm1(logs + 0.001 * rng.standard_normal(N_ROWS)) + wild * LOST
+        return gate.touched()
+
+    assert not any(said(0.0) for _ in range(50))
+    assert all(said(press) for _ in range(20))
+    for _ in range(3):  # they fail before they are found out
+        said(press, wild=3.0)
+    assert gate.leave_out(LOST)
+    assert all(said(press, wild=3.0) for _ in range(50))
+    assert not any([said(0.0) for _ in range(50)][4:])
