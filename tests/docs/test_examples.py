@@ -93,7 +93,7 @@ def test_a_cloud_goes_to_the_runtime_with_its_prediction(example, start, runtime
     cloud = tmp_path / "cloud.npz"
     with start("-m", "eitskin_tools.cli", "surface", EXAMPLES / "surface.ply", "--out", cloud) as program:
         program.until("6000 points")
-        program.until("corner (0, 0)")
+        program.until("the corner (0, 0)")
     with example("send_cloud.py", cloud, runtime.control) as program:
         assert "is in use" in program.until("cloud ")
     scene = load_scene(EXAMPLES / "scene.json")
