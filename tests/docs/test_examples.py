@@ -92,8 +92,8 @@ def test_a_robot_acts_on_verified_touches_alone(example, tmp_path):
 def test_a_cloud_goes_to_the_runtime_with_its_prediction(example, start, runtime, tmp_path):
     cloud = tmp_path / "cloud.npz"
     with start("-m", "eitskin_tools.cli", "surface", EXAMPLES / "surface.ply", "--out", cloud) as program:
+        program.until("corner (0, 0)")
         program.until("6000 points")
-        program.until("the corner (0, 0)")
     with example("send_cloud.py", cloud, runtime.control) as program:
         assert "is in use" in program.until("cloud ")
     scene = load_scene(EXAMPLES / "scene.json")
