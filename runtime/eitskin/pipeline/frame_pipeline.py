@@ -196,6 +196,11 @@ class FrontEndWatch:
         # Electrodes along a border order the rows' signs; of rows of an unknown protocol most must have turned
         return int(np.count_nonzero(self._below)) > (0 if self._own_rows else len(change) // 2)
 
+    def forget(self) -> None:
+        """Hold the next frames against none before them."""
+        self.repeats.forget()
+        self.idle_repeats.forget()
+
     def is_of_wires(self) -> bool:
         """Return whether all reversed rows are those of some two electrodes, whose wires may be exchanged."""
         return self._own_rows and not (self._below & _OF_OTHERS).any(axis=1).all()
@@ -443,6 +448,7 @@ class Pipeline:
         if record.resets != self.counter.resets:  # frames are counted from 0 again
             record.resets = self.counter.resets
             self.maps.drop_map()
+            self.front_end.forget()
         if record.idle and self.idle_gate is not None:
             self.idle_gate.load(intake.counts)
         else:
@@ -452,6 +458,11 @@ class Pipeline:
             return intake.give_up("frozen")
         record.stamps[DECODE] = time.perf_counter_ns()
         return True
+
+    def forget_frames(self) -> None:
+        """Hold the next frames against none before them: a recording begins again."""
+        self.intake.forget()
+        self.front_end.forget()
 
     def _compare(self) -> tuple[npt.NDArray[np.number], Repeats]:
         """Hold the frame against the one before; return its counts and what they were held against."""

@@ -115,6 +115,11 @@ class Repeats:
         with np.errstate(divide="ignore"):
             self._patience = np.ceil(SURPRISE / evidence(spread))
         self._looks_needed = np.minimum(self._patience + 1.0, MOST_LOOKS + 1.0).astype(np.uint8)
+        self.forget()
+
+    def forget(self) -> None:
+        """Hold the next frames against none before them."""
+        self._ring[:] = np.nan
         self._runs[:] = self._looks[:] = self._in_ring[:] = self._score = 0
 
     def add(self, counts: npt.NDArray[np.number]) -> bool:

@@ -311,7 +311,7 @@ class Player:
         """Let hold what holds from a frame on."""
         if self.line.rounds != self._rounds:
             self._rounds = self.line.rounds
-            self.skin.pipeline.intake.forget()
+            self.skin.pipeline.forget_frames()
         self._decide(step)
         if step.conditions is None:
             return
