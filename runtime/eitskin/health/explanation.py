@@ -104,7 +104,8 @@ class Explanation:
 
     def _cost_of_exchange(self, undone: Rewiring, volts: Array) -> float:
         """Return the cost of a frame with two wires exchanged back; infinite if that leaves no sheet's rows."""
-        change = undone.matrix @ volts / self._reference - 1.0
+        known = self._reference != 0.0  # a row that reads nothing in the reference cannot change
+        change = np.divide(undone.matrix @ volts, self._reference, out=np.ones(N_ROWS), where=known) - 1.0
         scores, logs = self._score(change)
         total, missing = float(logs @ scores), np.flatnonzero(undone.missing)
         cost = self._without(missing, scores, total)
