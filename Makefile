@@ -1,5 +1,5 @@
 # make demo    a virtual skin, the runtime and a subscriber, shown live (installs no torch)
-# make test    lint, Python and C tests; five minutes on two cores
+# make test    lint, Python and C tests; four minutes on two cores
 # make test-quick | test-all    without processes and heavy sums, under a minute; with mypy and all that is slow
 # make check   the same, and mypy
 # make coverage                            the lines of each file that the Python tests of `make test` run
