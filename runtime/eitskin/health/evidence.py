@@ -141,10 +141,10 @@ class Weigher:
     """
 
     __slots__ = (
-        "_before", "_both_heard", "_first", "_fit", "_fit_heard", "_harmless", "_heard", "_hum", "_inner", "_jump",
-        "_last", "_loud", "_low_high", "_mean", "_members", "_mixed", "_one", "_own", "_pair_weight", "_pairs",
-        "_precision", "_quiet", "_seen", "_sizes", "_square", "_step", "_steps", "_still", "_thresholds", "_trust",
-        "of",
+        "_before", "_first", "_fit", "_fit_heard", "_fit_low", "_harmless", "_heard", "_hum", "_inner", "_jump",
+        "_last", "_loud", "_low_high", "_mean", "_members", "_mixed", "_one", "_other", "_own", "_pair_weight",
+        "_pairs", "_precision", "_quiet", "_seen", "_sizes", "_square", "_step", "_steps", "_still", "_thresholds",
+        "_trust", "of",
     )  # fmt: skip
 
     def __init__(
@@ -163,9 +163,11 @@ class Weigher:
         self._first, self._mixed = size[None, :] / square, -2.0 * precision / square  # of P_gg^-1 of any two rows g
         self._trust = np.minimum(LEAST_STEP / 8.0 / np.maximum(sigma, 1e-9), 1.0)
         self._loud = np.maximum(LEAST_STEP / 8.0 / np.maximum(sigma, 1e-9), 1.0)
-        self._heard, self._fit_heard, self._both_heard = np.ones((3, N_ROWS))
+        self._heard, self._fit_heard = np.ones((2, N_ROWS))
         self._sizes = np.log(np.maximum(np.abs(reference_V), 1e-30))
-        self._fit, self._one, self._step, self._square, self._still = np.zeros((5, N_ROWS))
+        self._fit, self._one, self._other, self._step, self._square, self._still = np.zeros((6, N_ROWS))
+        self._fit_low = 1.0
+        """The least V / V0 of the last frame that was fit."""
         self._own = np.zeros(len(_MANY))
         self._quiet = sigma < SILENT_RATIO
         self._steps = 0
@@ -253,23 +255,36 @@ class Weigher:
             change: (104,) dV.
             look: Whether the difference from the reference is looked at, too.
         """
-        logs = self._one
+        step = self._step
+        np.subtract(change, self._fit, out=step)
+        np.multiply(step, self._trust, out=step)
+        low = 1.0 + float(change.min())
+        small = max(step.max(), -step.min()) < LEAST_STEP * min(
+            low, self._fit_low
+        )  # the logarithms move less than this
+        if look or not small:
+            after, heard = self._logs_of(change, self._one, self._heard)
+            if look and self._is_no_move(after, self._still, heard):
+                return True
+            if self._steps and not small:
+                before, self._fit_heard = self._logs_of(self._fit, self._other, self._fit_heard)
+                if self._is_no_move(after, before, np.minimum(heard, self._fit_heard, out=self._fit_heard)):
+                    self._steps -= 1
+                    return True
+        np.copyto(self._fit, change)
+        self._fit_low, self._steps = low, STEP_FRAMES
+        return False
+
+    def _logs_of(self, change: npt.NDArray[np.floating], logs: Array, heard: Array) -> tuple[Array, Array]:
+        """Fill in and return (104,) l weighed by trust, and the weights where few rows move."""
         np.maximum(change, self._low_high[0], out=logs)
         np.minimum(logs, self._low_high[1], out=logs)
-        heard = self._heard
         np.add(logs, 1.0, out=heard)
         np.multiply(heard, self._loud, out=heard)
         np.minimum(heard, 1.0, out=heard)
         np.log1p(logs, out=logs)
         np.multiply(logs, self._trust, out=logs)
-        if look and self._is_no_move(logs, self._still, heard):
-            return True
-        if self._steps and self._is_no_move(logs, self._fit, np.minimum(heard, self._fit_heard, out=self._both_heard)):
-            self._steps -= 1
-            return True
-        self._fit, self._one, self._steps = logs, self._fit, STEP_FRAMES
-        self._fit_heard, self._heard = heard, self._fit_heard
-        return False
+        return logs, heard
 
     def forget_step(self) -> None:
         """Compare the next frame with none before it."""

@@ -82,8 +82,8 @@ class Repeats:
 
     __slots__ = (
         "_before", "_count", "_evidence", "_frames", "_in_ring", "_lags", "_limit", "_looks", "_looks_needed",
-        "_matches", "_old", "_over", "_patience", "_quiet", "_ring", "_runs", "_same", "_score", "_size", "_spread",
-        "_taken", "_whole", "hanging",
+        "_matches", "_old", "_over", "_patience", "_quiet", "_ring", "_ringing", "_running", "_runs", "_same", "_score",
+        "_size", "_spread", "_taken", "_whole", "hanging",
     )  # fmt: skip
 
     def __init__(self, rows: int) -> None:
@@ -99,6 +99,8 @@ class Repeats:
         self._over, self._lags = np.zeros(rows, dtype=np.bool_), np.zeros(RING_FRAMES - 1, dtype=np.bool_)
         self._limit, self._frames, self._score, self._old = math.inf, 0.0, 0.0, False
         self._taken, self._quiet, self._whole = 0, 0, 0
+        self._running = self._ringing = False
+        """Whether rows repeated in the last frame, and whether some are in a ring."""
         self.hanging: Rows = np.zeros(rows, dtype=np.bool_)
         """(rows,) those that hang in the frame judged last."""
 
@@ -121,6 +123,7 @@ class Repeats:
         """Hold the next frames against none before them."""
         self._ring[:] = np.nan
         self._runs[:] = self._looks[:] = self._in_ring[:] = self._score = 0
+        self._running = self._ringing = False
 
     def add(self, counts: npt.NDArray[np.number]) -> bool:
         """Take a frame, and return whether it is worth a judgement.
@@ -132,20 +135,23 @@ class Repeats:
         np.copyto(self._before, counts)
         many = int(np.count_nonzero(self._same))
         self._frames += 1.0
+        self._look(counts)
+        if not (many or self._running or self._ringing or self._score):
+            self._quiet += 1
+            return False
         if self._frames > REMEMBERED_FRAMES:
             self._frames *= 0.5
             np.multiply(self._count, 0.5, out=self._count)
         whole = many > MOST_SHARE * len(self._same)
         if self._whole and not whole:  # it moves again; a row that repeats once more does so by chance
             self._runs.fill(0.0)
-        self._whole = self._whole + 1 if whole else 0
+        self._whole, self._running = self._whole + 1 if whole else 0, many > 0
         self._add_to_score(many)
         np.add(self._runs, self._same, out=self._runs)
         np.multiply(self._runs, self._same, out=self._runs)
         np.add(self._count, self._same, out=self._count)
         np.greater_equal(self._runs, self._patience, out=self._over)
-        in_ring = self._look(counts)
-        return bool(in_ring or self._score >= SURPRISE or self._over.any())
+        return bool(self._ringing or self._score >= SURPRISE or self._over.any())
 
     def _add_to_score(self, many: int) -> None:
         """Count a frame that repeats in many rows, or one that does not."""
@@ -161,12 +167,12 @@ class Repeats:
             more = -self._score
         self._score = max(self._score + more, 0.0)
 
-    def _look(self, counts: npt.NDArray[np.number]) -> bool:
-        """Hold one frame of ``LOOK_FRAMES``, or each of a ring, against the last ones; return whether rows repeat."""
+    def _look(self, counts: npt.NDArray[np.number]) -> None:
+        """Hold one frame of ``LOOK_FRAMES``, or each of a ring, against the last ones."""
         at = RING_FRAMES - 1 - self._taken % RING_FRAMES
         self._ring[at] = self._ring[at + RING_FRAMES] = counts
         self._taken += 1
-        if self._taken % LOOK_FRAMES == 0 or self._in_ring.any():
+        if self._taken % LOOK_FRAMES == 0 or self._ringing:
             np.equal(self._ring[at + 1 : at + RING_FRAMES], counts, out=self._matches)
             np.add(self._looks, 1, out=self._looks)
             np.multiply(self._looks, self._matches.view(np.uint8), out=self._looks)
@@ -178,7 +184,7 @@ class Repeats:
             self._in_ring[:] = self._looks[lag] if self._lags[lag] else 0.0
             if np.count_nonzero(self._in_ring) < before / 2:  # it is over; rows that still repeat do so by chance
                 self._looks[:] = self._in_ring[:] = 0
-        return bool(self._in_ring.any())
+            self._ringing = bool(self._in_ring.any())
 
     def is_old(self, counts: npt.NDArray[np.number], times: int, frames: int) -> bool:
         """Return whether the frame added last comes again as a whole, and find the rows that hang if it does not.
