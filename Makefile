@@ -55,9 +55,11 @@ $(VENV)/.collected: $(VENV)/.dev
 	@$(BIN)/python -m pytest --collect-only -q -m "not slow" >/dev/null || true
 	@touch $@
 
-# Other programs' files, which the slow tests alone read, and what runs a notebook: 200 MB that nobody else needs.
+# Other programs' files, which the slow tests alone read, and what runs a notebook, simulators and a bridge: 350 MB that
+# nobody else needs.
 $(VENV)/.slow: pyproject.toml constraints.txt | $(VENV)/.dev
-	$(PIP) install --constraint constraints.txt --editable '.[train,dev,cluster,parquet,ros,notebook]'
+	$(PIP) install --constraint constraints.txt --editable '.[train,dev,cluster,parquet,ros,notebook,simulators]' \
+	    eclipse-zenoh
 	@touch $@
 
 # Beside the demonstration's packages, so that docstrings can be read; no torch.

@@ -87,7 +87,8 @@ class CloudChange:
             cloud = cloud.astype(np.float32).astype(np.float64)  # as control requests and streams carry it
         ratio: npt.NDArray[np.float32] | None = None
         if predicted is not None:
-            check_prediction(predicted, predicted_flat, reference)
+            surface = skin.grid.flat_cloud_mm() if cloud is None else cloud
+            check_prediction(surface, predicted, predicted_flat, reference, skin)
             fills = self._pipeline.health is not None
             ratio = prediction_against(predicted, predicted_flat, reference, fills=fills)
         with self._lock:

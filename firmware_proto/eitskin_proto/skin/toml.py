@@ -44,9 +44,6 @@ SPREADS: Final[tuple[Law, ...]] = tuple(law for law in LAWS if law != "exact")
 
 MOST_SPREAD: Final = 1e6
 
-SDS: Final = 3.0
-"""Standard deviations that must be possible."""
-
 MOST_GAP: Final = 2.5
 """A gap between electrodes of more than this many times the second largest is where they do not go round."""
 
@@ -74,7 +71,7 @@ def parse(text: str) -> Skin:
     skin = Skin(**{**texts, "name": texts["name"] or "unnamed"}, **parts)
     _check_round(skin)
     if not skin.calibrated_from:  # a calibrated value has the uncertainty of its calibration
-        _check_signs(skin)
+        check_reach(skin)
     return skin
 
 
@@ -94,20 +91,6 @@ def _check_round(skin: Skin) -> None:
             f"[electrodes] arc_length_mm leaves {largest:.4g} of {skin.outline.perimeter_mm:.4g} mm free behind "
             f"electrode {k}, expected electrodes all round: leave arc_length_mm out to spread them evenly"
         )
-
-
-def _check_signs(skin: Skin) -> None:
-    """Refuse what is positive and could be negative, as far off as the file says: a layer of -1 mm."""
-    for table, kind in TABLES.items():
-        for one in fields(kind):
-            found = getattr(getattr(skin, table), one.name)
-            if isinstance(found, Quantity) and found.law in ("normal", "uniform") and one.metadata["low"] > 0.0:
-                sds = SDS if found.law == "normal" else 1.0
-                if (least := float(np.min(found.value)) - sds * found.spread) <= 0.0:
-                    raise ValueError(
-                        f"[{table}] {one.name} is down to {least:.4g}, expected above 0: make its {found.law} = "
-                        f"{found.spread:g} smaller"
-                    )
 
 
 def to_toml(skin: Skin) -> str:
@@ -195,6 +178,100 @@ def _quantity(content: Fields, own: Field[Any], bounds: dict[str, float]) -> Qua
             raise content.wrong(key, f"one number, or {N_ELECTRODES}, one {of}")
         return Quantity(content.numbers(key, N_ELECTRODES, **bounds), law, spread)
     return Quantity(content.number(key, **bounds), law, spread)
+
+
+SDS: Final = 3.0
+"""Standard deviations that must be possible."""
+
+MOST_LOG: Final = 4.0
+"""Standard deviation of a logarithm: three of them are more than five decades."""
+
+POSSIBLE: Final[dict[str, dict[str, tuple[float, float]]]] = {
+    "layer": {
+        "thickness_mm": (0.01, 100.0),
+        "conductivity_S_per_m": (1e-9, 1e9),
+        "gauge_factor": (-20.0, 20.0),
+        "length_scale": (0.5, 2.0),
+        "width_scale": (0.5, 2.0),
+    },
+    "front_end": {
+        "gain": (0.01, 100.0),
+        "offset_V": (-200.0, 200.0),
+        "minus_gain": (0.1, 10.0),
+        "sink_share": (0.1, 10.0),
+    },
+    "may_be_off": {
+        "drift": (-1.5, 1.5),
+        "reference_stretch": (-0.3, 0.3),
+        "scan_scale": (0.5, 2.0),
+    },
+}
+"""From, to: true values that can be. What is not here is kept within bounds where it is drawn."""
+
+
+def check_reach(skin: Skin) -> None:
+    """Refuse a skin whose true values, as far off as its file says, could not be.
+
+    Raises:
+        ValueError: With the key, what was found and what was expected.
+    """
+    for table in ("layer", "electrodes", "front_end", "may_be_off"):
+        part = getattr(skin, table)
+        for name in part.__dataclass_fields__:
+            quantity = getattr(part, name)
+            if isinstance(quantity, Quantity) and quantity.spread:
+                where = f"[{table}] {name}"
+                _check_logarithm(quantity, where)
+                if bounds := POSSIBLE.get(table, {}).get(name):
+                    _check_bounds(quantity, where, bounds)
+    _check_electrodes(skin)
+
+
+def _check_logarithm(quantity: Quantity, where: str) -> None:
+    if quantity.law != "log_normal":
+        return
+    if not np.all(quantity.value):
+        raise ValueError(f"{where} is log_normal about 0, which is 0 exactly; expected another value, or normal")
+    if quantity.spread > MOST_LOG:
+        raise ValueError(
+            f"{where} log_normal is {quantity.spread:g}, expected at most {MOST_LOG:g}: of the natural logarithm"
+        )
+
+
+def _check_bounds(quantity: Quantity, where: str, bounds: tuple[float, float]) -> None:
+    value = np.atleast_1d(np.array(quantity.value, dtype=np.float64))
+    if quantity.law == "log_normal":
+        ends = np.outer(np.exp([-SDS * quantity.spread, SDS * quantity.spread]), value)
+    else:
+        off = quantity.spread * (1.0 if quantity.law == "uniform" else SDS)
+        ends = np.array([value - off, value + off])
+    low, high = float(ends.min()), float(ends.max())
+    if not bounds[0] <= low <= high <= bounds[1]:
+        how = "" if quantity.law == "uniform" else f" within {SDS:g} standard deviations"
+        raise ValueError(
+            f"{where} is from {low:.4g} to {high:.4g}{how}, expected between {bounds[0]:g} and {bounds[1]:g}: make its "
+            f"{quantity.law} = {quantity.spread:g} smaller"
+        )
+
+
+def _check_electrodes(skin: Skin) -> None:
+    """Refuse places that are off by more than half of the room to the next electrode, and sizes by more than a size."""
+    ring = skin.electrodes
+    arc, size = skin.arc_length_mm, ring.size_mm.nominal(N_ELECTRODES)
+    room = (np.roll(arc, -1) - arc) % skin.outline.perimeter_mm - (size + np.roll(size, -1)) / 2.0
+    k = int(room.argmin())
+    most = float(room[k]) * (1.0 if ring.arc_length_mm.law == "uniform" else 0.5)
+    if ring.arc_length_mm.law in ("normal", "uniform") and ring.arc_length_mm.spread > most:
+        raise ValueError(
+            f"[electrodes] arc_length_mm {ring.arc_length_mm.law} is {ring.arc_length_mm.spread:g}, expected at most "
+            f"{most:.4g}: there are {room[k]:.4g} mm between electrodes {k} and {(k + 1) % N_ELECTRODES}, which would "
+            "overlap"
+        )
+    if ring.size_mm.law in ("normal", "uniform") and ring.size_mm.spread > size.min():
+        raise ValueError(
+            f"[electrodes] size_mm {ring.size_mm.law} is {ring.size_mm.spread:g}, expected at most {size.min():g}, the "
+            "size of the smallest"
+        )
 
 
 FILES: Final = ShippedFiles(NAMED, "skins", "skin", parse)

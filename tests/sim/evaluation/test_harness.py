@@ -24,7 +24,7 @@ def test_truth_of_units_is_hard_and_of_areas_a_share(phantoms):
     bits[[2 * 14 + 3, 6 * 14 + 10]] = 1.0
     assert np.array_equal(harness.truth_map(phantoms[0]), PAPER.grid.map_from_units(bits))
     area = harness.truth_map(phantoms[1])
-    assert area.sum() * (10 / 3) ** 2 == pytest.approx(math.pi * 36, rel=1e-3)
+    assert area.sum() * (10 / 3) ** 2 == pytest.approx(math.pi * 36, rel=1e-3)  # a disc is covered by strips
 
 
 @pytest.mark.parametrize("name", ["l1", "sbl"])

@@ -27,8 +27,7 @@ def test_command_writes_a_cloud_that_loads_again_with_its_prediction(tmp_path, c
     assert surface.cloud_mm.shape == (3, *PAPER.grid.shape)
     assert np.array_equal(surface.predicted_V, predict(surface.cloud_mm))
     assert np.array_equal(surface.predicted_flat_V, flat_voltages())
-    check_sheet(surface.cloud_mm)
-    check_prediction(surface.predicted_V, surface.predicted_flat_V, None)
+    check_prediction(check_sheet(surface.cloud_mm)[0], surface.predicted_V, surface.predicted_flat_V, None)
 
 
 def test_command_names_the_file_that_is_missing_or_has_too_few_points(tmp_path, capsys):

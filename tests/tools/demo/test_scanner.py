@@ -14,4 +14,4 @@ def test_every_cloud_of_the_demonstration_and_its_prediction_pass():
         cloud = script.cloud_at(float(time_s), rng)
         assert check_sheet(cloud)[1] == ()
         if number in (0, 9):
-            check_prediction(predict(cloud), flat_voltages(), None)
+            check_prediction(cloud, predict(cloud), flat_voltages(), None)
