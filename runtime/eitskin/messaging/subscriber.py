@@ -1,11 +1,13 @@
 """The base of all subscriptions: it connects a socket, closes it, and returns the next item.
 
-libzmq reconnects by itself when the other side ended a connection.
+libzmq reconnects when the other side ended a connection, but not when it ended one itself: after a message beyond all
+bounds, or bytes that are not ZMTP, such as those of another program on the port. So a silent subscriber connects anew.
 """
 
 import math
 import time
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any, Final
 
 import zmq
@@ -26,6 +28,9 @@ FIRST_S: Final = 5.0
 
 LARGEST_TAKEN: Final = 73728
 """Bytes of a message that is still accepted; a larger one ends the connection, so memory is bounded."""
+
+SILENCE_NS: Final = 2_000_000_000
+"""Silence after which it connects anew."""
 
 
 class Subscriber(Reader[Item]):
@@ -141,6 +146,7 @@ class Subscriber(Reader[Item]):
                 item = self._taken(self._recv())
             except zmq.Again:
                 item = None
+                self.connect_if_silent()
             if item is not None:
                 return item
             self._check_stopped()
@@ -189,6 +195,14 @@ class Subscriber(Reader[Item]):
         message: bytes = self.socket.recv()
         self._heard_ns = time.perf_counter_ns()
         return message
+
+    def connect_if_silent(self) -> None:
+        """Connect anew if nothing has come for a while."""
+        if time.perf_counter_ns() - self._heard_ns > SILENCE_NS:
+            with suppress(zmq.ZMQError):
+                self.socket.disconnect(self.endpoint)
+            self.socket.connect(self.endpoint)
+            self._heard_ns = time.perf_counter_ns()
 
     def _release(self) -> None:
         self.socket.close(0)

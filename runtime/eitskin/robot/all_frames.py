@@ -156,6 +156,8 @@ class RobotSubscription(Reader[SkinFrame]):
         left_ms = (min(self._due_s.values()) - time.monotonic()) * 1000
         ready = self._poller.poll(int(max(0, min(left_ms + 1, LONGEST_WAIT_MS))))
         self._turns.extend(self._by_socket[socket] for socket, _ in ready)
+        for name in self._subscriptions.keys() - self._turns:
+            self._subscriptions[name].connect_if_silent()
 
     def _raise_if_silent(self) -> None:
         now_s = time.monotonic()
