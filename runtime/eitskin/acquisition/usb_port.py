@@ -220,6 +220,8 @@ def _claim(device: Any) -> tuple[int, Any, Any]:
         ends = {usb.util.endpoint_direction(end.bEndpointAddress): end for end in interface if _is_bulk(end)}
         if interface.bInterfaceClass == VENDOR_CLASS and len(ends) == 2:
             usb.util.claim_interface(device, interface.bInterfaceNumber)
+            if interface.bAlternateSetting:
+                interface.set_altsetting()
             return interface.bInterfaceNumber, ends[usb.util.ENDPOINT_IN], ends[usb.util.ENDPOINT_OUT]
     raise TransportError(
         f"USB device {VENDOR_ID:04x}:{PRODUCT_ID:04x} has no vendor-specific interface with a bulk endpoint in each "

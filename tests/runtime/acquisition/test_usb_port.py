@@ -22,7 +22,7 @@ class Played(usb.backend.IBackend):
 
     def __init__(self, *serials, interface_class=0xFF):
         self.serials, self.interface_class = list(serials), interface_class
-        self.configuration = 1
+        self.configuration, self.alternate, self.altered = 1, 0, []
         self.to_host, self.to_device = bytearray(), bytearray()
         self.fails, self.open_fails, self.claimed, self.halts, self.asked = [], None, set(), 0, []
 
@@ -45,10 +45,11 @@ class Played(usb.backend.IBackend):
         )  # fmt: skip
 
     def get_interface_descriptor(self, dev, intf, alt, config):
-        if intf or alt or config:
+        if intf or config or alt > self.alternate:
             raise IndexError
         return SimpleNamespace(
-            bLength=9, bDescriptorType=4, bInterfaceNumber=0, bAlternateSetting=0, bNumEndpoints=2,
+            bLength=9, bDescriptorType=4, bInterfaceNumber=0, bAlternateSetting=alt,
+            bNumEndpoints=2 * (alt == self.alternate),
             bInterfaceClass=self.interface_class, bInterfaceSubClass=0, bInterfaceProtocol=0, iInterface=0,
             extra_descriptors=[],
         )  # fmt: skip
@@ -77,6 +78,9 @@ class Played(usb.backend.IBackend):
         if self.open_fails:
             raise usb.core.USBError("refused", errno=self.open_fails)
         self.claimed.add(intf)
+
+    def set_interface_altsetting(self, handle, intf, altsetting):
+        self.altered.append((intf, altsetting))
 
     def release_interface(self, handle, intf):
         self.claimed.discard(intf)
@@ -136,6 +140,14 @@ def test_only_a_device_without_an_active_configuration_is_configured(active):
     backend.configuration = active
     UsbPort("usb:", backend).close()
     assert backend.configuration == 1
+
+
+@pytest.mark.parametrize(("alternate", "altered"), [(0, []), (1, [(0, 1)])])
+def test_the_setting_that_has_the_endpoints_is_selected(alternate, altered):
+    backend = Played("SKIN-1")
+    backend.alternate = alternate
+    UsbPort("usb:", backend).close()
+    assert backend.altered == altered
 
 
 @pytest.mark.parametrize(

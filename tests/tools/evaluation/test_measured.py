@@ -168,6 +168,8 @@ def test_rows_of_a_full_scan_are_averaged_with_their_reciprocals(tmp_path, array
     full[:, ROW_IN_FULL], full[:, RECIPROCAL_IN_FULL] = 1.1 * arrays["voltages_V"], 0.9 * arrays["voltages_V"]
     found = load_measured(written(tmp_path, {**arrays, "voltages_V": full}))
     np.testing.assert_allclose(found.voltages_V, arrays["voltages_V"], rtol=1e-12)
+    with pytest.raises(MeasuredFileError, match="208 rows of which most differ threefold from their reciprocals"):
+        load_measured(written(tmp_path, {**arrays, "voltages_V": np.tile(arrays["voltages_V"], 2)}))
 
 
 def test_matlab_and_text_hold_the_same_samples(tmp_path, arrays):
@@ -187,6 +189,11 @@ def test_matlab_and_text_hold_the_same_samples(tmp_path, arrays):
     commas = "; by hand\n" + "\n".join(lines).replace(",", ";").replace(".", ",") + ";"
     (tmp_path / "m.csv").write_text(commas, encoding="utf-16")
     np.testing.assert_array_equal(load_measured(tmp_path / "m.csv").voltages_V, arrays["voltages_V"])
+    np.savetxt(tmp_path / "m.txt", np.vstack([arrays["reference_V"], arrays["voltages_V"]]))
+    np.testing.assert_array_equal(load_measured(tmp_path / "m.txt").voltages_V, arrays["voltages_V"])
+    (tmp_path / "m.csv").write_text("\n".join(line.replace(".", ",") for line in lines))
+    with pytest.raises(MeasuredFileError, match="beside decimal commas, separate by semicolons"):
+        load_measured(tmp_path / "m.csv")
     (tmp_path / "m.csv").write_text("\n".join(f"{line[:9]},,{line[9:]}" for line in lines))
     with pytest.raises(MeasuredFileError, match="line 2 holds"):  # an empty column shifts the others
         load_measured(tmp_path / "m.csv")

@@ -100,7 +100,14 @@ def test_any_other_method_is_refused_in_one_line(serve, method):
 def test_a_request_that_names_another_host_is_refused(serve):
     server = serve()
     port = server.port
-    for host in ("evil.example", f"evil.example:{port}", "", f"10.0.0.1:{port}", f"proxy.example:{port}"):
+    for host in (
+        "evil.example",
+        f"evil.example:{port}",
+        "",
+        f"10.0.0.1:{port}",
+        f"proxy.example:{port}",
+        "notlocalhost",
+    ):
         assert status(server, Host=host)[0] == 421, host
     for host in (
         f"127.0.0.1:{port}",
@@ -109,6 +116,7 @@ def test_a_request_that_names_another_host_is_refused(serve):
         f"[::1]:{port}",
         "127.0.0.1",
         "localhost:9000",
+        "skin.localhost:9000",
     ):
         assert status(server, Host=host)[0] == 200, host
     assert status(serve(allowed=["Proxy.example"]), Host="proxy.example:443")[0] == 200

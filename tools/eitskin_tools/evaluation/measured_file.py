@@ -166,10 +166,10 @@ def _of_text(path: str | Path) -> Arrays:
         data = stream.read()
     encoding = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
     lines = [line for line in data.decode(encoding, "replace").splitlines() if line.strip()]
-    mark = next((mark for mark in (";", "\t") if lines and mark in lines[-1]), ",")
+    mark = next((mark for mark in (";", "\t", ",") if lines and mark in lines[-1]), None)
     rows: list[list[float]] = []
     for number, line in enumerate(lines, 1):
-        words = (line if mark == "," else line.replace(",", ".")).strip().removesuffix(mark).split(mark)
+        words = (line if mark == "," else line.replace(",", ".")).strip().removesuffix(mark or " ").split(mark)
         try:
             rows.append([float(word) for word in words])
         except ValueError:
@@ -218,11 +218,17 @@ def _measured(arrays: Arrays, skin: Skin) -> Measured:
 
 
 def _voltages(arrays: Arrays, name: str, shape: tuple[int | None, ...]) -> Array:
-    """Return V in the order of the table; of a full scan, means of reciprocals."""
+    """Return V in the order of the table; of a full scan, means of reciprocals, which no sheet reads far apart."""
     found = arrays[name].shape
     if len(found) == len(shape) and found[-1] == N_FULL_ROWS:
         whole = numbers(arrays, name, (*shape[:-1], N_FULL_ROWS))
-        return np.asarray(0.5 * (whole[..., ROW_IN_FULL] + whole[..., RECIPROCAL_IN_FULL]))
+        row, reciprocal = whole[..., ROW_IN_FULL], whole[..., RECIPROCAL_IN_FULL]
+        if np.mean(np.abs(row - reciprocal) > 0.5 * np.abs(row + reciprocal)) > 0.5:
+            raise ValueError(
+                f"{name} has {N_FULL_ROWS} rows of which most differ threefold from their reciprocals, expected the "
+                "same: order them by drive, then by measured pair; beside decimal commas, separate by semicolons"
+            )
+        return np.asarray(0.5 * (row + reciprocal))
     return numbers(arrays, name, shape)
 
 

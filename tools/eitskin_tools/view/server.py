@@ -309,7 +309,7 @@ def host_allowed(host: str, bound: str, allowed: Collection[str] = ()) -> bool:
     if name in allowed:
         return True
     if is_loopback(bound):
-        return name == "localhost" or is_loopback(name)
+        return name.endswith(".localhost") or is_loopback(name)
     own = socket.gethostname().lower()
     try:
         ipaddress.ip_address(name)
