@@ -138,7 +138,7 @@ def test_every_frame_is_that_which_python_reads_and_nothing_is_allocated(check, 
 
 
 def test_a_slow_program_gets_the_newest_frame(check, runtime):
-    *lines, end = check("frames", runtime.where[0], 10, "newest", "touches", 50)
+    *lines, end = check("frames", runtime.where[0], 10, "newest", "touches", 100)
     numbers = [int(line.split()[1]) for line in lines if line.startswith("frame ")]
     assert min(np.diff(numbers)) > 0
     assert max(np.diff(numbers)) > 1

@@ -308,7 +308,7 @@ class Subscriber {
 
     // Why the last `next` returned false.
     const char *why() const { return why_; }
-    // Published frames that did not come: all of them if the newest was asked for, else those that came too fast.
+    // Published frames that did not come, on purpose if only the newest is wanted. A frame that came too old did come.
     std::uint64_t lost() const { return lost_; }
 
   private:
