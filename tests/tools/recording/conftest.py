@@ -123,7 +123,17 @@ def measured(
         line.before = before
         for _ in skin.publish(taker):
             pass
-    return taker.items
+    first_ns = next(item.read_ns for item in taker.items if isinstance(item, WireFrame))
+    return [_in_time(item, first_ns) for item in taker.items]
+
+
+def _in_time(item: Any, first_ns: int) -> Any:
+    """Return what a device sends at its own pace, whatever pace this machine played it at."""
+    if isinstance(item, WireFrame):
+        return replace(item, read_ns=first_ns + (item.n - 1) * PERIOD_NS)
+    if isinstance(item, Frame):
+        item.host_ns["read"] = first_ns + (item.number - 1) * PERIOD_NS
+    return item
 
 
 def recorded(path: Path, items: list[Any], kept: RecorderOptions = RecorderOptions(), **options: Any) -> Recorder:  # noqa: B008

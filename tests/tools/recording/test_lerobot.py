@@ -116,6 +116,16 @@ def test_without_lerobot_a_data_set_is_one_line(tmp_path: Path, capsys: pytest.C
     assert "needs LeRobot and the plug-in of tools/lerobot" in err
 
 
+def test_an_episode_of_one_frame_is_refused_before_anything_is_written(
+    plug_in: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, f"{plug_in.__name__}.dataset", SimpleNamespace(write_dataset=None))
+    recorded(tmp_path / "a.mcap", measured(60))
+    words = ["--out", str(tmp_path / "a"), "--lerobot", "--rate", "1", "--bundle", str(TINY)]
+    assert cli.main(["convert", str(tmp_path / "a.mcap"), *words]) == 1
+    assert "a.mcap: 1 frame at --rate 1, an episode needs at least 2" in capsys.readouterr().err
+
+
 PROGRAM = """
 import os, sys, torch
 os.environ["HF_HUB_OFFLINE"] = "1"

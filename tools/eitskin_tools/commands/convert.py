@@ -148,6 +148,11 @@ def _write_lerobot(arguments: argparse.Namespace) -> int:
                 f"{path}: {missing} of {times} times have no published frame, but an episode has no gap: choose a part "
                 "with --from and --to, or other times"
             )
+        if len(table.maps) < 2:  # LeRobot cannot join the statistics of one frame with those of other episodes
+            raise RecordingError(
+                f"{path}: 1 frame at --rate {arguments.rate:g}, an episode needs at least 2: choose a longer part "
+                "with --from and --to, or a higher rate"
+            )
         tables.append(table)
     episodes = ((zip(table.maps, table.touches_by_row(), strict=True)) for table in tables)
     write_dataset(arguments.out, episodes, tables[0].maps.shape[1:], int(arguments.rate), arguments.task)

@@ -24,13 +24,13 @@ def write_dataset(folder: Path, episodes: Iterable[Episode], shape: tuple[int, i
 
     Args:
         folder: It must not be there.
-        episodes: Each with a frame at least.
+        episodes: Each with at least two frames.
         shape: (rows, columns) of the maps.
         rate_hz: Frames a second.
         task: What the robot does, in words.
 
     Raises:
-        ValueError: A map has another shape, or an episode no frame.
+        ValueError: A map has another shape, or an episode has too few frames.
         OSError: The folder is there, or cannot be written.
     """
     shown = {"dtype": "image", "shape": image_of(np.zeros(shape)).shape, "names": ["height", "width", "channels"]}
