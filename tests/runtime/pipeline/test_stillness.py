@@ -1,7 +1,5 @@
 """Frames between which only noise lies: how often they are recognised, and what they cost a subscriber."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -12,6 +10,8 @@ from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.publish import Publisher
 from eitskin.pipeline.stillness import REFRESH_FRAMES, Stillness
 from eitskin_proto.skin.skin import PAPER
+
+from ..messaging.publishing import wait_for
 
 VOLTS = 1e-3 * np.geomspace(1, 0.01, 104) * np.where(np.arange(104) % 2, -1, 1)
 SPREAD = 0.003 * np.abs(VOLTS)
@@ -88,14 +88,6 @@ def test_a_short_message_means_the_map_of_the_frame_that_it_names(packer):
         with pytest.raises(MapMissing, match="frame 5 has the map of frame 3"):
             unpack_frame(short(packer, 5, 3), 0, missing)
     assert issubclass(MapMissing, FrameError)
-
-
-def wait_for(publisher, condition):
-    end = time.perf_counter() + 60
-    while not condition() and time.perf_counter() < end:
-        publisher.update()
-        time.sleep(0.002)
-    assert condition()
 
 
 def test_short_frames_are_sent_only_while_every_subscriber_agrees(tmp_path):

@@ -1,7 +1,6 @@
 """Frames of several skins in one iterator: by name, in turn, newest or all; a silent one is named, the others go on."""
 
 import threading
-import time
 from contextlib import contextmanager
 
 import numpy as np
@@ -15,6 +14,8 @@ from eitskin.messaging.publish import Publisher
 from eitskin.touches.surface import Surface
 from eitskin.touches.watch import TouchWatch
 from eitskin_proto.skin.skin import PAPER
+
+from ..messaging.publishing import send, wait_for
 
 GRID = PAPER.grid
 PATIENCE_S = 60.0
@@ -33,11 +34,7 @@ class Published:
     def send(self, count=1, age_us=100):
         for _ in range(count):
             self.number += 1
-            for key, value in (("n", self.number), ("seq", self.number), ("age_us", age_us)):
-                self.packer.put(key, value)
-            self.packer.put("publish", time.perf_counter_ns())
-            self.publisher.update()
-            self.publisher.send(self.packer.message())
+            send(self.publisher, self.packer, self.number, age_us)
 
 
 @pytest.fixture
@@ -53,14 +50,9 @@ def robot(tmp_path):
         one.publisher.close()
 
 
-def wait_for(skins, topic=EVERY_FRAME):
-    """Wait until each skin has a subscriber."""
-    end = time.monotonic() + PATIENCE_S
-    while not all(topic in one.publisher.topics for one in skins.values()) and time.monotonic() < end:
-        for one in skins.values():
-            one.publisher.update()
-        time.sleep(0.002)
-    assert all(topic in one.publisher.topics for one in skins.values())
+def wait_until_wanted(skins, topic=EVERY_FRAME):
+    for one in skins.values():
+        wait_for(one.publisher, lambda: topic in one.publisher.topics)  # noqa: B023 -- it waits at once
 
 
 @contextmanager
@@ -84,7 +76,7 @@ def sending(skin, **how):
 def test_all_frames_of_all_skins_come_by_name_and_in_order(robot):
     path, skins = robot
     with eitskin.subscribe_all(path, "all", timeout_s=PATIENCE_S) as frames:
-        wait_for(skins)
+        wait_until_wanted(skins)
         skins["left"].send(30)
         skins["right"].send(10)
         found = [next(frames) for _ in range(40)]
@@ -99,7 +91,7 @@ def test_all_frames_of_all_skins_come_by_name_and_in_order(robot):
 def test_the_newest_of_each_comes_however_slow_the_loop_is(robot):
     path, skins = robot
     with eitskin.subscribe_all(path, timeout_s=PATIENCE_S) as frames:
-        wait_for(skins)
+        wait_until_wanted(skins)
         for one in skins.values():
             one.send(50)
         newest = {}
@@ -116,7 +108,7 @@ def test_touches_come_in_the_frame_of_the_robot(robot):
     packed = TouchWatch(GRID).update(image.ravel(), 1, Surface(GRID.flat_cloud_mm(), GRID), 1_000_000)
     x, y = 20.5 * 10 / 3, 10.5 * 10 / 3
     with eitskin.subscribe_all(path, "all", timeout_s=PATIENCE_S, touches=True) as frames:
-        wait_for(skins, b"\xde")
+        wait_until_wanted(skins, b"\xde")
         for one in skins.values():
             one.packer.put_touches(packed)
             one.send()
@@ -131,7 +123,7 @@ def test_touches_come_in_the_frame_of_the_robot(robot):
 def test_a_silent_skin_is_named_and_the_other_goes_on(robot):
     path, skins = robot
     with eitskin.subscribe_all(path, "all", timeout_s=0.5) as frames:
-        wait_for(skins)
+        wait_until_wanted(skins)
         skins["right"].send()
         got, silent = set(), {}
         while "left" not in silent or "right" not in got:
@@ -149,7 +141,7 @@ def test_a_silent_skin_is_named_and_the_other_goes_on(robot):
 def test_a_stale_frame_is_an_error_with_the_name(robot):
     path, skins = robot
     with eitskin.subscribe_all(path, timeout_s=PATIENCE_S, max_age_s=1.0) as frames:
-        wait_for(skins)
+        wait_until_wanted(skins)
         with sending(skins["left"], age_us=2_000_000), pytest.raises(StaleFrame, match="of skin left is 2"):
             next(frames)
 
