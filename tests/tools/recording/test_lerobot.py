@@ -123,7 +123,7 @@ def test_an_episode_of_one_frame_is_refused_before_anything_is_written(
     recorded(tmp_path / "a.mcap", measured(60))
     words = ["--out", str(tmp_path / "a"), "--lerobot", "--rate", "1", "--bundle", str(TINY)]
     assert cli.main(["convert", str(tmp_path / "a.mcap"), *words]) == 1
-    assert "a.mcap: 1 frame at --rate 1, an episode needs at least 2" in capsys.readouterr().err
+    assert ": 1 of 1 times have a published frame, but an episode has at least 2" in capsys.readouterr().err
 
 
 PROGRAM = """

@@ -143,15 +143,10 @@ def _write_lerobot(arguments: argparse.Namespace) -> int:
         script = Script(path)
         frames = RecordedFrames(script, bundle_of(script, arguments.bundle))
         table, times = _rows(arguments, script, frames, compute_maps=True)
-        if missing := (times or 0) - len(table.maps):
+        if (count := len(table.maps)) < max(times or 0, 2):  # LeRobot cannot join one frame's statistics with others'
             raise RecordingError(
-                f"{path}: {missing} of {times} times have no published frame, but an episode has no gap: choose a part "
-                "with --from and --to, or other times"
-            )
-        if len(table.maps) < 2:  # LeRobot cannot join the statistics of one frame with those of other episodes
-            raise RecordingError(
-                f"{path}: 1 frame at --rate {arguments.rate:g}, an episode needs at least 2: choose a longer part "
-                "with --from and --to, or a higher rate"
+                f"{path}: {count} of {times} times have a published frame, but an episode has at least 2 frames and no "
+                "gap: choose a part with --from and --to, or other times"
             )
         tables.append(table)
     episodes = ((zip(table.maps, table.touches_by_row(), strict=True)) for table in tables)
