@@ -11,10 +11,6 @@ from eitskin.model.bundle import load_bundle
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.toml import load, named, to_toml
-from eitskin_sim.freeform.sheet import inverted_sheet
-from eitskin_sim.freeform.voltages import set_voltages
-from eitskin_sim.scene.parts import Bend
-from eitskin_sim.scene.touch_table import DISC, gather
 from eitskin_tools.build import adaptation, steps
 from eitskin_tools.build.adaptation import Adaptation
 from eitskin_tools.build.recipe import CardWork, GateWork
@@ -77,33 +73,3 @@ def test_a_bundle_of_the_twin_comes_out_and_knows_what_it_knew(tmp_path, monkeyp
     assert bundle.manifest["build"]["training"][0]["start_from"] == "press.eitskin"
     assert bundle.manifest["small"]["recipe"]["name"] == "small"
     assert "small_head.onnx" in bundle.files
-
-
-def pressed(path, voltages, reference):
-    """Write presses of the twin, said to be at ``PLACES``, and return the words that name them."""
-    np.savez(path, reference_V=reference, press_V=voltages, press_xy_mm=np.array(PLACES), stamp_mm=np.array([16.0]))
-    return ["--presses", str(path)]
-
-
-PLACES = [(30.0, 30.0), (75.0, 50.0), (120.0, 70.0), (33.0, 32.0)]
-
-
-@pytest.mark.heavy
-def test_presses_and_a_skin_of_a_kind_that_the_bundle_does_not_know_are_refused_before_anything_is_made(
-    tmp_path, capsys
-):
-    (tmp_path / "lowering.toml").write_text(to_toml(TWIN))
-    (tmp_path / "both.toml").write_text(to_toml(TWIN.touched("both")))
-    flat = inverted_sheet(Bend(), skin=TWIN)
-    table = gather([np.array([[DISC, x, y, 16.0, 16.0, 0.0, 0.4, 4.0]]) for x, y in PLACES])
-    files_of = pressed(tmp_path / "p.npz", 1.02 * set_voltages([flat], table, skin=TWIN)[0], flat.untouched_V)
-
-    def said(bundle, skin):
-        words = ["adapt-skin", bundle, "--skin", str(tmp_path / skin), "--out", str(tmp_path / "f.eitskin"), *files_of]
-        assert main(words) == 1
-        return capsys.readouterr().err
-
-    assert "touches: found raise, expected lower, from [touches] of skin forearm" in said("free", "lowering.toml")
-    expected = "p.npz: press 0 at (30, 30) mm: touches: found lower, expected raise, as bundle free knows"
-    assert expected in said("free", "both.toml")
-    assert not (tmp_path / "f.eitskin.build").exists()

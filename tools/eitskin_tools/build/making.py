@@ -220,7 +220,6 @@ class Making:
         given: float | None,
         *,
         share: float = 1.0,
-        presses: Any = None,
         larger: Path | None = None,
         beside: tuple[BuildRecipe, Path] | None = None,
     ) -> BuiltBundle:
@@ -231,7 +230,6 @@ class Making:
             work: Folder of the half-made bundle.
             given: Hours to scale it to; None leaves it as it is.
             share: Of these hours.
-            presses: A recording of presses for additional training; None without.
             larger: The run whose network it begins with, narrowed or as it is; None as the recipe says.
             beside: Another recipe and its folder, whose data sets are taken where they are the same.
 
@@ -245,7 +243,7 @@ class Making:
         if beside is not None:
             steps.share_data(wanted, work, *beside)
         steps.make_data(wanted, work, self.workers, self.tell, self.say)
-        trained = steps.train_stages(wanted, work, self.tell, self.say, presses, larger)
+        trained = steps.train_stages(wanted, work, self.tell, self.say, larger)
         bundle, exported = steps.export_run(wanted, work, trained, self.tell)
         return BuiltBundle(wanted, trained, exported, bundle, str(exported["bundle"]))
 

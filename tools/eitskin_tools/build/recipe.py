@@ -131,8 +131,6 @@ class BuildRecipe:
     card: CardWork = CardWork()
     beside: Path = Path()
     """The folder that its files are named from."""
-    presses: str = ""
-    """Id of the recorded presses used for additional training, if any."""
     small: str = ""
     """Recipe of the smaller network that goes into the bundle; empty for none."""
     gentle: str = ""
@@ -147,7 +145,7 @@ class BuildRecipe:
         found = {**asdict(self), "skin": to_toml(self.skin)}
         del found["beside"]
         found["networks"] = {name: one.as_dict() for name, one in self.networks.items()}
-        for name in ("presses", *EXTRA_NETWORKS, "missing_electrodes", "networks"):
+        for name in (*EXTRA_NETWORKS, "missing_electrodes", "networks"):
             if not found[name]:
                 del found[name]
         for stage in found["training"]:

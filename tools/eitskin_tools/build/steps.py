@@ -85,7 +85,6 @@ def train_stages(
     folder: Path,
     tell: Tell,
     finished: Tell = lambda _: None,
-    presses: Any = None,
     larger: Path | None = None,
 ) -> Path:
     """Train every stage, or resume, and return the last one's folder.
@@ -95,7 +94,6 @@ def train_stages(
         folder: Of the half-made bundle.
         tell: Told what is being done.
         finished: Told how each epoch went.
-        presses: A recording of some, to be learned from in the end, and kept if it is better for it; None without.
         larger: A run whose network it begins with where that has its shape, or is to be narrowed to it; None as the
             recipe says.
     """
@@ -120,8 +118,6 @@ def train_stages(
         sources = tuple(str(one.resolve()) for one in where)
         chosen = fitted_to(recipe, stage, data.skin)
         train.train(data, chosen, run, seed=stage.seed, resume=True, start=start, sources=sources, progress=epoch)
-    if presses is not None:
-        run, data = learn_presses(recipe, folder, run, data, presses, tell, epoch)
     bends, steps = _gate(recipe)
     gate_of_run(run, data, recipe.training[-1].seed, tell=tell, bends=bends, steps=steps)
     if recipe.missing_electrodes is None:
@@ -271,100 +267,6 @@ def learn_missing_electrodes(work: MissingElectrodesWork, folder: Path, run: Pat
         hand_on(run, out)
         adapt.write(out, found.content, adapted)
     return out
-
-
-PRESS_EPOCHS: Final = 2
-PRESS_RATE: Final = 0.8
-"""Of the learning rate of the stage before it."""
-
-PRESSES_FILE: Final = "presses.json"
-"""What it was worth."""
-
-SNR_DB: Final = 80.0
-"""Next to no noise is added to what was measured."""
-
-
-def learn_presses(
-    recipe: BuildRecipe,
-    folder: Path,
-    run: Path,
-    data: Any,
-    presses: Any,
-    tell: Callable[[str], None],
-    progress: Callable[[Any], None],
-) -> tuple[Path, Any]:
-    """Return the run that is better on held-out presses, and its training data.
-
-    Args:
-        recipe: What is made.
-        folder: Of the half-made bundle.
-        run: That learned from physics alone.
-        data: What it learned from.
-        presses: The recording.
-        tell: Told what is being done.
-        progress: Told after every batch.
-    """
-    from eitskin_training import train
-    from eitskin_training.run_files import trained
-    from eitskin_training.samples import presses as recorded
-    from eitskin_training.samples.joined import join
-    from eitskin_training.start import Start
-
-    place, after = folder / "data" / "recorded-presses", folder / "runs" / "presses"
-    if not (place / recorded.NAME).exists():
-        recorded.write(place, presses, data)
-    alone = recorded.load(place)
-    both, before = join([data, alone]), trained(run)
-    tell(f"training on {len(alone.voltages)} recorded presses, on {train.device()}")
-    chosen = replace(before.recipe, epochs=PRESS_EPOCHS, learning_rate=PRESS_RATE * before.recipe.learning_rate)
-    sources = (*_sources(before.content["data"]), str(place.resolve()))
-    seed = recipe.training[-1].seed
-    start = Start.of_run(run)
-    train.train(both, chosen, after, seed=seed, resume=True, start=start, sources=sources, progress=progress)
-    if (found := stored(folder / PRESSES_FILE)) is None:
-        scores = {"physics_alone": _score(before, alone), "with_presses": _score(trained(after), alone)}
-        better = scores["with_presses"]["cc"] > scores["physics_alone"]["cc"]
-        found = {
-            "presses": len(alone.voltages),
-            "kept_apart": len(recorded.held_out_rows(alone)),
-            **scores,
-            "used": better,
-        }
-        keep(folder / PRESSES_FILE, found)
-    return (after, both) if found["used"] else (run, data)
-
-
-def presses_in_words(found: dict[str, Any]) -> str:
-    """Return what people read of :data:`PRESSES_FILE`."""
-    alone, more = found["physics_alone"], found["with_presses"]
-    used = (
-        "The bundle uses them" if found["used"] else "The bundle does not use them, because simulation alone is better"
-    )
-    return (
-        f"{used}: on {found['kept_apart']} of the {found['presses']} recorded presses, which were held out: "
-        f"CC {alone['cc']:.3f}, {alone['off_mm']:.1f} mm off from simulation alone; {more['cc']:.3f}, "
-        f"{more['off_mm']:.1f} mm off after training on the others too."
-    )
-
-
-def _sources(known: str | list[str]) -> tuple[str, ...]:
-    return (known,) if isinstance(known, str) else tuple(known)
-
-
-def _score(found: Any, alone: Any) -> dict[str, float]:
-    """Return the mean correlation and distance of a network's maps of presses kept apart."""
-    import numpy as np
-
-    from eitskin_sim.evaluation.metrics import localisation_error_mm
-    from eitskin_training.samples.presses import held_out_rows
-    from eitskin_training.score import correlations, maps_of
-
-    rows, grid = held_out_rows(alone), alone.skin.grid
-    maps = maps_of(found.model, alone, rows, snr_db=SNR_DB)
-    truth = alone.labels[rows] / 255.0
-    pairs = zip(maps.reshape(-1, *grid.shape), truth.reshape(-1, *grid.shape), strict=True)
-    off_mm = float(np.mean([localisation_error_mm(image, true, grid) for image, true in pairs]))
-    return {"cc": round(float(correlations(maps, truth).mean()), 4), "off_mm": round(off_mm, 2)}
 
 
 def check(recipe: BuildRecipe) -> None:

@@ -66,7 +66,6 @@ def make(
     asked: "BuildRecipe",
     arguments: argparse.Namespace,
     hours_asked: float | None = None,
-    presses: Any = None,
     gentle_of: Path | None = None,
 ) -> int:
     """Build the bundle of a recipe, or resume it, and report.
@@ -75,7 +74,6 @@ def make(
         asked: What is asked for.
         arguments: Those of :func:`add_making`.
         hours_asked: To scale it to; None leaves it as it is.
-        presses: A recording of presses to train on as well; None without.
         gentle_of: A bundle whose network for gentle touches goes in as it is; None for none.
     """
     from eitskin_tools.build import folder as half_made
@@ -107,7 +105,7 @@ def make(
         own = 1.0 - sum(TRAINING_SHARES[name] for name in others)
         parts = [(other, work / name, TRAINING_SHARES[name]) for name, other in others.items()]
         making.begin([(asked, work, own), *parts], hours_asked)
-        made = making.made(asked, work, hours_asked, share=own, presses=presses)
+        made = making.made(asked, work, hours_asked, share=own)
         made = making.with_others(made, others, work, hours_asked, gentle_of)
         found, identity = making.finished(made, work, arguments.out)
     wanted, exported = made.recipe, made.exported
@@ -122,16 +120,12 @@ def make(
         "gate": exported["gate"],
         "card": found,
     }
-    gain = None if presses is None else half_made.stored(work / steps.PRESSES_FILE)
-    if gain is not None:
-        result["presses"] = gain
     return answer(
         arguments,
         result,
         f"Done: {arguments.out}. {card.summary(found)}",
         f"bundle {identity}, {result['bytes'] / 1e6:.1f} MB, {result['labels']} labels, {result['touches']} touches, "
         f"{result['seconds'] / 60:.0f} min",
-        *([] if gain is None else [steps.presses_in_words(gain)]),
         *card.lines_of(found),
         f"You may remove {work}.",
     )

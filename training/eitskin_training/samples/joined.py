@@ -7,7 +7,6 @@ recur in any two. Such samples are left out of what is held out. A flat sheet an
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -20,7 +19,6 @@ from eitskin_sim.arrays import Index
 from eitskin_sim.dataset.reader import load as load_set
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.surface.predict import predicted_log
-from eitskin_training.samples import presses
 from eitskin_training.samples.batches import TrainingData
 
 
@@ -64,13 +62,13 @@ ROUNDING: Final = 1e-9
 
 
 def load_all(directories: Sequence[str]) -> TrainingData:
-    """Return the data sets of some folders as one; recorded presses are one too.
+    """Return the data sets of some folders as one.
 
     Raises:
         MismatchError: One was made for another protocol, or they do not go together.
         OSError: There is none in a folder.
     """
-    return join([presses.load(one) if (Path(one) / presses.NAME).exists() else load(one) for one in directories])
+    return join([load(one) for one in directories])
 
 
 def join(sets: Sequence[TrainingData]) -> TrainingData:
