@@ -5,7 +5,8 @@ mean. So a heavy touch, which moves all rows, surprises at no particular electro
 
     D_e = y_e^T P_ee^-1 y_e          surprise_e = (D_e / 26) / ((2 + D - D_e) / (2 + 78))      D = (l - mean)^T y
 
-Any two rows surprise the same way, by which rows are found that were exchanged (``LEAST_UNLIKE``).
+Any two rows surprise the same way, by which rows are found that were exchanged (``LEAST_UNLIKE``). Two drives or two
+measurements were exchanged if D is much less after they are exchanged back (``EXCHANGED_RATIO``).
 
 No touch or bend only exchanges readings, moves few rows alone, or multiplies the rows of one drive or one measurement
 by a factor. With x the change of a frame's l against the reference, or against the last frame that was fit ::
@@ -24,6 +25,7 @@ examined together because most of the cost is overhead: four cost little more th
 
 from dataclasses import dataclass
 from functools import cache
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -62,6 +64,9 @@ LEAST_UNLIKE: Final = 200.0
 
 LEAST_UNLIKE_WHOLE: Final = 15.0
 """The same of the whole frame per row, or the bundle's threshold if that is more; they reach 13."""
+
+EXCHANGED_RATIO: Final = 3.0
+"""D over D after the best exchange back: at most 1.8 for touches of all kinds on random devices; hundreds else."""
 
 SORTED_SHARE: Final = 0.2
 """0.25 and more for touches that begin, move, grow or stay on simulated sheets, 0.37 on real gelatin."""
@@ -332,6 +337,10 @@ class Weigher:
             return True
         if not total > LEAST_UNLIKE * 2.0 * DEGREES_OF_FREEDOM / N_ROWS:
             return False  # less than what surprises most easily
+        size = self._mean + self._sizes
+        back = (logs + size)[_EXCHANGES] - size
+        if float(np.einsum("nr,nr->n", back @ self._precision, back).min()) * EXCHANGED_RATIO < total:
+            return True
         two = self._first * np.square(scores)[:, None]
         own = float((two + two.T + self._mixed * np.outer(scores, scores)).max())  # y_g^T P_gg^-1 y_g
         rest = (max(total - own, 0.0) + DEGREES_OF_FREEDOM) / (DEGREES_OF_FREEDOM + N_ROWS - 2.0)
@@ -369,6 +378,19 @@ def _columns(column: int) -> Array:
     return np.asarray(same / np.sqrt(same.sum(axis=0)))
 
 
+def _exchanges() -> npt.NDArray[np.intp]:
+    """Return (182, 104) orders of rows in which two drives or two measurements are exchanged."""
+    orders = []
+    for column in (0, 1):
+        groups = [np.flatnonzero(TABLE[:, column] == k) for k in np.unique(TABLE[:, column])]
+        for one, other in combinations(groups, 2):
+            order, many = np.arange(N_ROWS), min(len(one), len(other))
+            order[one[:many]], order[other[:many]] = other[:many], one[:many]
+            orders.append(order)
+    return np.array(orders)
+
+
+_EXCHANGES: Final = _exchanges()
 _GAINS: Final = np.hstack([_columns(0), _columns(1)])
 _MANY: Final = [*range(1, FEW_ROWS + 1), *(_GAINS > 0.0).sum(axis=0).tolist()]
 _SHARES: Final = [FEW_ROWS_SHARE**2] * FEW_ROWS + [GAIN_SHARE**2] * (len(_MANY) - FEW_ROWS)

@@ -202,6 +202,21 @@ def test_rows_that_are_mixed_up_are_said_and_are_no_touch(hello, name, how):
         assert sum(seen) + pipeline.intake.withheld_total - before == 80, "nothing is touched behind it"
 
 
+def test_drives_that_are_exchanged_as_a_touch_begins_are_said(hello):
+    bundle, unsaid = load_bundle(), 0
+    for draw in range(12):
+        rng = np.random.default_rng(draw)
+        pipeline, flat = watched(bundle, hello)
+        show(pipeline, living(flat, 30, draw))
+        low, high = sorted(rng.choice(9, 2, replace=False))
+        one, other = (np.flatnonzero(TABLE[:, 0] == k)[: np.sum(TABLE[:, 0] == high)] for k in (low, high))
+        frames = living(flat * scenes(bundle, 1, draw)[0], 50, draw + 1)
+        frames[:, one], frames[:, other] = frames[:, other], frames[:, one].copy()
+        _, events = show(pipeline, frames, 101)
+        unsaid += not (pipeline.intake.withheld_total or any(text.startswith("electrode") for text in events))
+    assert unsaid == 0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["free", "press"])
 def test_no_alarm_comes_in_720_000_frames_of_honest_sheets_that_drift(hello, name):
