@@ -498,6 +498,8 @@ class _Messages:
                 yield "state", entry.log_ns, self._text(entry.data)
 
     def _header(self, wall_ns: int) -> Any:
+        if wall_ns >= 10**9 << 31:
+            raise RecordingError("the recording has messages from after 2038, which ROS has no time for; choose --to")
         stamp = self._types["builtin_interfaces/msg/Time"](sec=wall_ns // 10**9, nanosec=wall_ns % 10**9)
         return self._types["std_msgs/msg/Header"](stamp=stamp, frame_id=FRAME_ID)
 

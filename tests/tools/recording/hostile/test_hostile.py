@@ -78,6 +78,14 @@ def test_times_after_every_era_are_left_out(file, words, tmp_path, capsys, monke
     assert "holds no frame from the device" in capsys.readouterr().err
 
 
+def test_a_bag_of_times_that_ros_cannot_hold_is_refused(file, tmp_path, capsys):
+    path = rewritten(file, lambda _, data, ns: (data, (1 << 62) + ns % 10**12))
+    assert (
+        main(["convert", str(path), "--out", str(tmp_path / "bag"), "--format", "rosbag2", "--bundle", str(TINY)]) == 1
+    )
+    assert "after 2038, which ROS has no time for" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("fields", [{"drift": HUGE, "drift_sd": float("inf")}, {"number": float("inf")}, {"events": 7}])
 def test_notes_that_make_no_sense_say_nothing(file, fields):
     path = rewritten(
