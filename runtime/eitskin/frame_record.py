@@ -28,7 +28,7 @@ class FrameRecord:
 
     __slots__ = (
         "_computed_map", "_nothing", "cloud", "cloud_sequence", "corrupt", "device_us", "drift", "electrodes", "events",
-        "gate_logit", "idle", "inferred", "lost", "map_sequence", "overrun", "resets", "scanned_ns",
+        "fused", "gate_logit", "idle", "inferred", "lost", "map_sequence", "overrun", "resets", "scanned_ns",
         "sequence", "skipped", "solver", "stamps", "touched", "touches", "weak_rows", "withheld",
     )  # fmt: skip
 
@@ -55,6 +55,8 @@ class FrameRecord:
         """Whether an engine ran for this frame."""
         self.map_sequence = 0
         """The frame that the map was computed for."""
+        self.fused = 1
+        """Frames that the map rests on: that one, and those just before it."""
         self.electrodes: tuple[str, ...] = ()
         """Those that are not well."""
         self.drift = math.nan, math.nan, math.nan

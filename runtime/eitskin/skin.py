@@ -120,7 +120,7 @@ class Skin:
         baud: Bits per second, for a real UART.
         solver: The most accurate solver to use: ``vd2t``, ``vd2t-int8``, ``vd2t-small`` or ``tikhonov``. None takes the
             bundle's choice (:func:`eitskin.model.engine.default_solver`) or, with a budget, its most accurate one.
-        skip_unchanged: Keep the previous map while only noise changes (:mod:`eitskin.pipeline.stillness`).
+        skip_unchanged: Keep the previous map while only noise changes (:mod:`eitskin.model.stillness`).
         idle_after_s: Scan only a few drives after the sheet has been untouched for this many seconds
             (:mod:`eitskin.pipeline.idle`); None always scans all drives.
         exclude: Electrodes to exclude, by number. The runtime also detects failing electrodes by itself.
@@ -407,4 +407,4 @@ def serve(
                 next_join_ns = now_ns + JOIN_NS
                 publisher.update()
                 if publisher.streams.joined:
-                    skin.pipeline.maps.compute_next()
+                    skin.pipeline.maps.drop_map()

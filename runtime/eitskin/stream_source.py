@@ -152,7 +152,8 @@ class StreamSource:
                 payload, record.sequence, now_ns, device_us=record.device_us, frame=number,
                 touched=bool(record.touched), gate_logit=float(record.gate_logit),
                 solver=record.solver if published else "none",
-                map_seq=record.map_sequence if published else None, conditions=self._revision,
+                map_seq=record.map_sequence if published else None, fused=record.fused if published else 1,
+                conditions=self._revision,
             )  # fmt: skip
             streams.send(WIRE, found.body())
 

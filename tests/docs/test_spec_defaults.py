@@ -14,7 +14,7 @@ from eitskin.health import drift, electrodes
 from eitskin.messaging import control, control_commands, curve_keys, endpoints, frame, publish, regions
 from eitskin.messaging.control_commands import REFERENCE_FRAMES
 from eitskin.messaging.streams import envelope, state, verified
-from eitskin.pipeline import stillness
+from eitskin.model import stillness
 from eitskin.reference import captured, normaliser
 from eitskin.touches import moments, pieces, touch, tracking
 from eitskin_proto.sensor.table import N_ROWS

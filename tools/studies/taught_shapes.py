@@ -84,7 +84,7 @@ def bend(angle_deg: float) -> Any:
     return Bend(angle_deg=angle_deg, stretch_along=along, stretch_across=along**-0.25, nonuniformity=0.1 * turn)
 
 
-def presses(scene: Any, count: int, seed: int) -> Any:
+def presses(scene: Any, count: int, seed: int, noise: float = NOISE) -> Any:
     """Return readings of a scene's first touch at ``count`` random places, each behind an untouched reading."""
     import numpy as np
 
@@ -102,7 +102,7 @@ def presses(scene: Any, count: int, seed: int) -> Any:
     for row, (x, y) in enumerate(xy_mm[1::2]):
         one = replace(touch, shapes=(Disc(float(x), float(y), touch.shapes[0].radius_mm),))
         volts[2 * row + 1] = solve_scene(replace(scene, touches=(one,))).voltages
-    volts *= np.exp(NOISE * rng.standard_normal(volts.shape))
+    volts *= np.exp(noise * rng.standard_normal(volts.shape))
     return Presses(volts, xy_mm, size_mm, "rectangle", ADJACENT_104, is_change=False)
 
 

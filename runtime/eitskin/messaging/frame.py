@@ -36,7 +36,7 @@ COUNTS: Final = ("lost", "corrupt", "withheld", "overrun")
 
 NUMBERS: Final = (
     "n", "seq", "device_us", "age_us", "touched", "gate_logit", "cloud", "weak_rows", "map_seq", "drift",
-    "drift_sd", "drift_uneven", *STAGES, *COUNTS,
+    "drift_sd", "drift_uneven", "fused", *STAGES, *COUNTS,
 )  # fmt: skip
 """Fields that change with each frame, in the order of the message."""
 
@@ -121,6 +121,7 @@ class Frame:
         cloud: Revision of the cloud in use; 0 is the flat sheet.
         weak_rows: Number of reference rows that carry no information and are filled in from the others.
         map_sequence: ``sequence`` of the frame that the map was computed for; an earlier one if only noise changed.
+        fused: How many frames the map is computed of: 1, or the mean of 2, 4, 8 ... while only noise changes.
         regions: The computed parts of the map, as rectangles; the rest is 0.
         counts: The runtime's totals of ``COUNTS``: lost, corrupt and withheld frames, and overruns.
         configuration: Name and digest of the device's active configuration.
@@ -158,6 +159,7 @@ class Frame:
     run: str
     same_host: bool
     touch_list: TouchList | None = None
+    fused: int = 1
 
     def __repr__(self) -> str:
         """Return one line: number, touched or not, solver, age at arrival."""
@@ -260,6 +262,7 @@ def unpack_frame(message: bytes, received_ns: int, known: Frame | None = None) -
         serial_number=_text(fields, "serial"),
         run=_text(fields, "run"),
         same_host=_text(fields, "host") == host_id(),
+        fused=max(_count(fields, "fused"), 1) if "fused" in fields else 1,
         touch_list=unpack_touches(*map(fields.get, NAMES)) if NAMES[0] in fields else None,
     )
 

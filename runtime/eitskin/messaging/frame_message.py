@@ -91,7 +91,7 @@ class FramePacker:
         self._constant: dict[str, object] = {**constant, "host": host_id()}
         plain = (("n", "u"), ("seq", "u"), ("device_us", "u"), ("age_us", "u"), ("touched", "b"), ("gate_logit", "f"),
                  ("cloud", "u"), ("weak_rows", "u"), ("map_seq", "u"), ("drift", "f"), ("drift_sd", "f"),
-                 ("drift_uneven", "f"))  # fmt: skip
+                 ("drift_uneven", "f"), ("fused", "u"))  # fmt: skip
         assert tuple(name for name, _ in plain) == NUMBERS[: len(plain)]
         entries = 1 + len(plain) + 4 + 5 + len(self._constant)
         self._entries, self._extra = entries, 0
@@ -270,7 +270,7 @@ class FrameMessages:
         age_us = max(0, (stamps[PUBLISH] - record.scanned_ns) // 1000)
         packer.put_numbers(
             (self.published, record.sequence, record.device_us, age_us, TOUCHED[record.touched], record.gate_logit,
-             record.cloud, record.weak_rows, record.map_sequence, *record.drift, *stamps, record.lost,
+             record.cloud, record.weak_rows, record.map_sequence, *record.drift, record.fused, *stamps, record.lost,
              record.corrupt, record.withheld, record.overrun)
         )  # fmt: skip
         return memoryview(packer.short_message()) if self._short else packer.message()

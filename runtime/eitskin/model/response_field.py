@@ -176,8 +176,8 @@ class ResponseField:
         self._q, self._spread, self._grid = q, spread, grid
         self.project, self._field = _single(project), _single(field)
         """(rows, q)"""
-        self.noise = float(np.trace(untouched))
-        """Mean squared length of an untouched reading, as it was taught."""
+        self.untouched = untouched
+        """(q, q) covariance of an untouched reading, as it was taught."""
         self._freedom, self._exponent = freedom, -0.5 * (freedom + q)
         self._inside = inside != 0
         log_factor = 0.5 * np.log(weight).sum(axis=1) - 0.5 * np.log(norm / prior) - math.log(self._inside.sum())

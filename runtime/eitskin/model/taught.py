@@ -9,8 +9,9 @@ The *shape* is the one whose level is nearest. Presses, drift and noise count as
 not taken for a bend. V_pred is one more candidate: with it the shape is the reference's, and the level predicted. If
 touches then leave more of the still rows than of any press that was taught, the shape is unknown.
 
-Two means are kept of frames. While the sheet is still, frames are averaged. While it is untouched, the *baseline*
-follows it, so drift does not look like a touch; it stays while the sheet is touched, however long.
+While the sheet is still, frames are averaged (:mod:`eitskin.model.stillness`), and their mean is judged. While it is
+untouched, the *baseline* follows the mean, so drift does not look like a touch; it stays while the sheet is touched,
+however long.
 """
 
 import math
@@ -23,32 +24,29 @@ import numpy.typing as npt
 from eitskin.errors import BundleError, MismatchError
 from eitskin.model.bundle import Bundle
 from eitskin.model.response_field import HINT, ResponseField, TaughtTouch, finite
+from eitskin.model.stillness import FEWEST, Stillness, whitening
 from eitskin.touches.moments import Found
 from eitskin_proto.sensor.row_table import MIN_ELECTRODES
 from eitskin_proto.sensor.wiring import rank_correlation
 from eitskin_proto.skin.grid import Grid
 
-MOST_AVERAGED: Final = 50
-"""Frames of a still sheet that are averaged; older ones fade."""
-
-RESTART: Final = 4.0
-"""A frame starts a new average if its squared distance from it exceeds the usual by this factor."""
-
-NOISE_STEP: Final = 0.05
-"""Share by which the estimate of the frames' noise moves with each untouched frame, towards the median of what is
-seen. Presses that change with every frame are no noise."""
-
 FOLLOW_FRAMES: Final = 32
 """The baseline follows after so many untouched frames, with touches between them or none."""
 
-LEAST_AVERAGED: Final = 8
-"""It follows no mean of fewer frames."""
+LEAST_STILL: Final = 8
+"""It follows no sheet that was still for fewer frames."""
 
 FOLLOW_SHARE: Final = 0.5
 """Part of the way to their mean that it goes."""
 
 RELEASED: Final = 0.02
 """A still frame with less than this share of the touch's largest squared response is the untouched sheet again."""
+
+LEAST_NOISE: Final = 1e-6
+"""Variance of a frame, over that of taught readings: a simulation without noise has none."""
+
+ENOUGH: Final = 1000
+"""Readings by which the taught covariance is as good as known."""
 
 SMALLEST_RATIO: Final = 1e-6
 """V / V0 is not taken for less before the logarithm."""
@@ -109,14 +107,16 @@ class TaughtField:
         self._distances = np.zeros(len(shapes) + 1, np.float32)
         self.change, self._values = np.zeros((2, rows), np.float32)
         """(rows,) dV against the reference, to be filled before :meth:`touched`."""
-        self._now, self._last, self._mean, self._rest, self._baseline = np.zeros((5, size), np.float32)
+        self._now, self._rest, self._baseline = np.zeros((3, size), np.float32)
+        self.stillness = Stillness(size)
+        """Averages projected frames that differ only by noise."""
+        self.is_new = True
+        """Whether the last frame's mean is another one than the frame's before."""
         self.logit = 0.0
         """Log of how much likelier than untouched the last frame is."""
         self.threshold = 0.0
         """The logit above which a frame counts as touched."""
         self._home = 0
-        self._usual = 0.0
-        """Mean squared length of a frame's noise, by the reference."""
         self.use_reference(np.zeros(rows))
         self.reset()
 
@@ -130,6 +130,8 @@ class TaughtField:
         voltages_V: npt.NDArray[np.float64],
         spread_V: npt.NDArray[np.float64] | None = None,
         shared_V: npt.NDArray[np.float64] | None = None,
+        frames: int = 0,
+        most: int | None = None,
     ) -> None:
         """Find the shape in which the reference was taken, from which the levels of the others are counted.
 
@@ -137,6 +139,8 @@ class TaughtField:
             voltages_V: (rows,), 0 where a row carries no information.
             spread_V: (rows,) standard deviation of a frame; None where only taught readings say it.
             shared_V: (rows, k) the part of it that rows share.
+            frames: How many frames that is of; of fewer than 6, only taught readings say it.
+            most: Frames that a mean may be of; None for as many as the runtime averages.
 
         Raises:
             MismatchError: Its rows have other levels than the sheet that was taught.
@@ -159,10 +163,17 @@ class TaughtField:
         self.use_prediction(levels[self._home])
         self._use(self._home)
         project = self._field.project * np.where(carries, 1.0 / np.where(carries, voltages_V, 1.0), 0.0)[:, None]
-        shared = np.zeros((len(carries), 0)) if shared_V is None else shared_V
-        own = np.zeros(len(carries)) if spread_V is None else np.maximum(spread_V**2 - (shared**2).sum(axis=1), 0.0)
-        noise = float((own @ project**2).sum() + ((shared.T @ project) ** 2).sum())
-        self._usual = noise or self._field.noise
+        taught = self._field.untouched
+        noise = LEAST_NOISE * taught
+        if spread_V is None or frames <= FEWEST + 1:
+            noise, frames = taught, ENOUGH
+        else:
+            shared = project.T @ (np.zeros((len(carries), 0)) if shared_V is None else shared_V)
+            own = np.maximum(spread_V**2 - (0.0 if shared_V is None else (shared_V**2).sum(axis=1)), 0.0)
+            noise = noise + (project.T * own) @ project + shared @ shared.T
+        white = np.zeros((len(noise), self._project.shape[1]))
+        white[:, self._parts[self._home]] = whitening(noise)
+        self.stillness.use_noise(white, frames, most)
 
     def use_prediction(self, log_predicted: npt.NDArray[np.floating]) -> None:
         """Take the level that the forward model predicts, (rows,) log(V_pred / V_reference); zeros for none."""
@@ -171,27 +182,26 @@ class TaughtField:
     def reset(self) -> None:
         """Restart: the reference is the untouched sheet."""
         self._baseline[:] = 0.0
-        self._averaged = self._until_look = 0
-        self._noise = self._step = self._usual
-        self._peak = 0.0
+        self.stillness.reset()
+        self._size = self._peak = 0.0
         self._rested = 0
         self._use(self._home)
 
     def touched(self) -> bool:
         """Return whether the sheet is touched, by ``change`` and the frames before it."""
         self._read()
-        self._average()
-        size = self._judge()
+        self.is_new = self.stillness.take(self._now)
+        if self.is_new:
+            self._judge()
+        still = self.stillness.still_frames
         if self.logit > self.threshold:
-            self._peak = max(self._peak, size)
-            still = self._averaged >= FOLLOW_FRAMES
-            if not (still and size < RELEASED * self._peak):
+            self._peak = max(self._peak, self._size)
+            if still < FOLLOW_FRAMES or self._size >= RELEASED * self._peak:
                 return True
             self._follow(1.0)  # what is left of it is the sheet's from now on
         self._peak = 0.0
-        self._noise *= 1.0 + NOISE_STEP if self._step > self._noise else 1.0 - NOISE_STEP
         self._rested += 1
-        if self._rested >= FOLLOW_FRAMES and self._averaged >= LEAST_AVERAGED:
+        if self._rested >= FOLLOW_FRAMES and still >= LEAST_STILL:
             self._follow(FOLLOW_SHARE)
         return False
 
@@ -199,9 +209,8 @@ class TaughtField:
         """Judge ``change`` by itself against the reference, with no frame before it, and return the logit."""
         self._baseline[:] = 0.0
         self._read()
-        self._mean[:] = self._now
-        self._averaged, self._until_look = FOLLOW_FRAMES, 0
-        self._judge()
+        self.stillness.keep(self._now)
+        self._judge(certain=True)
         return self.logit
 
     def fill_map(self, out: npt.NDArray[np.float32]) -> None:
@@ -239,26 +248,14 @@ class TaughtField:
             np.log1p(values, out=values)
         np.matmul(values, self._project, out=self._now)
 
-    def _average(self) -> None:
-        """Take the frame into the mean, or begin another one where it differs by more than noise."""
-        rest, seen = self._rest, self._rest[self._parts[self._part]]
-        if self._averaged:
-            np.subtract(self._now, self._last, out=rest)
-            self._step = 0.5 * float(seen.dot(seen))
-        np.copyto(self._last, self._now)
-        np.subtract(self._now, self._mean, out=rest)
-        if not self._averaged or seen.dot(seen) > RESTART * self._noise * (1.0 + 1.0 / self._averaged):
-            np.copyto(self._mean, self._now)
-            self._averaged = 1
-            return
-        self._averaged = min(self._averaged + 1, MOST_AVERAGED)
-        np.multiply(rest, np.float32(1.0 / self._averaged), out=rest)
-        np.add(self._mean, rest, out=self._mean)
+    def _judge(self, *, certain: bool = False) -> None:
+        """Choose the shape, and judge the mean in it.
 
-    def _judge(self) -> float:
-        """Choose the shape, judge the mean in it, and return the squared length of what is left of the mean."""
+        Args:
+            certain: A single frame may show that the shape is unknown.
+        """
         rest = self._rest
-        np.subtract(self._mean, self._baseline, out=rest)
+        np.subtract(self.stillness.mean, self._baseline, out=rest)
         np.subtract(self._centres, rest[self._parts[-1]], out=self._apart)
         np.einsum("ij,ij->i", self._apart, self._apart, out=self._distances)
         shape = int(self._distances.argmin())
@@ -268,20 +265,16 @@ class TaughtField:
         np.subtract(rest, self._offsets[self._shape], out=rest)
         field = self._field
         np.copyto(field.z, rest[self._parts[self._part]])
-        self.logit = field.judge(field.z)
-        if self._averaged < FOLLOW_FRAMES:  # the noise of a few frames is larger than that of a reading
-            self._until_look = 0
-        elif self._until_look:
-            self._until_look -= 1
-        else:
-            self._unlike, self._until_look = self.left() > field.most_left, FOLLOW_FRAMES
-        return float(field.z.dot(field.z))
+        self.logit, self._size = field.judge(field.z), float(field.z.dot(field.z))
+        if certain or self.stillness.still_frames >= FOLLOW_FRAMES:  # a few frames have more noise than a reading
+            self._unlike = self.left() > field.most_left
 
     def _follow(self, share: float) -> None:
         """Let the baseline go a part of the way to the mean of untouched frames, which is in ``rest``."""
         np.multiply(self._rest, np.float32(share), out=self._rest)
         np.add(self._baseline, self._rest, out=self._baseline)
         self._rested = 0
+        self._judge()
 
 
 def field_of(bundle: Bundle) -> TaughtField | None:

@@ -395,7 +395,8 @@ class Pipeline:
         if self.field is not None:
             known_V = flat.voltages_V.copy()
             known_V[flat.weak] = 0.0
-            self.field.use_reference(known_V, with_rounding(flat.spread_V, step_V), flat.shared_V)
+            spread_V = with_rounding(flat.spread_V, step_V)
+            self.field.use_reference(known_V, spread_V, flat.shared_V, flat.frames, flat.steady_frames)
         self._reset_gates()
         self.front_end.use_reference(reference, step_V)
         if self.health is not None:
@@ -405,7 +406,11 @@ class Pipeline:
                 flat.voltages_V, spread_V, gate, frames=flat.frames, fresh=fresh, shared_V=flat.shared_V
             )
             self.maps.change_projection(self.health.projection)
-        self.maps.compare_by(flat.voltages_V, flat.spread_V, flat.frames, step_V)
+        self.maps.drop_map()
+        if self.field is None:
+            self.maps.stillness.use_reference(
+                flat.voltages_V, flat.spread_V, flat.frames, step_V, flat.shared_V, flat.steady_frames
+            )
         self._prediction.use_reference(reference)
 
     def _reset_gates(self) -> None:
@@ -447,7 +452,7 @@ class Pipeline:
             return False
         if record.resets != self.counter.resets:  # frames are counted from 0 again
             record.resets = self.counter.resets
-            self.maps.drop_map()
+            self.maps.start_mean()
             self.front_end.forget()
         if record.idle and self.idle_gate is not None:
             self.idle_gate.load(intake.counts)
@@ -543,7 +548,7 @@ class Pipeline:
         elif not record.touched or not wanted:
             self.maps.show_nothing()
             record.skipped = NO_SUBSCRIBER if record.touched else MAP_UNTOUCHED if record.inferred else UNTOUCHED
-        elif self.maps.reuse_map(decided.keeps_map):
+        elif self.maps.reuse_map(decided):
             record.skipped = UNCHANGED
         elif not self.maps.infer(decided.solver):
             return self.intake.give_up("implausible")
@@ -635,7 +640,7 @@ class Pipeline:
             return False
         record = self.record
         before = record.solver, record.map_sequence
-        if self.maps.infer() and self.audit.overrules(self.maps.map):
+        if self.maps.infer_alone() and self.audit.overrules(self.maps.map):
             record.events += ("gate_overruled",)
             return True
         record.solver, record.map_sequence = before

@@ -17,9 +17,10 @@ from eitskin.frame_record import FrameRecord
 from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import SCALED, ProjectionEngine, engines, longest
+from eitskin.model.stillness import REFRESH_FRAMES, Stillness
 from eitskin.model.taught import TaughtField
 from eitskin.pipeline.latency_budget import EASY_SHARE, LatencyBudget
-from eitskin.pipeline.stillness import REFRESH_FRAMES, Stillness
+from eitskin.pipeline.recorded import FrameDecisions
 
 WARM_UPS: Final = 10
 """Runs of each engine before the first frame; ONNX Runtime plans its memory in the first."""
@@ -35,8 +36,8 @@ class MapSource:
         budget_ns: From read to publish; None for no budget.
         solver: The most accurate solver to use; None for the bundle's own choice
             (:func:`eitskin.model.engine.default_solver`) or, with a budget, its most accurate one.
-        skip_unchanged: Whether a map is kept while only noise changes between two frames.
-        field: The gate of a bundle that was taught.
+        skip_unchanged: Whether frames are averaged and their map is kept while only noise changes between them.
+        field: The gate of a bundle that was taught, which averages the frames that it judges.
 
     Raises:
         BundleError: A solver of the bundle cannot be used.
@@ -45,8 +46,8 @@ class MapSource:
     """
 
     __slots__ = (
-        "_change", "_held", "_held_sequence", "_named", "_record", "budget", "engine_ns", "engines", "map",
-        "stillness",
+        "_change", "_field", "_held", "_held_fused", "_held_sequence", "_named", "_record", "budget", "engine_ns",
+        "engines", "keeps_unchanged", "map", "stillness",
     )  # fmt: skip
 
     def __init__(
@@ -60,17 +61,19 @@ class MapSource:
         skip_unchanged: bool,
         field: TaughtField | None = None,
     ) -> None:
-        self._record = record
+        self._record, self._field = record, field
         self._change = buffers.change[0]
         self.map = buffers.map[0]
         """(pixels,) the map computed last."""
         self.engines: list[Engine] = engines(bundle, buffers, best=solver, alone=budget_ns is None, field=field)
         self._named = {engine.name: engine for engine in self.engines}
-        self.stillness = Stillness(len(self._change)) if skip_unchanged else None
-        """Judges whether two frames differ only by noise; None if no map is kept."""
+        self.keeps_unchanged = skip_unchanged
+        """Whether a map is kept while only noise changes between two frames."""
+        self.stillness = Stillness(len(self._change)) if field is None else field.stillness
+        """Averages frames that differ only by noise."""
         self._held = ""
         """The solver of the map that is held; empty if none is."""
-        self._held_sequence = 0
+        self._held_sequence, self._held_fused = 0, 1
         record.map_sequence = -REFRESH_FRAMES
         self.engine_ns = self._warm_up()
         """{engine: median time in ns}, measured at the start."""
@@ -105,41 +108,28 @@ class MapSource:
         return next(easy, len(self.engines) - 1)
 
     @property
-    def keeps_unchanged(self) -> bool:
-        """Whether a map is kept while only noise changes between two frames."""
-        return self.stillness is not None
-
-    @property
     def can_overrule(self) -> bool:
         """Whether the next map can say that nothing touches."""
         return self.engines[self.budget.engine].name not in SCALED
 
     def change_projection(self, change: Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]) -> None:
         """Let the projections use ``change`` of the bundle's matrix, and discard the kept map."""
-        self._held = ""
+        self.start_mean()
         for engine in self.engines:
             if isinstance(engine, ProjectionEngine):
                 engine.change_matrix(change)
 
     def drop_map(self) -> None:
-        """Discard the kept map, because a dependency has changed."""
+        """Compute the next map in any case: a dependency has changed, or a new subscriber lacks the present one."""
         self._held = ""
 
-    def compute_next(self) -> None:
-        """Compute the next map in any case, because a new subscriber lacks the present one."""
-        if self.stillness is not None:
-            self.stillness.reset()
-
-    def compare_by(
-        self, voltages_V: npt.NDArray[np.float64], spread_V: npt.NDArray[np.float64], frames: int, step_V: float
-    ) -> None:
-        """Hold frames against each other by another reference's noise; see :meth:`Stillness.use`."""
+    def start_mean(self) -> None:
+        """Discard the kept map, and the mean of frames with it: the rows mean something else, or frames are lacking."""
         self._held = ""
-        if self.stillness is not None:
-            self.stillness.use_reference(voltages_V, spread_V, frames, step_V)
+        self.stillness.reset()
 
     def infer(self, solver: str | None = None) -> bool:
-        """Compute the map of the frame in hand, and return whether it is finite.
+        """Compute the map of what is in ``change``, and return whether it is finite.
 
         Args:
             solver: Name of the engine; None for the one that the budget allows.
@@ -153,28 +143,46 @@ class MapSource:
         record.inferred = True
         record.solver = self._held = engine.name
         record.map_sequence = self._held_sequence = record.sequence
-        if self.stillness is not None:
-            self.stillness.keep(self._change)
+        self._held_fused = record.fused
         return True
 
-    def reuse_map(self, decided: bool | None = None) -> bool:
+    def infer_alone(self) -> bool:
+        """Compute the map of the frame in hand without those before it, and return whether it is finite."""
+        self.stillness.keep(self._change)
+        self._record.fused = 1
+        return self.infer()
+
+    def reuse_map(self, decided: FrameDecisions) -> bool:
         """Let the frame in hand have the map that is held, and return True, if nothing but noise changed since.
 
+        Else ``change`` is what its map is to be computed of: the mean of the frames since more than noise changed, at
+        2, 4, 8 ... of them.
+
         Args:
-            decided: Whether nothing but noise changed, where that was decided before; None judges it now.
+            decided: Whether nothing but noise changed, where that was decided before.
         """
-        stillness = self.stillness
-        if stillness is None or self._held != self.engines[self.budget.engine].name:
-            return False
-        still = stillness.still(self._change)
-        if not (still if decided is None else decided):
-            return False
-        self._record.solver, self._record.map_sequence = self._held, self._held_sequence
-        return True
+        stillness, record, change, field = self.stillness, self._record, self._change, self._field
+        held = bool(self._held) and self._held == (decided.solver or self.engines[self.budget.engine].name)
+        if field is not None:
+            due = field.is_new if decided.keeps_map is None else not decided.keeps_map
+        elif not self.keeps_unchanged:
+            stillness.keep(change)
+            due = True
+        elif decided.keeps_map is not None:
+            due = stillness.follow(change, decided.fused, keeps_map=decided.keeps_map)
+        else:
+            due = stillness.take(change, wanted=not held)
+        if held and not due and self.keeps_unchanged:
+            record.solver, record.map_sequence, record.fused = self._held, self._held_sequence, self._held_fused
+            return True
+        record.fused = max(stillness.frames, 1)
+        if field is None:
+            np.copyto(change, stillness.mean)
+        return False
 
     def show_nothing(self) -> None:
         """Leave the map at zero; it is a new one, if the last was not, and again now and then."""
         record = self._record
         if record.solver != "none" or not 0 <= record.sequence - record.map_sequence < REFRESH_FRAMES:
             record.map_sequence = record.sequence
-        record.solver = "none"
+        record.solver, record.fused = "none", 1

@@ -33,12 +33,15 @@ class FrameDecisions:
     """Its map is computed although the gate calls it untouched."""
     keeps_map: bool | None = None
     """It has the map of an earlier frame."""
+    fused: int = 1
+    """Frames that its map rests on, where ``keeps_map`` says whose it is."""
     solver: str | None = None
     """Name of the engine that computes its map."""
 
     def clear(self) -> None:
         """Let the pipeline decide everything of the frame to come."""
         self.touched = self.inferred_untouched = self.keeps_map = self.solver = None
+        self.fused = 1
 
 
 class RecordedHealth(Health):

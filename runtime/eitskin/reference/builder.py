@@ -13,6 +13,7 @@ from eitskin.reference.front_end import Sameness, stuck
 from eitskin.reference.judged import ReferenceChecks, accept, judge
 from eitskin.reference.movement import Movement
 from eitskin.reference.scanned import ReferenceScan
+from eitskin.reference.steadiness import Steadiness
 from eitskin_proto.sensor.noise_law import shared_noise
 from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable
 from eitskin_proto.skin.skin import PAPER, Skin
@@ -35,7 +36,7 @@ class ReferenceBuilder:
 
     __slots__ = (
         "_delta", "_mean", "_movement", "_outer", "_product", "_products", "_sameness", "_scan", "_skin", "_squares",
-        "_table", "_unfit", "frames", "taken",
+        "_steadiness", "_table", "_unfit", "frames", "taken",
     )  # fmt: skip
 
     def __init__(
@@ -53,6 +54,7 @@ class ReferenceBuilder:
         self._unfit = 0
         self._movement = Movement(frames, table.rows)
         self._sameness = Sameness(table.rows)
+        self._steadiness = Steadiness(table.rows)
 
     def add(self, voltages: npt.NDArray[np.float64]) -> bool:
         """Take one frame and return whether there are enough.
@@ -63,6 +65,7 @@ class ReferenceBuilder:
         self.taken += 1
         self._movement.add(voltages)
         self._sameness.add(voltages)
+        self._steadiness.add(voltages)
         np.subtract(voltages, self._mean, out=self._delta)
         np.divide(self._delta, self.taken, out=self._product)
         np.add(self._mean, self._product, out=self._mean)
@@ -108,9 +111,10 @@ class ReferenceBuilder:
                 "check that the electrodes are connected"
             )
         shared_V = shared_noise(self._products / (self.taken - 1), self.taken)
+        spread_V = np.sqrt(self._squares / (self.taken - 1))
         found = Reference(
             voltages_V=self._mean.copy(),
-            spread_V=np.sqrt(self._squares / (self.taken - 1)),
+            spread_V=spread_V,
             frames=self.taken,
             serial_number=hello.serial_number,
             configuration_digest=hello.configuration_digest,
@@ -121,6 +125,7 @@ class ReferenceBuilder:
             scan=self._scan,
             table=self._table,
             shared_V=shared_V if shared_V.size else None,
+            steady_frames=self._steadiness.frames(spread_V),
         )
         against = checks or ReferenceChecks()
         looked_at = found.voltages_V if against.missing is None else np.where(against.missing, 0.0, found.voltages_V)

@@ -7,11 +7,12 @@ old reference or the new one, never half of one. ::
 
     {"format": "eitskin-reference", "version": 1, "protocol_id", "grid_id", "skin_digest", "serial_number",
      "configuration_digest", "configuration_name", "captured_utc", "frames", "voltages_V": [104], "spread_V": [104],
-     "table": {"name", "electrodes": [rows][4] or null}, "shared_V": [k][rows],
+     "table": {"name", "electrodes": [rows][4] or null}, "shared_V": [k][rows], "steady_frames",
      "scan": {"cloud_mm": [3][rows][columns], "predicted_V": [104], "predicted_flat_V": [104]}, "sha256"}
 
 ``table`` is there where a device measures other rows than the project's own (:mod:`eitskin_proto.sensor.row_table`).
 ``shared_V`` is there where rows are noisy together (:mod:`eitskin_proto.sensor.noise_law`).
+``steady_frames`` is there since frames of rest are averaged (:mod:`eitskin.reference.steadiness`).
 ``scan`` is there where the sheet was scanned when the reference was taken (:mod:`eitskin.reference.scanned`); such a
 file has version 2, so that releases that would ignore the scan refuse it.
 
@@ -88,6 +89,8 @@ class Reference:
     """Its rows."""
     shared_V: npt.NDArray[np.float64] | None = None
     """(rows, k) V, components of a frame's noise that rows share, part of ``spread_V``; None where nobody measured."""
+    steady_frames: int | None = None
+    """Frames over which a mean gains before the sheet drifts; None where nobody measured."""
 
     def __repr__(self) -> str:
         return f"<Reference of {self.frames} frames of {self.serial_number}, captured {self.captured_utc}>"
@@ -229,6 +232,8 @@ def stored(reference: Reference) -> bytes:
         content["scan"] = reference.scan.stored()
     if reference.shared_V is not None:
         content["shared_V"] = reference.shared_V.T.tolist()
+    if reference.steady_frames is not None:
+        content["steady_frames"] = reference.steady_frames
     content["sha256"] = sha256_of_values(content)
     return (json.dumps(content, indent=1) + "\n").encode("ascii")
 
@@ -304,6 +309,7 @@ def parsed(raw: bytes, where: str, hint: str, skin: Skin | None = None) -> Refer
             spread_V=np.array(fields.numbers("spread_V", table.rows)),
             table=table,
             shared_V=_shared(content, table.rows),
+            steady_frames=fields.whole("steady_frames", None, low=1, high=MOST_FRAMES),
             frames=fields.whole("frames", low=1, high=MOST_FRAMES),
             serial_number=fields.text("serial_number", least=0, longest=16),
             configuration_digest=int(fields.text("configuration_digest", longest=8), 16),

@@ -26,7 +26,7 @@ def packer():
 
 def filled(packer, **numbers):
     values = {"n": 3, "seq": 7, "device_us": 2**33, "age_us": 400, "gate_logit": -1.5, "cloud": 2}
-    values |= {"weak_rows": 1, "map_seq": 7}
+    values |= {"weak_rows": 1, "map_seq": 7, "fused": 16}
     values |= {name: 10 + index for index, name in enumerate(COUNTS)}
     values |= {name: 1000 * (index + 1) for index, name in enumerate(STAGES)}
     values |= {"touched": TOUCHED[True], "drift": math.nan, "drift_sd": math.nan, "drift_uneven": math.nan} | numbers
@@ -41,6 +41,7 @@ def test_a_packed_frame_comes_back_field_by_field(packer):
     assert np.array_equal(frame.map, np.linspace(0, 1, 1350, dtype=np.float32).reshape(30, 45))
     assert (frame.sequence, frame.number, frame.device_us, frame.age_us) == (7, 3, 2**33, 400)
     assert frame.touched
+    assert frame.fused == 16
     assert frame.gate_logit == -1.5
     assert frame.host_ns == {name: 1000 * (index + 1) for index, name in enumerate(STAGES)}
     assert frame.counts == {"lost": 10, "corrupt": 11, "withheld": 12, "overrun": 13}

@@ -8,7 +8,7 @@ from eitskin.errors import FrameError
 from eitskin.messaging.frame import MapMissing, unpack_frame
 from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.publish import Publisher
-from eitskin.pipeline.stillness import REFRESH_FRAMES, Stillness
+from eitskin.model.stillness import REFRESH_FRAMES, Stillness
 from eitskin_proto.skin.skin import PAPER
 
 from ..messaging.publishing import wait_for
@@ -53,6 +53,101 @@ def test_a_change_that_grows_slowly_adds_up_until_it_is_seen(stillness):
     seen = [stillness.still(frame + 1e-4 * step) for step, frame in enumerate(noise(rng, 90))]
     assert all(seen[:10])
     assert not any(seen[60:])  # by then 6e-3, two sigmas
+
+
+def taken(stillness, frames):
+    """Take frames as the runtime does; return the number, the mean and its count of frames wherever a map is due."""
+    found = []
+    for number, frame in enumerate(frames):
+        if stillness.take(frame):
+            found.append((number, stillness.mean.astype(float), stillness.frames))
+    return found
+
+
+def test_a_map_is_due_at_each_doubling_of_the_mean_and_then_of_the_newest_frames_alone(stillness):
+    frames = noise(np.random.default_rng(4), 200)
+    found = taken(stillness, frames)
+    assert [(number + 1, count) for number, _, count in found] == [
+        (1, 1), (2, 2), (4, 4), (8, 8), (16, 16), (32, 32), (64, 64), (128, 64), (192, 64)
+    ]  # fmt: skip
+    for number, mean, count in found:
+        assert mean == pytest.approx(frames[number + 1 - count : number + 1].mean(axis=0), abs=1e-8)
+
+
+def test_where_drift_takes_over_ends_the_mean(stillness):
+    stillness.use_reference(VOLTS, SPREAD, 100_000, most=4)
+    counts = [count for _, _, count in taken(stillness, noise(np.random.default_rng(4), 300))]
+    assert counts == [1, 2, 4, 4, 4]
+
+
+def test_a_step_of_three_sigmas_a_row_drops_the_mean_within_one_frame(stillness):
+    rng = np.random.default_rng(4)
+    direction = np.where(rng.random(104) < 0.5, -1, 1).astype(np.float32)
+    for before in range(1, 150, 7):
+        stillness.reset()
+        taken(stillness, noise(rng, before))
+        frame = noise(rng, 1)[0] + 0.009 * direction
+        assert [(mean.tolist(), count) for _, mean, count in taken(stillness, [frame])] == [(frame.tolist(), 1)]
+
+
+def test_a_step_of_three_standard_errors_of_a_place_drops_the_mean_within_sixteen_frames(stillness):
+    rng, stale = np.random.default_rng(4), 0
+    for before in range(64, 164):
+        stillness.reset()
+        taken(stillness, noise(rng, before))
+        direction = rng.standard_normal(104)
+        step = 0.003 * 3.5 * direction / np.linalg.norm(direction)  # the strength is in doubt too
+        taken(stillness, noise(rng, 16) + step.astype(np.float32))
+        stale += stillness.frames > 16
+    assert stale <= 10
+
+
+def test_noise_that_rows_share_ends_no_mean_and_hides_no_step(stillness):
+    rng, together = np.random.default_rng(4), 0.009 * np.abs(VOLTS)
+    stillness.use_reference(VOLTS, np.hypot(SPREAD, together), 100_000, shared_V=together[:, None])
+    frames = noise(rng, 3000) + 0.009 * rng.standard_normal((3000, 1)).astype(np.float32)
+    counts = [count for _, _, count in taken(stillness, frames)]
+    assert counts.count(1) <= 3000 / 741 * 3
+    assert counts.count(64) > 20
+    step = 0.006 * np.where(rng.random(104) < 0.5, -1, 1).astype(np.float32)
+    assert [count for _, _, count in taken(stillness, frames[:1] + step)] == [1]
+
+
+@pytest.mark.parametrize("level", [1e-4, 3e-4, 1e-3, 3e-3])
+def test_what_creeps_at_1_mm_a_second_is_never_farther_from_the_sheet_than_one_frame_is(stillness, level):
+    stillness.use_reference(VOLTS, level * np.abs(VOLTS), 100_000)
+    rng, rows = np.random.default_rng(5), np.linspace(0.0, 80.0, 104)
+    seen = np.zeros(104)
+    fused, single, held = [], [], np.zeros(104)
+    for number in range(1000):  # five seconds
+        truth = 0.3 * np.exp(-0.5 * ((rows - 30.0 - number / 200.0) / 8.0) ** 2)
+        frame = (truth + level * rng.standard_normal(104)).astype(np.float32)
+        if found := taken(stillness, [frame]):
+            held = found[0][1]
+        fused.append(np.sqrt(np.mean((held - truth) ** 2)))
+        single.append(np.sqrt(np.mean((frame - truth) ** 2)))
+        seen += held
+    assert max(fused) < 1.3 * max(single)
+    assert np.mean(fused) < 1.05 * np.mean(single)
+
+
+def test_recorded_decisions_give_the_same_means_and_where_frames_are_lacking_single_ones(stillness):
+    rng = np.random.default_rng(6)
+    frames = noise(rng, 400)
+    frames[150:] += 0.01
+    live, again = taken(stillness, frames), Stillness()
+    decided = {number: count for number, _, count in live}
+    means = {number: mean for number, mean, _ in live}
+
+    def follow(numbers):
+        for number in numbers:
+            if again.follow(frames[number], decided.get(number, 1), keeps_map=number not in decided):
+                yield number, again.mean.astype(float)
+
+    assert all(np.array_equal(mean, means[number]) for number, mean in follow(range(400)))
+    again.reset()
+    for number, mean in follow(range(10, 400)):
+        assert np.array_equal(mean, means[number] if number >= 127 else frames[number])
 
 
 @pytest.fixture

@@ -33,6 +33,20 @@ def test_they_do_by_whatever_solver_and_options(tmp_path: Path, options: dict[st
     assert (found["equal"], found["differing"]) == (90, {})
 
 
+def test_means_of_a_touch_at_rest_come_out_the_same_and_are_not_guessed_without_their_frames(tmp_path: Path) -> None:
+    recorded(tmp_path / "a.mcap", items := measured(330, skip_unchanged=True))  # the cloud comes amid the touch
+    touched = [item for item in items if isinstance(item, Frame) and item.touched]
+    assert {frame.fused for frame in touched} >= {1, 2, 4, 8, 16, 32}
+    assert sum(frame.map_sequence == frame.sequence for frame in touched) < 20
+    script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
+    found = reinfer(script, bundle).fields()
+    assert (found["equal"], found["differing"]) == (330, {})
+    amid_s = 1e-9 * (list(script.steps())[140].log_ns - script.first_ns)
+    part = reinfer(script, bundle, from_s=amid_s).fields()
+    assert part["unknown_why"].keys() == {"frame_missing"}
+    assert part["differing"] == {}
+
+
 def test_why_a_map_cannot_be_told_is_said_by_its_cause(file: Path) -> None:
     steps = [step.frame for step in Script(file).steps()]
     nothing, equality = np.zeros((30, 45), dtype=np.float32), Equality()

@@ -62,9 +62,10 @@ def physics(monkeypatch: pytest.MonkeyPatch) -> list[Physics]:
 
 
 def test_touched_frames_are_given_with_the_cloud_and_the_reference_that_held(
-    file: Path, physics: list[Physics], tmp_path: Path
+    physics: list[Physics], tmp_path: Path
 ) -> None:
-    script, bundle = Script(file), load_bundle(TINY)
+    recorded(tmp_path / "a.mcap", measured(330, skip_unchanged=True))
+    script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
     found = reinfer(script, bundle, VerifiedSolver(script, bundle), keep=1000)
     fields = found.fields()
     touched = sum(step.frame.touched for step in script.steps())

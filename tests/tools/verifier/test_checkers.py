@@ -56,8 +56,8 @@ def units(model):
     return setup_of(PAPER, "units", 1e-3 * model.flat_V), change.astype("f4"), values
 
 
-def letter(change, values, missing=NOTHING, setup=1):
-    return FrameLetter(setup, 9, 1000, 5, 6, 4, missing, change, values)
+def letter(change, values, missing=NOTHING, setup=1, fused=1):
+    return FrameLetter(setup, 9, 1000, 5, 6, 4, fused, missing, change, values)
 
 
 def test_units_that_a_network_shows_beside_their_place_are_found_and_placed_on_the_surface(units):

@@ -134,8 +134,10 @@ def measured(condition: Condition, deformations: int, each: int) -> Row:
         for phantom in own:
             scene = device.scene(phantom.scene, as_it_is=labels == "units" or kind != "raise")
             gone = (int(rng.integers(N_ELECTRODES)),) if condition.missing else ()
-            noisy = add_noise(volts(scene), flat, condition.noise, 50.0, rng)
-            case = Case(_filled(filler, noisy, flat, gone), flat, flat, sheet, labels, kind == "lower")
+            frames = np.tile(volts(scene), (condition.fused, 1))
+            noisy = add_noise(frames, flat, condition.noise, 50.0, rng).mean(axis=0)
+            filled = _filled(filler, noisy, flat, gone)
+            case = Case(filled, flat, flat, sheet, labels, kind == "lower", condition.fused)
             image = network.solver(case)
             kept = np.where(rows_of(gone), 0.0, flat)
             checked = verified.solve(replace(case, voltages=noisy, reference=kept, flat_reference=kept))

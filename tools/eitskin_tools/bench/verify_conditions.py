@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.model.stillness import MOST_FUSED
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.device import Device, draw_device
@@ -79,6 +80,8 @@ class Condition:
     """One electrode is gone, another one for each map."""
     at_rest: int = 0
     """Frames of each deformation that are seen untouched first."""
+    fused: int = 1
+    """Frames of each touch at rest that are averaged."""
 
 
 def conditions() -> list[Condition]:
@@ -108,6 +111,15 @@ def conditions() -> list[Condition]:
             for contrast, side in LARGE_GENTLE_TOUCHES
         ),
         *_seen_at_rest(),
+        *(
+            Condition(
+                f"at rest for {MOST_FUSED} frames: {name}", phantoms, mismatch, at_rest=MOST_FUSED, fused=MOST_FUSED
+            )
+            for name, phantoms, mismatch in (
+                ("contrast 2, singles", _singles(2.0), IDEAL),
+                ("lab-like, presses of contrast 0.6", _presses(0.6), LAB),
+            )
+        ),
     ]
 
 

@@ -37,6 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.cloud,
         skin,
         arguments.seed * arguments.seeds,
+        arguments.fused,
     )
     request = Request(arguments.solver, arguments.reference, arguments.bundle, arguments.prediction, arguments.at_rest)
     _check_classical(arguments, way, request)

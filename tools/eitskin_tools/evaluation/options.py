@@ -27,6 +27,7 @@ MODE_OPTIONS: Final = {
     "shift_px": ModeOption(0.0, SIMULATED_SUBJECTS),
     "cloud": ModeOption("scan", SIMULATED_SUBJECTS),
     "at_rest": ModeOption(0, SIMULATED_SUBJECTS),
+    "fused": ModeOption(1, SIMULATED_SUBJECTS),
     "family": ModeOption("A", TRIALS),
     "deformations": ModeOption(20, (*TRIALS, "devices")),
     "each": ModeOption(5, (*TOUCHED_TRIALS, "devices")),
@@ -118,6 +119,7 @@ def add_arguments(parser: Parser) -> None:
     group.add_argument(
         "--at-rest", type=whole(0), metavar="N", help="verified: first show N untouched frames of each deformation (0)"
     )
+    group.add_argument("--fused", type=whole(1), metavar="N", help="average N frames of each touch at rest (1)")
 
     group = parser.add_more("ablations")
     group.add_argument(

@@ -95,6 +95,7 @@ def note_of(frame: Any) -> dict[str, Any]:
         "seq": frame.sequence,
         "number": frame.number,
         "map_seq": frame.map_sequence,
+        "fused": frame.fused,
         "touched": frame.touched,
         "gate_logit": frame.gate_logit,
         "solver": frame.solver,

@@ -60,6 +60,8 @@ class ComputedFrame:
     """A :class:`~eitskin_tools.evaluation.verified.solver.MapVerdict`; None where physics is not asked."""
     is_whole: bool = True
     """The runtime computed the whole map then; earlier releases could compute some rectangles alone."""
+    fused: int = 1
+    """Frames that the map rests on."""
 
 
 class Rerun:
@@ -83,7 +85,7 @@ class Rerun:
         self.bundle_id = bundle.id
         arrays = bundle.consistency_arrays()
         self._health = None if arrays is None else RecordedHealth(Consistency.of(arrays))
-        self._pipeline = Pipeline(bundle, script.hello, ALL_SOLVERS_NS, health=self._health)
+        self._pipeline = Pipeline(bundle, script.hello, ALL_SOLVERS_NS, health=self._health, skip_unchanged=True)
         self._graph = GeometryGraph(bundle)
         self._pipeline.start_with(self._graph.geometry(None, None, 0))
         self._solvers = {NO_SOLVER, *(engine.name for engine in self._pipeline.engines)}
@@ -93,7 +95,7 @@ class Rerun:
         self._nothing = np.zeros(bundle.skin.grid.shape, dtype=np.float32)
         self._whole = whole(bundle.skin.grid.shape)
         self._regions = self._whole
-        self._ready = False
+        self._ready, self._number = False, -1
 
     def _check(self, solver: str) -> None:
         if solver not in self._solvers:
@@ -136,22 +138,27 @@ class Rerun:
         record, decided = pipeline.record, pipeline.decisions
         if not self._ready or not step.known or frame.withheld or frame.seq is None:
             return None
+        if frame.frame is None or frame.frame != self._number + 1:
+            pipeline.maps.start_mean()  # frames are lacking that it may need
+        self._number = -1 if frame.frame is None else frame.frame
         if not pipeline.load_recorded(frame.payload, frame.seq):  # of the idle mode: there is no map
             return ComputedFrame(self._nothing, frame.touched, NO_SOLVER)
         decided.touched = frame.touched if self.as_recorded or pipeline.gate is None else None
-        decided.inferred_untouched = decided.keeps_map = False
+        decided.inferred_untouched, decided.keeps_map, decided.fused = False, frame.map_seq != frame.seq, frame.fused
         decided.solver = self._solver or frame.solver
         self._check(decided.solver)
-        wanted = decided.solver != NO_SOLVER and (
-            every or frame.map_seq == frame.seq
-        )  # else there was no request for the map
-        if not pipeline.compute(wanted):
+        # where the map of an earlier frame was published, its own is asked for
+        wanted = decided.solver != NO_SOLVER and (every or not decided.keeps_map)
+        if not pipeline.compute(decided.solver != NO_SOLVER):
+            return ComputedFrame(self._nothing, False, NO_SOLVER)
+        if every and decided.keeps_map and record.touched and not pipeline.maps.infer(decided.solver):
             return ComputedFrame(self._nothing, False, NO_SOLVER)
         logit = None if pipeline.gate is None else record.gate_logit
         if not record.touched or decided.solver == NO_SOLVER:
             return ComputedFrame(self._nothing, record.touched, NO_SOLVER, logit)
         found = self._map() if wanted else self._nothing
-        return ComputedFrame(found, True, decided.solver, logit, is_whole=self._regions == self._whole)
+        whole, fused = self._regions == self._whole, 1 if decided.keeps_map else record.fused
+        return ComputedFrame(found, True, decided.solver, logit, is_whole=whole, fused=fused)
 
     def _map(self) -> npt.NDArray[np.float32]:
         """Return a copy of the map of the frame in hand, as far as the runtime computed it then."""
@@ -241,7 +248,8 @@ class Equality:
             found: What it came to; None where nothing could be computed.
         """
         frame = step.frame
-        if found is not None and frame.seq is not None and frame.map_seq == frame.seq:
+        rests = found is not None and (self.follows or found.fused == frame.fused)  # on the same frames
+        if found is not None and rests and frame.seq is not None and frame.map_seq == frame.seq:
             self._keep(frame.seq, found)
         if (digest := step.note.get("digest")) is not None:
             self._compare(frame, digest, found)

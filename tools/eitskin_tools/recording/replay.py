@@ -359,6 +359,7 @@ class Player:
         decided.touched = frame.touched and not overruled
         decided.inferred_untouched = overruled or "map:untouched" in texts(note.get("skipped"))
         decided.keeps_map = None if frame.map_seq is None or frame.solver == "none" else frame.map_seq != frame.seq
+        decided.fused = frame.fused
 
     def _use_conditions(self, conditions: Conditions) -> None:
         pipeline = self.skin.pipeline

@@ -61,7 +61,7 @@ class Checker:
             raise CannotVerifyError(why)
         volts = self._reference_V * (1.0 + frame.change.astype(np.float64))
         rows = self._usable & ~frame.missing
-        verdict = self._verifier.verify(volts, image, self._budget_s, rows)
+        verdict = self._verifier.verify(volts, image, self._budget_s, rows, frame.fused)
         touches = tuple(self._message_of(one) for one in verdict.touches)
         told = verdict.chi_squared, verdict.degrees_of_freedom, verdict.p_value, verdict.flagged
         return told, touches, reason_of(verdict)

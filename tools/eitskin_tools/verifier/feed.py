@@ -17,7 +17,7 @@ import numpy as np
 from eitskin.frame_record import PUBLISH, READ, FrameRecord
 from eitskin.messaging.publish import Publisher
 from eitskin.messaging.streams.verified import FAILED, PREPARING, READY, STARTING, WAITING, pack_head, pack_verdict
-from eitskin.pipeline.stillness import Stillness
+from eitskin.model.stillness import Stillness
 from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
 from eitskin_proto.skin.toml import to_toml
@@ -138,8 +138,8 @@ class VerifierFeed:
             if not (record.touched or record.idle):  # an idle frame leaves dV as the last whole one had it
                 self._send_baseline()
                 return
-        elif record.inferred and not self._is_known():
-            self._stillness.keep(self._pipeline.buffers.change[0])
+        elif record.inferred and not self._is_known(record.fused):
+            self._stillness.keep(self._pipeline.buffers.change[0], record.fused)
             self._drop()
             self._candidate = self._frame_packet(record)
             self._is_due = self.mode == "always"
@@ -154,10 +154,10 @@ class VerifierFeed:
         if (mean := self._baseline.add(self._pipeline.buffers.change[0])) is not None:
             self._send(packed(BaselineLetter(self._setup, BASELINE_FRAMES, mean)))
 
-    def _is_known(self) -> bool:
+    def _is_known(self, fused: int) -> bool:
         """Return whether the frame in hand is the one that was handed over last, but for noise, however long ago."""
-        self._stillness.age = 0
-        return self._stillness.still(self._pipeline.buffers.change[0])
+        known = self._stillness
+        return known.frames >= fused and known.still(self._pipeline.buffers.change[0], fused)
 
     def _withdraw(self) -> None:
         """Take back what waits: it is touched no more, or otherwise known."""
@@ -174,7 +174,7 @@ class VerifierFeed:
         return packed(
             FrameLetter(
                 self._setup, record.sequence, record.device_us, stamps[READ], stamps[PUBLISH], record.cloud,
-                self._missing, buffers.change[0], buffers.map[0],
+                record.fused, self._missing, buffers.change[0], buffers.map[0],
             )
         )  # fmt: skip
 
@@ -209,8 +209,9 @@ class VerifierFeed:
                 np.zeros((len(flat.voltages_V), 0)) if flat.shared_V is None else flat.shared_V, self._budget_s,
             )
         )  # fmt: skip
-        self._stillness.use_reference(flat.voltages_V, flat.spread_V, flat.frames, step_V)
-        self._baseline.start(flat.voltages_V, flat.spread_V, flat.frames, step_V)
+        noise = flat.voltages_V, flat.spread_V, flat.frames, step_V, flat.shared_V
+        self._stillness.use_reference(*noise)
+        self._baseline.start(*noise)
         self._withdraw()
         if self._verifier[0] != STARTING:
             self._verifier = PREPARING, ""

@@ -63,6 +63,8 @@ class FrameLetter:
     read_ns: int
     publish_ns: int
     cloud: int
+    fused: int
+    """Frames that it is the mean of."""
     missing: Rows
     """(104,) rows that are filled in from the others."""
     change: Values

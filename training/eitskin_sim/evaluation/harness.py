@@ -79,6 +79,8 @@ class Conditions:
     """The skin whose model, map and clouds the solvers have; the voltages are those of the phantoms' own scenes."""
     first_seed: int = 0
     """The first draw of noise, cloud and shift."""
+    fused: int = 1
+    """Frames of rest that are averaged."""
 
 
 @dataclass(slots=True)
@@ -129,6 +131,8 @@ class Case:
     """What a map's pixels mean; solvers without a grid of their own take units for "units", else pixels."""
     lowering: bool = False
     """Whether all touches here lower conductance: classical solvers then look for that."""
+    fused: int = 1
+    """Frames that the voltages are the mean of."""
 
 
 Solver = Callable[[Case], Array]
@@ -234,11 +238,13 @@ def evaluate_all(
             moved = shifted(phantom, conditions.shift_px, own, grid)
             if moved != shown:
                 shown, truth, clean = moved, truth_map(moved, grid), _solved(moved.scene, where)
-            noisy = add_noise(clean, flat, conditions.noise, conditions.snr_db, rng)
+            frames = np.tile(clean, (conditions.fused, 1))
+            noisy = add_noise(frames, flat, conditions.noise, conditions.snr_db, rng).mean(axis=0)
             sheet = Sheet(_cloud(bare, conditions.cloud, seed, skin), _solved(bare, where), skin)
             for run, kept in zip(runs, scores, strict=True):
                 held = _reference(run.reference, sheet, flat)
-                case = Case(noisy, held, flat, sheet, phantom.truth, phantom.scene.touch_kind == "lower")
+                lowering = phantom.scene.touch_kind == "lower"
+                case = Case(noisy, held, flat, sheet, phantom.truth, lowering, conditions.fused)
                 kept.append(score(run.solver(case), truth, labels=phantom.truth, grid=grid))
         for result, kept in zip(results, scores, strict=True):
             result.append((phantom, kept))

@@ -61,7 +61,9 @@ class ShapeVerifier:
     ) -> None:
         self._rows = reference_V != 0.0
         self._reference = np.where(self._rows, reference_V, np.nan)
-        self._noise, self._prior = noise, touch_prior(touches, skin)
+        self._of_one, self._prior = noise, touch_prior(touches, skin)
+        self._noise = noise
+        """Of the frame in hand."""
         self._clock = clock
         self._skin = skin
         self.deformation = Deformation(clock)
@@ -90,11 +92,16 @@ class ShapeVerifier:
         """
         check_frame(voltages_V, self._reference)
         return self.deformation.use_untouched(
-            voltages_V / self._reference - 1.0, self._reference, self._noise.of_mean(frames)
+            voltages_V / self._reference - 1.0, self._reference, self._of_one.of_mean(frames)
         )
 
     def verify(
-        self, voltages_V: Array, shares: Array, budget_s: float = BUDGET_S, rows: Rows | None = None
+        self,
+        voltages_V: Array,
+        shares: Array,
+        budget_s: float = BUDGET_S,
+        rows: Rows | None = None,
+        frames: int = 1,
     ) -> ShapeVerdict:
         """Return the touches that explain a frame best.
 
@@ -104,11 +111,12 @@ class ShapeVerifier:
             budget_s: Time. What a frame takes longer is one derivative of its touches and one solution with them, and,
                 where the frame shows that the sheet is stretched otherwise, one model of it.
             rows: (104,) which rows the frame has; None is all. The others are left out, whatever they read.
+            frames: That the frame is the mean of.
 
         Raises:
             ValueError: There is no deformation yet, or no time; a number is not finite.
         """
-        budget = Budget(budget_s, self._clock)
+        budget, self._noise = Budget(budget_s, self._clock), self._of_one.of_mean(frames)
         rows = self._rows if rows is None else self._rows & rows
         check_frame(voltages_V, self._reference, shares, rows)
         change, grid = change_of(voltages_V, self._reference, rows), self._skin.grid

@@ -26,7 +26,7 @@ LARGEST_PAYLOAD: Final = LARGEST_VOLTS
 
 _WIRE_FIELDS: Final = (
     "seq", "device_us", "read_ns", "payload", "withheld", "frame", "touched", "gate_logit", "solver", "map_seq",
-    "conditions",
+    "fused", "conditions",
 )  # fmt: skip
 
 MAX_TEXT: Final = 256
@@ -65,6 +65,7 @@ class WireFrame(Received):
         gate_logit: The gate's logit.
         solver: Solver of the published map; ``none`` if the map is 0.
         map_seq: ``seq`` of the frame that the map was computed for; None if no frame was published.
+        fused: How many frames that map rests on.
         conditions: ``revision`` of the :class:`Conditions` of this frame.
     """
 
@@ -78,6 +79,7 @@ class WireFrame(Received):
     gate_logit: float = 0.0
     solver: str = "none"
     map_seq: int | None = None
+    fused: int = 1
     conditions: int = 0
 
     def body(self) -> bytes:
@@ -104,6 +106,7 @@ class WireFrame(Received):
             gate_logit=_float(fields, "gate_logit"),
             solver=_text(fields, "solver"),
             map_seq=_or_none(fields, "map_seq", fields.whole),
+            fused=fields.whole("fused", 1, low=1),
             conditions=fields.whole("conditions"),
         )
 

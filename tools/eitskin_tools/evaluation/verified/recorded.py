@@ -90,7 +90,7 @@ class VerifiedSolver:
         """Begin with another surface or reference."""
         self._verified = self._at_rest_V = None
         step_V = step_of(self._script.hello)
-        self._baseline.start(reference.voltages_V, reference.spread_V, reference.frames, step_V)
+        self._baseline.start(reference.voltages_V, reference.spread_V, reference.frames, step_V, reference.shared_V)
 
     def _missing(self, reference: Reference) -> npt.NDArray[np.bool_]:
         """Return (104,) rows that are not looked at."""
@@ -124,7 +124,9 @@ class VerifiedSolver:
         flat_V = np.where(missing, 0.0, reference.voltages_V)  # a row of 0 V is not looked at
         volts = flat_V * (1.0 + self._rerun.change.astype(np.float64))
         labels: Any = "units" if self._bundle.labels == "units" else "area"
-        case = Case(volts, flat_V, flat_V, sheet, labels, lowering=self._bundle.touch_kind == "lower")
+        case = Case(
+            volts, flat_V, flat_V, sheet, labels, lowering=self._bundle.touch_kind == "lower", fused=found.fused
+        )
         self._image = found.map.astype(np.float64)
         try:
             image = self._verified.solve(case)

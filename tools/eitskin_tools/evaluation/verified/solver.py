@@ -46,7 +46,7 @@ NETWORK_SHARE: Final = 0.3
 """Of a verified map. Without it presses on lab devices lose 0.008 of CC, and touches of contrast 2 0.009."""
 
 SPREADS: Final = (1e-5, 0.01)
-"""Of a row's voltage: what noise a reference is believed to have shown, as in :mod:`eitskin.pipeline.stillness`."""
+"""Of a row's voltage: what noise a reference is believed to have shown, as in :mod:`eitskin.model.stillness`."""
 
 
 class MapVerifier:
@@ -80,7 +80,7 @@ class MapVerifier:
         return too_many(self._shown(image)) if self._labels == "units" else ""
 
     def verify(
-        self, voltages_V: Array, image: Array, budget_s: float, rows: Rows | None = None
+        self, voltages_V: Array, image: Array, budget_s: float, rows: Rows | None = None, frames: int = 1
     ) -> ShapeVerdict | UnitVerdict:
         """Return what explains a frame best: shapes, or units where the map is of units.
 
@@ -89,17 +89,19 @@ class MapVerifier:
             image: (rows, columns) the network's map.
             budget_s: What the frame may take.
             rows: (104,) which rows the frame has; None is all.
+            frames: That it is the mean of.
         """
         budget, grid = Budget(budget_s, self._clock), self._skin.grid
         touches = self._finder.find(image)
         shares = shares_of(touches.pixels, touches.touch, touches.weights, touches.count, grid)
         before_s = self.shapes.deformation.spent_s
-        found = self.shapes.verify(voltages_V, shares, budget_s, rows)
+        found = self.shapes.verify(voltages_V, shares, budget_s, rows, frames)
         if self._labels != "units":
             return found
         budget.models_s = self.shapes.deformation.spent_s - before_s
         model = self.shapes.deformation.model
-        frame = UnitFrame(model, voltages_V, self._reference_V, self._noise, self._prior, rows)
+        noise = self._noise.of_mean(frames)
+        frame = UnitFrame(model, voltages_V, self._reference_V, noise, self._prior, rows)
         return frame.snapped(found, self._shown(image), budget)
 
     def _shown(self, image: Array) -> npt.NDArray[np.bool_]:
@@ -172,7 +174,7 @@ class VerifiedNetwork:
             return image
         made_s, start = verifier.shapes.deformation.spent_cpu_s, time.process_time()
         rows = case.flat_reference != 0.0
-        verdict = verifier.verify(case.voltages, image, BUDGET_S, rows)
+        verdict = verifier.verify(case.voltages, image, BUDGET_S, rows, case.fused)
         made_s = verifier.shapes.deformation.spent_cpu_s - made_s
         cpu_s = time.process_time() - start - made_s
         self.checked.append(MapVerdict(verdict, 1e3 * verdict.seconds, 1e3 * cpu_s, 1e3 * (setup_s + made_s)))

@@ -1,7 +1,7 @@
 """The untouched sheet's voltages: the mean of some still, untouched frames, when it has changed.
 
 The untouched voltages show the verifier how the sheet differs from its scan (:mod:`eitskin_sim.verification.at_rest`).
-It takes a quarter of a second of rest, and is given again once it has changed: after a press that left something
+It takes a third of a second of rest, and is given again once it has changed: after a press that left something
 behind, or by drift.
 """
 
@@ -10,12 +10,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.pipeline.stillness import Stillness
-from eitskin_proto.sensor.table import N_ROWS
+from eitskin.model.stillness import MOST_FUSED, Stillness
 
 Array = npt.NDArray[np.float64]
 
-BASELINE_FRAMES: Final = 50
+BASELINE_FRAMES: Final = MOST_FUSED
 """That the mean is of."""
 
 MIN_NEW_RMS: Final = 1e-3
@@ -27,13 +26,13 @@ class UntouchedBaseline:
 
     def __init__(self) -> None:
         self._stillness = Stillness()
-        self._sum: Array = np.zeros(N_ROWS)
-        self._count = 0
         self._last: Array | None = None
 
-    def start(self, voltages_V: Array, spread_V: Array, frames: int, step_V: float) -> None:
-        """Start with another surface or reference; arguments as of :meth:`eitskin.pipeline.stillness.Stillness.use`."""
-        self._stillness.use_reference(voltages_V, spread_V, frames, step_V)
+    def start(
+        self, voltages_V: Array, spread_V: Array, frames: int, step_V: float, shared_V: Array | None = None
+    ) -> None:
+        """Start with another surface or reference; arguments as of :class:`eitskin.model.stillness.Stillness`."""
+        self._stillness.use_reference(voltages_V, spread_V, frames, step_V, shared_V)
         self._last = None
 
     def reset(self) -> None:
@@ -46,16 +45,11 @@ class UntouchedBaseline:
         Args:
             change: (104,) dV.
         """
-        self._stillness.age = 0
-        if not self._stillness.still(change):
-            self._stillness.keep(change)
-            self._sum[:], self._count = 0.0, 0
-        self._sum += change
-        self._count += 1
-        if self._count < BASELINE_FRAMES:
+        stillness = self._stillness
+        if not stillness.take(change) or stillness.frames < BASELINE_FRAMES:
             return None
-        mean = self._sum / self._count
-        self._stillness.reset()
+        mean = stillness.mean.astype(np.float64)
+        stillness.reset()
         if self._last is not None and np.sqrt(np.mean(np.square(mean - self._last))) < MIN_NEW_RMS:
             return None
         self._last = mean
