@@ -525,7 +525,8 @@ class FrameLoop:
         pipeline, record, touches = self._pipeline, self._pipeline.record, self._touches
         if touches is None:
             grid, field = pipeline.bundle.skin.grid, pipeline.field
-            self._touches = touches = TouchWatch(grid, None if field is None else TaughtFinder(field, grid))
+            finder = None if field is None else TaughtFinder(field, grid)
+            self._touches = touches = TouchWatch(grid, finder, pipeline.bundle.touch_kind)
         if not wanted:
             touches.reset()
             record.touches = None

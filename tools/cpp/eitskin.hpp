@@ -148,8 +148,9 @@ struct Touch {
     float strength, confidence;                          // NaN while unknown
     float place_mm[3], normal[3], surface_mm2;           // on the surface of the cloud in use
     float error_mm[2], amplitude, log_likelihood_ratio;  // NaN unless touches were learned from presses
+    float sign;                                          // 1 raises conductance, -1 lowers it, NaN while unknown
 };
-static_assert(sizeof(Touch) == 92, "a touch has 92 bytes");
+static_assert(sizeof(Touch) == 96, "a touch has 96 bytes");
 
 // A list in place of a vector, which would allocate.
 template <typename Item, std::size_t Most> struct List {
@@ -243,7 +244,7 @@ class Frame {
             return "a list of touches that is not of its size";
         for (std::size_t at = 0; at < touches_bin.size(); at += touch_bytes) {
             Touch &touch = touches.items[touches.count++];
-            touch.error_mm[0] = touch.error_mm[1] = touch.amplitude = touch.log_likelihood_ratio = NAN;
+            touch.error_mm[0] = touch.error_mm[1] = touch.amplitude = touch.log_likelihood_ratio = touch.sign = NAN;
             std::memcpy(&touch, touches_bin.data() + at, touch_bytes < sizeof touch ? touch_bytes : sizeof touch);
         }
         return nullptr;

@@ -6,16 +6,19 @@ All numbers little-endian: one touch is ``LAYOUT``, one event ``EVENT_LAYOUT``.
 import math
 import struct
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 from eitskin.errors import FrameError
 
-LAYOUT: Final = struct.Struct("<II21f")
+LAYOUT: Final = struct.Struct("<II22f")
 """id, parent, age, then x, y, major, minor, angle, area, peak, strength, confidence, place, normal, surface area; error
-along x and y, amplitude, log likelihood ratio."""
+along x and y, amplitude, log likelihood ratio; sign."""
 
-OLD_LAYOUT: Final = struct.Struct("<II17f")
-"""Of runtimes that did not have the last four numbers."""
+SHORTEST: Final = struct.calcsize("<II17f")
+"""A touch of the first runtimes, which had no error and nothing after it."""
+
+UNKNOWN: Final = LAYOUT.pack(0, 0, *[math.nan] * 22)
+"""Completes the touches of earlier runtimes."""
 
 HEAD: Final = struct.Struct("<IIf")
 """The first three of them, which change while the map does not."""
@@ -56,6 +59,8 @@ class Touch:
         error_mm: Standard errors of the centre along x and y; None unless touches were learned from presses.
         amplitude: How strong it is beside the presses that were learned from, which have 1; None likewise.
         log_likelihood_ratio: How much better the frame is explained with it than without; None likewise.
+        sign: 1 if it raises the sheet's conductance, -1 if it lowers it; None from a network that knows touches of both
+            signs and shows them alike (verified touches have a contrast).
     """
 
     id: int
@@ -74,6 +79,7 @@ class Touch:
     error_mm: tuple[float, float] | None = None
     amplitude: float | None = None
     log_likelihood_ratio: float | None = None
+    sign: int | None = None
 
     def __str__(self) -> str:
         """Return one line: where it is, how large, which way the surface faces, how old."""
@@ -127,8 +133,8 @@ def unpack_touches(raw: object, size: object, raw_events: object, more: object) 
     Raises:
         FrameError: One of them is malformed.
     """
-    if type(size) is not int or not OLD_LAYOUT.size <= size <= MOST_READ:
-        raise FrameError(f"frame touch_bytes: found {str(size)[:40]}, expected at least {OLD_LAYOUT.size}")
+    if type(size) is not int or not SHORTEST <= size <= MOST_READ:
+        raise FrameError(f"frame touch_bytes: found {str(size)[:40]}, expected at least {SHORTEST}")
     if not isinstance(raw, bytes) or len(raw) % size or len(raw) > MOST_READ:
         raise FrameError(f"frame touches: expected {size} bytes for each touch, and at most {MOST_READ}")
     if not isinstance(raw_events, bytes) or len(raw_events) % EVENT_LAYOUT.size or len(raw_events) > MOST_READ:
@@ -139,20 +145,20 @@ def unpack_touches(raw: object, size: object, raw_events: object, more: object) 
         TouchEvent(KINDS.get(kind, str(kind)), touch, other)
         for kind, touch, other in EVENT_LAYOUT.iter_unpack(raw_events)
     )
-    layout = LAYOUT if size >= LAYOUT.size else OLD_LAYOUT
-    return TouchList(tuple(_touch(layout.unpack_from(raw, at)) for at in range(0, len(raw), size)), events, more)
+    return TouchList(tuple(_touch(raw[at : at + size]) for at in range(0, len(raw), size)), events, more)
 
 
-def _touch(found: tuple[Any, ...]) -> Touch:
-    number, parent, *values = found
+def _touch(raw: bytes) -> Touch:
+    number, parent, *values = LAYOUT.unpack((raw + UNKNOWN[len(raw) :])[: LAYOUT.size])
     age, x, y, major, minor, angle, area, peak, strength, confidence, *space = values[:17]
-    along, across, amplitude, ratio = map(_known, values[17:] or [math.nan] * 4)
+    along, across, amplitude, ratio, sign = map(_known, values[17:])
     if not all(map(math.isfinite, (age, x, y, major, minor, angle, area, peak, *space))):
         raise FrameError(f"frame touches: touch {number} has values that are not finite")
     return Touch(
         number, parent, age, (x, y), (major, minor), angle, area, peak, _known(strength), _known(confidence),
         (space[0], space[1], space[2]), (space[3], space[4], space[5]), space[6],
         None if along is None or across is None else (along, across), amplitude, ratio,
+        None if sign is None else int(sign),
     )  # fmt: skip
 
 

@@ -10,9 +10,13 @@ from eitskin.touches.surface import Surface
 from eitskin.touches.touch import EVENT_LAYOUT, HEAD, LAYOUT
 from eitskin.touches.tracking import Tracker
 from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.touch_kind import TouchKind
 
 UNKNOWN: Final = float("nan")
 """Strength and confidence: nothing that runs tells the one, and nothing calibrates the other."""
+
+SIGNS: Final[dict[TouchKind, float]] = {"raise": 1.0, "lower": -1.0, "both": UNKNOWN}
+"""Of touches by the kind that a network knows: a map of both kinds does not tell them apart."""
 
 Packed = tuple[bytes, bytes, int]
 """Touches, events, and how many touches are not listed."""
@@ -34,11 +38,13 @@ class TouchWatch:
     Args:
         grid: Of the skin.
         finder: Finds them; None finds pieces of the map.
+        kind: Which way the touches on the maps change conductance.
     """
 
-    __slots__ = ("_finder", "_found", "_map", "_rows", "_surface", "tracker")
+    __slots__ = ("_finder", "_found", "_map", "_rows", "_sign", "_surface", "tracker")
 
-    def __init__(self, grid: Grid, finder: Finder | None = None) -> None:
+    def __init__(self, grid: Grid, finder: Finder | None = None, kind: TouchKind = "both") -> None:
+        self._sign = SIGNS[kind]
         self._finder: Finder = TouchFinder(grid) if finder is None else finder
         self.tracker = Tracker(grid)
         self._found: Found = self._finder.nothing
@@ -69,7 +75,7 @@ class TouchWatch:
         elif which != self._map or surface is not self._surface:
             self._map, self._surface = which, surface
             self._found = self._finder.find(values)
-            self._rows = _rows(self._found, surface)
+            self._rows = _rows(self._found, surface, self._sign)
         tracks, events = self.tracker.step(self._found, device_us)
         rows, pack = self._rows, HEAD.pack
         known = sorted([(track.id, index, track) for index, track in enumerate(tracks) if track is not None])
@@ -80,7 +86,7 @@ class TouchWatch:
         return b"".join(parts), b"".join([EVENT_LAYOUT.pack(*event) for event in events]), self._found.more
 
 
-def _rows(found: Found, surface: Surface) -> list[bytes]:
+def _rows(found: Found, surface: Surface, sign: float) -> list[bytes]:
     """Return what ``LAYOUT`` has of each touch behind id, parent and age."""
     if not found.rows:
         return []
@@ -88,7 +94,7 @@ def _rows(found: Found, surface: Surface) -> list[bytes]:
     areas_mm2 = found.areas_mm2(surface.stretch)
     doubts = found.doubts or [(UNKNOWN,) * 4] * len(found.rows)
     rows = [
-        (*row, UNKNOWN, UNKNOWN, *place, area_mm2, *doubt)
+        (*row, UNKNOWN, UNKNOWN, *place, area_mm2, *doubt, sign)
         for row, place, area_mm2, doubt in zip(found.rows, surface.at(xs, ys), areas_mm2, doubts, strict=True)
     ]
     raw, width = np.array(rows, dtype="<f4").tobytes(), LAYOUT.size - HEAD.size

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.touches.surface import Surface
-from eitskin.touches.touch import unpack_touches
+from eitskin.touches.touch import LAYOUT, unpack_touches
 from eitskin.touches.watch import TouchWatch
 
 from .scripted import DX, GRID, square
@@ -21,7 +21,7 @@ def rolled(radius):
 
 def touched(cloud, image):
     packed = TouchWatch(GRID).update(image.ravel(), 1, Surface(cloud, GRID), 0)
-    (touch,) = unpack_touches(packed[0], 92, *packed[1:]).touches
+    (touch,) = unpack_touches(packed[0], LAYOUT.size, *packed[1:]).touches
     return touch
 
 

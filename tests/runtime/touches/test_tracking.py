@@ -1,11 +1,13 @@
 """Scripted touches: each keeps its number while it moves, and what begins and ends is said."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from eitskin.errors import FrameError
 from eitskin.touches.surface import Surface
-from eitskin.touches.touch import LAYOUT, unpack_touches
+from eitskin.touches.touch import LAYOUT, UNKNOWN, unpack_touches
 from eitskin.touches.tracking import HOLD_FRAMES
 from eitskin.touches.watch import TouchWatch
 
@@ -114,7 +116,7 @@ def test_noise_for_ever_gives_bounded_lists_and_no_number_twice(film):
         ((b"", 76, b"abc", 0), "touch_events: expected 12"),
         ((b"", 76, b"", -1), "touches_more: found -1"),
         ((None, 76, b"", 0), "touches: expected"),
-        ((LAYOUT.pack(7, 0, *[float("nan")] * 21), 92, b"", 0), "touch 7 has values that are not finite"),
+        ((UNKNOWN, LAYOUT.size, b"", 0), "touch 0 has values that are not finite"),
         ((b"\0" * 76 * 60, 76, b"", 0), "at most 4096"),
     ],
 )
@@ -123,9 +125,12 @@ def test_a_malformed_list_is_named(values, named):
         unpack_touches(*values)
 
 
-def test_what_an_older_runtime_sent_has_no_errors():
-    packed = TouchWatch(GRID).update(square(50.0, 50.0).ravel(), 1, FLAT, 0)
+@pytest.mark.parametrize(("kind", "sign"), [("raise", 1), ("lower", -1), ("both", None)])
+def test_a_touch_has_the_sign_that_its_network_knows_and_of_older_runtimes_none(kind, sign):
+    packed = TouchWatch(GRID, kind=kind).update(square(50.0, 50.0).ravel(), 1, FLAT, 0)
     (now,) = unpack_touches(packed[0], LAYOUT.size, *packed[1:]).touches
-    (older,) = unpack_touches(packed[0][:76], 76, *packed[1:]).touches
-    assert older == now
-    assert older.error_mm is older.amplitude is None
+    assert now.sign == sign
+    for size in (76, 92):
+        (older,) = unpack_touches(packed[0][:size], size, *packed[1:]).touches
+        assert older == replace(now, sign=None)
+        assert older.error_mm is older.amplitude is None

@@ -14,6 +14,7 @@ from tests.sim.verification.frames import (
     correlation,
     flat_model,
     flat_verifier,
+    frame_of,
     noisy,
     read,
     shares_of,
@@ -21,12 +22,14 @@ from tests.sim.verification.frames import (
 
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.nominal import nominal_sheet
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.shapes.sheet import TouchedSheet
 from eitskin_sim.surface.measured_cloud import measured_cloud
-from eitskin_sim.verification.network_map import map_of
+from eitskin_sim.verification.both_signs import signed
+from eitskin_sim.verification.network_map import map_of, starts_of
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.shape_verifier import ShapeVerifier
 from eitskin_sim.verification.sheet_model import SheetModel, flat_model_V, touched_sheet
@@ -62,6 +65,23 @@ def test_a_press_is_found_and_has_a_negative_strength() -> None:
     assert found.touches
     assert all(touch.strength_mm2 < 0.0 for touch in found.touches)
     assert not found.flagged
+
+
+@pytest.mark.parametrize("touches", ["raise", "lower", "both"])
+def test_touches_of_opposite_signs_are_found_where_the_network_shows_one(touches: TouchKind) -> None:
+    truth = np.array([[0, 50.0, 45.0, 12.0, 12.0, 0.0, 20.0, 0.0], [0, 82.0, 45.0, 12.0, 12.0, 0.0, 0.2, 0.0]])
+    found = flat_verifier(touches).verify(read(truth), shares_of(truth[:1]), LONG)
+    assert not found.flagged
+    order = np.argsort(found.pieces[:, 1])
+    assert found.pieces[order, 1:3] == pytest.approx(truth[:, 1:3], abs=1.5)
+    assert [found.touches[at].strength_mm2 > 0.0 for at in order] == [True, False]
+
+
+def test_where_touches_go_both_ways_a_start_has_the_sign_of_the_voltages() -> None:
+    truth = np.array([[0, 50.0, 45.0, 14.0, 14.0, 0.0, 0.3, 0.0], [0, 95.0, 60.0, 10.0, 10.0, 0.0, 40.0, 0.0]])
+    frame = frame_of(truth, "both")
+    found = signed(frame, starts_of(shares_of(*truth), frame.prior)[0])
+    assert np.sign(np.log(found[:, 6])).tolist() == [-1.0, 1.0]
 
 
 def test_what_no_touch_explains_is_flagged_and_nothing_is_found_of_nothing() -> None:

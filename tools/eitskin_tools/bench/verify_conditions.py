@@ -47,6 +47,12 @@ FAMILIES: Final[tuple[Family, ...]] = ("A", "B")
 LARGE_GENTLE_TOUCHES: Final = ((3.0, 16.0), (2.0, 16.0), (2.0, 20.0))
 """Contrasts and sides of gentle touches that are larger than a network of hard ones shows them."""
 
+OPPOSITE_MM: Final = 12.0
+"""Side of each of two touches of opposite signs,"""
+
+OPPOSITE_CONTRASTS: Final = (20.0, 0.2)
+"""and their contrasts."""
+
 ACROSS_SEED: Final = 61_017
 """Names the touches' places, sizes and angles."""
 
@@ -98,6 +104,7 @@ def conditions() -> list[Condition]:
         *(Condition(f"paper-like touches, {noise}", paper_like, noise=noise) for noise in ("N2", "N3")),
         Condition("singles of 10 mm", _singles()),
         *(Condition(f"pairs 10 mm apart, {family}", _pairs(family)) for family in FAMILIES),
+        *(Condition(f"opposite signs {gap:g} mm apart", _opposite(gap)) for gap in (20.0, 50.0)),
         *(Condition(f"presses of contrast {contrast:g}", _presses(contrast)) for contrast in (0.4, 0.6)),
         Condition("lab-like, singles", _singles(), LAB),
         *(Condition(f"lab-like, presses of contrast {contrast:g}", _presses(contrast), LAB) for contrast in (0.4, 0.6)),
@@ -173,6 +180,17 @@ def _across(contrast: float, border_mm: float) -> Draw:
 
 def _pairs(family: Family) -> Draw:
     return lambda deformations, each: trials.pair(10.0, deformations, each, family)
+
+
+def _opposite(gap_mm: float) -> Draw:
+    return lambda deformations, each: [
+        replace(one, scene=replace(one.scene, touches=tuple(map(_of_sign, one.scene.touches, OPPOSITE_CONTRASTS))))
+        for one in trials.pair(gap_mm, deformations, each, side_mm=OPPOSITE_MM)
+    ]
+
+
+def _of_sign(touch: Touch, contrast: float) -> Touch:
+    return replace(touch, contrast=contrast)
 
 
 def _presses(contrast: float) -> Draw:

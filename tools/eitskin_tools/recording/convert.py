@@ -79,7 +79,7 @@ TOUCH: Final = np.dtype([
     ("id", "<u4"), ("parent", "<u4"), ("age_s", "<f4"), ("centre_mm", "<f4", 2), ("axes_mm", "<f4", 2),
     ("angle_rad", "<f4"), ("area_mm2", "<f4"), ("peak", "<f4"), ("strength", "<f4"), ("confidence", "<f4"),
     ("place_mm", "<f4", 3), ("normal", "<f4", 3), ("surface_mm2", "<f4"), ("error_mm", "<f4", 2), ("amplitude", "<f4"),
-    ("log_likelihood_ratio", "<f4"),
+    ("log_likelihood_ratio", "<f4"), ("sign", "<f4"),
 ])  # fmt: skip
 """The fields of :class:`eitskin.Touch`, in their order."""
 

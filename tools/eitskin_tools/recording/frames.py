@@ -35,7 +35,7 @@ class RecordedFrames:
     """
 
     def __init__(self, script: Script, bundle: Bundle) -> None:
-        self._script, self._grid = script, bundle.skin.grid
+        self._script, self._grid, self._touch_kind = script, bundle.skin.grid, bundle.touch_kind
         self._rerun = Rerun(script, bundle)
         self.shape = self._grid.shape
         """(rows, columns) of its maps."""
@@ -46,7 +46,8 @@ class RecordedFrames:
     def watch(self) -> TouchWatch:
         """Return what numbers the touches of parts that follow each other."""
         field = self._rerun.field
-        return TouchWatch(self._grid, None if field is None else TaughtFinder(field, self._grid))
+        finder = None if field is None else TaughtFinder(field, self._grid)
+        return TouchWatch(self._grid, finder, self._touch_kind)
 
     def part(self, from_s: float | None, to_s: float | None, watch: TouchWatch) -> Iterator[tuple[Step, Frame | None]]:
         """Yield each frame of the wire, and as a subscriber gets it; None for a frame that cannot be computed.

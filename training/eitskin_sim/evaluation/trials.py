@@ -106,9 +106,15 @@ def single(
 
 
 def pair(
-    gap_mm: float, deformations: int, each: int, family: Family = "A", skin: Skin = PAPER, seed: int = 0
+    gap_mm: float,
+    deformations: int,
+    each: int,
+    family: Family = "A",
+    skin: Skin = PAPER,
+    seed: int = 0,
+    side_mm: float = PAIR_TOUCH_MM,
 ) -> list[Phantom]:
-    """Return phantoms of two square touches of ``PAIR_TOUCH_MM``, side by side along x or y.
+    """Return phantoms of two square touches, side by side along x or y.
 
     Args:
         gap_mm: Their distance, edge to edge.
@@ -117,11 +123,12 @@ def pair(
         family: Where the deformations are drawn from.
         skin: What is touched.
         seed: Which draw of deformations and touches.
+        side_mm: Of each touch.
 
     Raises:
         ValueError: The pair does not fit on the sheet.
     """
-    side, length = PAIR_TOUCH_MM, gap_mm + 2.0 * PAIR_TOUCH_MM
+    side, length = side_mm, gap_mm + 2.0 * side_mm
     along, across = skin.grid.size_mm
     if not (gap_mm > 0.0 and length <= along):
         raise ValueError(f"a gap of {gap_mm:g} mm: it must be above 0 and at most {along - 2 * side:g} mm")

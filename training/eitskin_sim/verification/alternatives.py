@@ -47,12 +47,11 @@ def _cheaper(fit: Fit, other: Fit | None, by: float = 0.0) -> Fit:
 
 def of_usual_contrast(frame: Frame, fit: Fit, budget: Budget) -> Fit:
     """Return the fit, or one from touches of usual contrast that are as strong, if that costs less."""
-    usual, log = frame.prior.log_contrast, np.log(fit.pieces[:, 6])
-    if budget.search_over() or not len(log) or usual * log.mean() <= 0.0:
+    log = np.log(fit.pieces[:, 6])
+    usual = frame.prior.usual(log)
+    if budget.search_over() or not len(log) or abs(np.mean(usual - log)) < c.MIN_LOG_RATIO_TO_USUAL_CONTRAST:
         return fit
-    if abs(usual - log.mean()) < c.MIN_LOG_RATIO_TO_USUAL_CONTRAST:
-        return fit
-    pieces = scaled_to_contrast(fit.pieces, np.full(len(log), usual))
+    pieces = scaled_to_contrast(fit.pieces, usual)
     return _cheaper(fit, fitted(frame, pieces, fit.turning, budget))
 
 
@@ -91,10 +90,11 @@ def two_in_place_of_one(frame: Frame, fit: Fit, shares: Array, budget: Budget) -
     if not len(fit.pieces) or budget.search_over():
         return fit
     largest = int(np.argmax(areas_mm2(fit.pieces)))
-    piece, usual = fit.pieces[largest], frame.prior.log_contrast
+    piece = fit.pieces[largest]
     along = int(np.argmax(piece[3:5]))
     log = float(np.log(piece[6]))
-    weak = usual * log > 0.0 and abs(usual) - abs(log) > c.MIN_LOG_RATIO_OF_WEAK_TOUCH
+    usual = float(frame.prior.usual(np.array(log)))
+    weak = abs(usual) - abs(log) > c.MIN_LOG_RATIO_OF_WEAK_TOUCH
     if piece[3 + along] < c.MIN_ASPECT_OF_TWO * piece[4 - along]:
         return fit
     if fit.explains and shown_as_large(piece, shares, frame.model.skin.grid):

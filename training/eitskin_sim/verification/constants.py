@@ -29,13 +29,7 @@ CONTRAST_LOG_SD_BEYOND_SKIN: Final = 0.3
 SIZE_LOG_SD_BEYOND_SKIN: Final = 0.1
 
 OWN_CONTRAST_SD: Final = 0.3
-"""Of each touch's log contrast about the mean of its frame."""
-
-MEAN_CONTRAST_SD_OF_BOTH: Final = 2.0
-"""Of the mean log contrast about 0, where touches may raise conductance or lower it,"""
-
-OWN_CONTRAST_SD_OF_BOTH: Final = 1.5
-"""and of each touch about this mean."""
+"""Of each touch's log contrast about the mean of its frame's touches of the same sign."""
 
 ASPECT_LOG_SD: Final = 0.35
 """Of length over width: most touches are about as long as wide."""
@@ -99,9 +93,6 @@ EXPLAINED_P_OVER_LEVEL: Final = 5.0
 # Starts from the network's map. Two rectangles for an L: 0.045 for L-shaped bars; turned ones: lab-like presses 0.015.
 
 MIN_START_SIDE_MM: Final = 3.0
-
-START_LOG_CONTRAST_OF_BOTH: Final = 3.7
-"""Where touches may raise conductance or lower it: contrast 40."""
 
 MIN_SHARE_TO_CUT: Final = 0.3
 """Rows and columns of pixels without a larger share are not cut between."""
@@ -183,6 +174,22 @@ MAX_COST_OF_GENTLER: Final = 8.0
 """Over the fit's own, as derivatives promise it: beyond, gentler contrasts are not tried."""
 
 MIN_SHARE_OF_BELIEF: Final = 0.02
+
+# Touches of both signs: pairs of opposite signs 20 mm apart 0.6 without.
+
+MIN_MISFIT_WITHOUT_NETWORK: Final = 4.0
+"""Chi-squared over rows from which the network's touches are left, and touches found one by one."""
+
+PLACES_MM: Final = 5.0
+"""Between two places where one more touch is tried."""
+
+MIN_SHARE_BESIDE: Final = 0.1
+"""Of a touch's response that the touches found cannot imitate, below which it is not told from them."""
+
+SIDES_OF_ANOTHER_MM: Final = (6.0, 30.0)
+"""Between which it starts."""
+
+MAX_TOUCHES_ONE_BY_ONE: Final = 4
 
 # What a fit says of its errors.
 

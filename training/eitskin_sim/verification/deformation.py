@@ -29,6 +29,7 @@ class Deformation:
         self._clock = clock
         self._model: SheetModel | None = None
         self._scanned: SheetModel | None = None
+        self._first: SheetModel | None = None
         self._others: list[Callable[[Array], SheetModel | None]] = []
         self._made_again = 0
         self.spent_s = 0.0
@@ -51,7 +52,7 @@ class Deformation:
         """Go on with the model of another scan."""
         self.spent_s = self.spent_cpu_s = 0.0
         self._make(make)
-        self._scanned, self._made_again = self.model, 0
+        self._scanned, self._first, self._made_again = self.model, self.model, 0
         self._others = [self._as_far_as_likely]
 
     def use_untouched(self, change: Array, reference: Array, noise: Noise) -> bool:
@@ -67,7 +68,7 @@ class Deformation:
         self._make(lambda: scanned.rested(change, reference, noise) or before)
         if self._model is before:
             return False
-        self._others = [lambda _: scanned]
+        self._first, self._others = self.model, [lambda _: scanned]
         return True
 
     @property
@@ -100,6 +101,16 @@ class Deformation:
         """
         other = self._others.pop()
         return self._go_on_with(lambda: other(amplitudes), 0)
+
+    def start_again(self) -> Callable[[], None]:
+        """Go on with the model before any frame, and return what brings back the present one."""
+        before, made_again, first = self._model, self._made_again, self._first
+        self._model, self._made_again = first, 0
+
+        def back() -> None:
+            self._model, self._made_again = before, made_again
+
+        return back
 
     def _go_on_with(self, make: Callable[[], SheetModel | None], made_again: int) -> Callable[[], None] | None:
         before, before_made = self.model, self._made_again

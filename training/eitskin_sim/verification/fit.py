@@ -122,7 +122,7 @@ class Fit:
     residual: Array
     """(rows,) whitened."""
     unlikely: Array
-    """(p,) residuals of the prior; the last is that of the mean contrast."""
+    """(p,) residuals of the prior; the last two are those of the mean contrasts."""
     frame: Frame
     _linear: list[Linear] = field(default_factory=list, repr=False)
     """Derivatives here, once they were asked for."""
@@ -165,8 +165,8 @@ class Fit:
 
     @property
     def prior_cost(self) -> float:
-        """Cost of what each touch is like, without that of the mean contrast."""
-        return float(self.unlikely[:-1] @ self.unlikely[:-1])
+        """Cost of what each touch is like, without that of the mean contrasts."""
+        return float(self.unlikely[:-2] @ self.unlikely[:-2])
 
     @property
     def cost(self) -> float:
@@ -282,16 +282,13 @@ def bounded(frame: Frame, pieces: Array, fitted: npt.NDArray[np.bool_], step: Ar
     values = parameters_of(pieces)
     move = np.zeros(fitted.shape)
     move[fitted] = step
-    before = values[:, LOG_CONTRAST].copy()
+    sign = np.sign(values[:, LOG_CONTRAST])
     values += np.clip(move, -np.array(c.MAX_STEP), c.MAX_STEP)
     values[:, [X, Y]] = on_sheet(values[:, [X, Y]], frame.model.skin)
     halves = [HALF_LENGTH, HALF_WIDTH]
     values[:, halves] = np.clip(values[:, halves], c.MIN_HALF_SIDE_MM, c.MAX_HALF_SIDE_MM)
     log = np.clip(values[:, LOG_CONTRAST], *np.log(c.CONTRAST_BOUNDS))
-    if sign := frame.prior.sign:
-        log = sign * np.maximum(sign * log, c.MIN_ABS_LOG_CONTRAST)
-    away = np.where(before < 0.0, -c.MIN_ABS_LOG_CONTRAST, c.MIN_ABS_LOG_CONTRAST)
-    values[:, LOG_CONTRAST] = np.where(np.abs(log) < c.MIN_ABS_LOG_CONTRAST, away, log)
+    values[:, LOG_CONTRAST] = sign * np.maximum(sign * log, c.MIN_ABS_LOG_CONTRAST)
     graded = pieces[:, 7] > 0.0
     widest = np.minimum(2.0 * values[:, halves].min(axis=1) - 0.01, c.MAX_BORDER_MM)
     values[graded, BORDER] = np.clip(values[graded, BORDER], MIN_BORDER_MM, widest[graded])

@@ -70,7 +70,9 @@ def _held(frame: Frame, own: Fit, before: Fit, contrast: float, budget: Budget) 
         contrast: That they have.
         budget: Of the frame.
     """
-    prior = replace(frame.prior, log_contrast=float(np.log(contrast)), mean_contrast_sd=c.HELD_CONTRAST_SD)
+    prior = replace(
+        frame.prior, log_contrasts=(float(np.log(contrast)),) * 2, mean_contrast_sds=(c.HELD_CONTRAST_SD,) * 2
+    )
     at = replace(frame, prior=prior)
     _, by, fitted = own.linear_nearby
     budget.fits += 1

@@ -71,13 +71,18 @@ def starts_of(shares: Array, prior: TouchPrior, grid: Grid = PAPER.grid) -> list
     drawn = [rectangles_of(shares, grid)]
     if drawn[0][:, 5].any():
         drawn.append(rectangles_of(shares, grid, turned=False))
-    for pieces in drawn:
-        pieces[:, 6] = np.exp(prior.log_contrast or c.START_LOG_CONTRAST_OF_BOTH)
-        if prior.sign < 0:
-            pieces[:, 0] = ELLIPSE
-            pieces[:, 3:5] *= ELLIPSE_SIDES_OF_RECTANGLE
-            pieces[:, 7] = np.minimum(c.BORDER_MM, pieces[:, 3:5].min(axis=1, initial=np.inf) - 0.01)
-    return [pieces for pieces in drawn if len(pieces)] + [np.zeros((0, 8))]
+    found = [of_signs(pieces, np.full(len(pieces), prior.sign), prior) for pieces in drawn]
+    return [pieces for pieces in found if len(pieces)] + [np.zeros((0, 8))]
+
+
+def of_signs(rectangles: Array, signs: Array, prior: TouchPrior) -> Array:
+    """Return rectangles (n, 8) as touches of the usual contrast of signs (n,), presses where they lower conductance."""
+    found, press = rectangles.copy(), signs < 0
+    found[:, 6] = np.exp(prior.usual(signs))
+    found[press, 0] = ELLIPSE
+    found[press, 3:5] *= ELLIPSE_SIDES_OF_RECTANGLE
+    found[press, 7] = np.minimum(c.BORDER_MM, found[press, 3:5].min(axis=1, initial=np.inf) - 0.01)
+    return found
 
 
 def turned_rectangle(share: Array, grid: Grid) -> Array:

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.arrays import Array
-from eitskin_sim.verification import alternatives
+from eitskin_sim.verification import alternatives, both_signs
 from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.deformation import Deformation
 from eitskin_sim.verification.fit import Budget, Fit, Frame
@@ -31,7 +31,7 @@ from eitskin_sim.verification.network_map import starts_of, without_cracks
 from eitskin_sim.verification.residual import Noise, Rows, change_of, check_frame
 from eitskin_sim.verification.shape_verdict import ShapeVerdict, scatter_of, touches_of
 from eitskin_sim.verification.sheet_model import model_of_cloud
-from eitskin_sim.verification.touch_prior import touch_prior
+from eitskin_sim.verification.touch_prior import TouchPrior, touch_prior
 from eitskin_sim.verification.verdict import LEVEL
 
 BUDGET_S: Final = 2.0
@@ -61,7 +61,7 @@ class ShapeVerifier:
     ) -> None:
         self._rows = reference_V != 0.0
         self._reference = np.where(self._rows, reference_V, np.nan)
-        self._of_one, self._prior = noise, touch_prior(touches, skin)
+        self._of_one, self._prior, self._either = noise, touch_prior(touches, skin), touch_prior("both", skin)
         self._noise = noise
         """Of the frame in hand."""
         self._clock = clock
@@ -149,11 +149,32 @@ class ShapeVerifier:
 
     def _explained(self, change: Array, rows: Rows, starts: list[Array], shares: Array, budget: Budget) -> Fit:
         """Return the fit that explains a frame best on the present sheet."""
-        fit = self._best_start(self.frame(change, rows, len(starts[0])), starts, budget)
+        frame = self.frame(change, rows, len(starts[0]))
+        if not frame.prior.sign:
+            starts = [both_signs.signed(frame, pieces) for pieces in starts]
+        fit = self._best_start(frame, starts, budget)
+        if fit.chi_squared > c.MIN_MISFIT_WITHOUT_NETWORK * len(fit.residual):
+            fit = self._one_by_one(fit, budget)
         if not fit.explains:
             usual = alternatives.of_usual_contrast(fit.frame, fit, budget)
             fit = self._on_its_sheet(alternatives.as_ellipses(fit.frame, usual, budget), budget)
         return alternatives.two_in_place_of_one(fit.frame, fit, shares, budget)
+
+    def _one_by_one(self, before: Fit, budget: Budget) -> Fit:
+        """Return a fit that does not explain its frame, or touches of either sign that do, found without the network.
+
+        Other touches than the true ones may have led the model astray, so the search starts from the first one.
+        """
+        back = self.deformation.start_again()
+        frame = self.frame(before.frame.change, before.frame.white.rows, prior=self._either)
+        fit: Fit | None = frame.at(np.zeros((0, 8)))
+        while fit is not None and len(fit.pieces) < c.MAX_TOUCHES_ONE_BY_ONE and not budget.search_over():
+            fit = alternatives.fitted(fit.frame, both_signs.with_another(fit), False, budget)
+            fit = None if fit is None else self._on_its_sheet(fit, budget)
+            if fit is not None and fit.p_value > LEVEL:
+                return fit
+        back()
+        return before
 
     def _best_start(self, frame: Frame, starts: list[Array], budget: Budget) -> Fit:
         """Return the first start that explains the frame once it is fitted, or the best of them."""
@@ -179,7 +200,7 @@ class ShapeVerifier:
             back = self._counted(budget, partial(self.deformation.make_again, self._amplitudes(fit)))
             if back is None:
                 break
-            frame = self.frame(fit.frame.change, fit.frame.white.rows, fit.frame.n_shown)
+            frame = self.frame(fit.frame.change, fit.frame.white.rows, fit.frame.n_shown, fit.frame.prior)
             again = alternatives.fitted(frame, fit.pieces, fit.turning, budget)
             if again is None or not (again.explains or again.cost < c.MAX_COST_RATIO_OF_MODEL_MADE_AGAIN * fit.cost):
                 back()
@@ -187,17 +208,20 @@ class ShapeVerifier:
             fit = again
         return fit
 
-    def frame(self, change: Array, rows: Rows | None = None, n_shown: int = 0) -> Frame:
+    def frame(
+        self, change: Array, rows: Rows | None = None, n_shown: int = 0, prior: TouchPrior | None = None
+    ) -> Frame:
         """Return a frame on the present sheet.
 
         Args:
             change: (104,) dV.
             rows: (104,) which rows it has; None is all.
             n_shown: Touches that the search starts from.
+            prior: Of its touches; None is the usual one.
         """
         model = self.deformation.model
         white = model.whitener(change, self._reference, self._noise, rows)
-        return Frame(model, white, change, model.expected(model.ratio(change)), self._prior, n_shown)
+        return Frame(model, white, change, model.expected(model.ratio(change)), prior or self._prior, n_shown)
 
     def _amplitudes(self, fit: Fit) -> Array:
         """Return amplitudes of all columns that what a fit leaves of a frame speaks for."""

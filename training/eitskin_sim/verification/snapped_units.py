@@ -24,7 +24,7 @@ from eitskin_sim.verification.fit import Budget
 from eitskin_sim.verification.residual import Noise, Rows, change_of
 from eitskin_sim.verification.shape_verdict import ShapeVerdict
 from eitskin_sim.verification.sheet_model import SheetModel
-from eitskin_sim.verification.touch_prior import TouchPrior
+from eitskin_sim.verification.touch_prior import TouchPrior, by_sign
 from eitskin_sim.verification.verdict import LEVEL, Verdict, p_value
 
 Bits = npt.NDArray[np.bool_]
@@ -160,13 +160,13 @@ class UnitFrame:
         self.sets += 1
         units = np.flatnonzero(bits)
         table = _rectangles(units, self._model.skin.grid)
-        logs = np.full(len(units), self._prior.log_contrast or c.START_LOG_CONTRAST_OF_BOTH)
+        logs = np.tile(self._prior.usual(np.array(self._prior.sign)), len(units))
         if len(pieces) and len(units):
             apart = np.hypot(*(table[:, None, 1:3] - pieces[None, :, 1:3]).transpose(2, 0, 1))
             logs = np.log(pieces[apart.argmin(axis=1), 6])
         own = np.zeros((len(units), N_PARAMETERS), dtype=np.bool_)
         own[:, LOG_CONTRAST] = True
-        alike = (np.eye(len(units)) - 1.0 / max(len(units), 1)) / self._prior.own_contrast_sd
+        alike = (np.eye(len(units)) - by_sign(logs)[1]) / c.OWN_CONTRAST_SD
         best: _Set | None = None
         for _ in range(c.MAX_STEPS_OF_UNITS):
             table[:, 6] = np.exp(logs)

@@ -6,7 +6,7 @@ minimises together with those of the frame::
     number      each touch costs 2 log(places / expected touches)
     size        log sqrt(area), normal about that of the skin's touches
     aspect      log(length / width), normal about 0
-    contrast    its logarithm: the mean of all touches about that of the skin's touches, each touch about this mean
+    contrast    its logarithm: the mean of all touches of one sign about that of the skin's, each touch about this mean
     border      the width of a graded border
     joints      shapes that are one touch, as an L is two rectangles, have no crack between them and the same contrast
 
@@ -37,11 +37,10 @@ Free = npt.NDArray[np.bool_]
 class TouchPrior:
     """The distribution of a skin's touches: means and standard deviations."""
 
-    log_contrast: float
-    """Mean over all touches of a frame."""
-    mean_contrast_sd: float
-    own_contrast_sd: float
-    """Of each touch about the mean of its frame."""
+    log_contrasts: tuple[float, float]
+    """Means over all touches of a frame that raise conductance, and over those that lower it."""
+    mean_contrast_sds: tuple[float, float]
+    """Of the two means."""
     sign: int
     """Of every log contrast: 1 where touches raise conductance, -1 where they lower it, 0 where both happen."""
     size_mm: float
@@ -50,8 +49,12 @@ class TouchPrior:
     per_touch: float = 2.0 * float(np.log(c.DISTINCT_PLACES / c.EXPECTED_TOUCHES))
     """Cost of one more touch."""
 
+    def usual(self, signs: Array) -> Array:
+        """Return (n,) usual log contrasts of touches of some signs (n,): below 0 where they lower conductance."""
+        return np.where(signs < 0.0, self.log_contrasts[1], self.log_contrasts[0])
+
     def residuals(self, pieces: Array, fitted: Free, joints: Joints = ()) -> Array:
-        """Return (p,) residuals; the last is that of the mean contrast.
+        """Return (p,) residuals; the last two are those of the mean contrasts.
 
         Args:
             pieces: (n, 8) touches.
@@ -62,14 +65,15 @@ class TouchPrior:
             return np.zeros(0)
         values = parameters_of(pieces)
         length, width, log = values[:, HALF_LENGTH], values[:, HALF_WIDTH], values[:, LOG_CONTRAST]
+        mean, alike = by_sign(log)
         return np.concatenate(
             [
                 0.5 * np.log(4.0 * length * width / self.size_mm**2) / self.size_log_sd,
                 np.log(length / width) / c.ASPECT_LOG_SD,
-                (log - log.mean()) / self.own_contrast_sd,
+                (log - alike @ log) / c.OWN_CONTRAST_SD,
                 (values[fitted[:, BORDER], BORDER] - c.BORDER_MM) / c.BORDER_SD_MM,
                 _joint_residuals(values, joints),
-                [(log.mean() - self.log_contrast) / self.mean_contrast_sd],
+                (mean @ log - mean.sum(axis=1) * self.log_contrasts) / self.mean_contrast_sds,
             ]
         )
 
@@ -81,15 +85,16 @@ class TouchPrior:
         values, each, graded = parameters_of(pieces), np.arange(n), np.flatnonzero(fitted[:, BORDER])
         length, width = values[:, HALF_LENGTH], values[:, HALF_WIDTH]
         of_joints = _joint_jacobian(values, joints)
-        by = np.zeros((3 * n + len(graded) + len(of_joints) + 1, *fitted.shape))
+        mean, alike = by_sign(values[:, LOG_CONTRAST])
+        by = np.zeros((3 * n + len(graded) + len(of_joints) + 2, *fitted.shape))
         by[each, each, HALF_LENGTH] = 0.5 / length / self.size_log_sd
         by[each, each, HALF_WIDTH] = 0.5 / width / self.size_log_sd
         by[n + each, each, HALF_LENGTH] = 1.0 / length / c.ASPECT_LOG_SD
         by[n + each, each, HALF_WIDTH] = -1.0 / width / c.ASPECT_LOG_SD
-        by[2 * n : 3 * n, :, LOG_CONTRAST] = (np.eye(n) - 1.0 / n) / self.own_contrast_sd
+        by[2 * n : 3 * n, :, LOG_CONTRAST] = (np.eye(n) - alike) / c.OWN_CONTRAST_SD
         by[3 * n + np.arange(len(graded)), graded, BORDER] = 1.0 / c.BORDER_SD_MM
-        by[3 * n + len(graded) : -1] = of_joints
-        by[-1, :, LOG_CONTRAST] = 1.0 / n / self.mean_contrast_sd
+        by[3 * n + len(graded) : -2] = of_joints
+        by[-2:, :, LOG_CONTRAST] = mean / np.array(self.mean_contrast_sds)[:, None]
         return np.asarray(by[:, fitted])
 
 
@@ -97,12 +102,17 @@ def touch_prior(kind: TouchKind, skin: Skin = PAPER) -> TouchPrior:
     """Return the prior of a skin whose touches go one way, or both: contrasts and sizes that its file states."""
     log_size, size_sd = _log_uniform(skin.touches.size_mm)
     size = {"size_mm": float(np.exp(log_size)), "size_log_sd": float(np.hypot(size_sd, c.SIZE_LOG_SD_BEYOND_SKIN))}
-    if kind == "both":
-        return TouchPrior(0.0, c.MEAN_CONTRAST_SD_OF_BOTH, c.OWN_CONTRAST_SD_OF_BOTH, 0, **size)
-    stated = skin.touches.lowering_contrast if kind == "lower" else skin.touches.raising_contrast
-    mean, sd = _log_uniform(stated)
-    sign = -1 if kind == "lower" else 1
-    return TouchPrior(mean, float(np.hypot(sd, c.CONTRAST_LOG_SD_BEYOND_SKIN)), c.OWN_CONTRAST_SD, sign, **size)
+    raising, lowering = (_log_uniform(one) for one in (skin.touches.raising_contrast, skin.touches.lowering_contrast))
+    sds = [float(np.hypot(sd, c.CONTRAST_LOG_SD_BEYOND_SKIN)) for _, sd in (raising, lowering)]
+    return TouchPrior((raising[0], lowering[0]), (sds[0], sds[1]), {"raise": 1, "lower": -1, "both": 0}[kind], **size)
+
+
+def by_sign(log_contrasts: Array) -> tuple[Array, Array]:
+    """Return (2, n) weights that average the touches that raise and those that lower; and (n, n), each touch's."""
+    lowers = log_contrasts < 0.0
+    each = np.array([~lowers, lowers], dtype=np.float64)
+    mean = each / np.maximum(each.sum(axis=1, keepdims=True), 1.0)
+    return mean, each.T @ mean
 
 
 def _log_uniform(stated: Range) -> tuple[float, float]:

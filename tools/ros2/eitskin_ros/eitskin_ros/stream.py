@@ -20,14 +20,15 @@ MAPS, TOUCHES, CLOUDS = b"\xde\x00", b"\xdf", b"\x86\xa5cloud"
 VERSIONS = {0xDE: 1, 0xDF: 2}
 """Of a frame with its map, and of one with its touches alone, by the first byte."""
 
-TOUCH = struct.Struct("<II21f")
+TOUCH = struct.Struct("<II22f")
 NAMES = (
     "id", "parent", "age_s", "centre_x", "centre_y", "major", "minor", "angle", "area", "peak", "strength",
     "confidence", "x", "y", "z", "nx", "ny", "nz", "surface", "error_x", "error_y", "amplitude", "log_likelihood_ratio",
+    "sign",
 )  # fmt: skip
 """Of a touch's fields: lengths in mm, x to nz on the bent surface."""
 
-UNKNOWN = struct.pack("<4f", *[float("nan")] * 4)
+UNKNOWN = struct.pack("<5f", *[float("nan")] * 5)
 """The last fields, which old runtimes do not send."""
 
 
@@ -93,7 +94,7 @@ def decode_frame(message: bytes, host: str = "", received_ns: int = 0) -> Frame:
 
 
 def _touch(raw: bytes) -> dict[str, float]:
-    whole = raw if len(raw) >= TOUCH.size else raw[:76] + UNKNOWN
+    whole = raw + UNKNOWN[len(raw) - 76 :]  # what an old runtime does not send
     return dict(zip(NAMES, TOUCH.unpack_from(whole), strict=True))
 
 
