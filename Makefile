@@ -5,6 +5,7 @@
 # make coverage                            the lines of each file that the Python tests of `make test` run
 # make docs    the documentation as HTML in .build/docs; a warning is an error
 # make release-check                       the sdist and the wheel, as an index and a bare environment take them
+# make test-arm                            what the runtime computes, as aarch64 under qemu-user; skipped without it
 # make bench   the benchmarks, each as one JSON object
 # make firmware | qemu                     the device's C for the emulated board; run it
 # make powercut | fuzz | hotplug | soak    the device under fault, each with its figures as one JSON line last
@@ -30,7 +31,7 @@ OTHER_PYTHONS ?= 3.11 3.12 3.13
 .DEFAULT_GOAL := help
 .PHONY: help demo docs test test-quick test-rest test-all check lint types unit slow wheel wheel-test release-check \
         wheel-test-others wheel-test-lowest wheel-test-newest firmware-test system-packages bench clean \
-        firmware qemu powercut fuzz hotplug soak attack coverage
+        firmware qemu powercut fuzz hotplug soak attack coverage test-arm
 
 help:
 	@sed -n '1,/^$$/s/^# \{0,1\}//p' Makefile
@@ -131,6 +132,10 @@ wheel: $(VENV)/.dev
 
 wheel-test: wheel
 	tools/wheel-test.sh $(PYTHON)
+
+# Ten minutes of a core.
+test-arm: wheel
+	tools/arm-test.sh $(BIN)/python
 
 # The wheel comes out of the sdist, so both are complete.
 release-check: $(VENV)/.release

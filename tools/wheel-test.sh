@@ -55,12 +55,7 @@ sys.exit(f"wheel-test: {', '.join(found)} must be absent here" if found else 0)
 PY
 away=$(mktemp -d)
 trap 'rm -rf "$away"' EXIT
-mkdir -p "$away/tests/faults" "$away/firmware_proto"
-cp -r tests/runtime tests/proto tests/golden tests/conftest.py tests/second_skin.py "$away/tests/"
-cp tests/faults/usb_bus.py tests/faults/usb_skin.py "$away/tests/faults/" # the mocked bus of tests/runtime
-rm "$away/tests/proto/test_generated.py" # compares files of the repository, not of the wheel
-cp firmware_proto/SPEC.md "$away/firmware_proto/"
-cp pyproject.toml "$away/"
+tools/copy-runtime-tests.sh "$away"
 cd "$away"
 "$python" -c 'import importlib.metadata as found, sys, eitskin
 names = ("numpy", "onnxruntime", "pyserial", "pyusb", "msgpack", "pyzmq", "cobs", "google-crc32c")

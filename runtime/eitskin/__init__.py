@@ -179,6 +179,9 @@ _HOMES: Final = {
 }
 """The public names of each module; the errors live in ``eitskin.errors``."""
 
+_LINUX: Final = ("eitskin.messaging.control", "eitskin.messaging.publish", "eitskin.skin")
+"""Modules of the runtime itself, which exist on Linux alone."""
+
 UNKNOWN_VERSION: Final = "0+unknown"
 """The version of a source tree that was never installed."""
 
@@ -190,6 +193,8 @@ def __getattr__(name: str) -> object:
         found: object = _version()
     else:
         home = next((module for module, names in _HOMES.items() if name in names), "eitskin.errors")
+        if home in _LINUX:
+            importlib.import_module("eitskin.errors").require_linux(f"eitskin.{name}")
         found = getattr(importlib.import_module(home), name)
     globals()[name] = found
     return found

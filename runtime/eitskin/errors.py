@@ -31,6 +31,8 @@ Bad arguments raise ``ValueError``, with the value and the bound. A doubtful clo
 """
 # ruff: noqa: N818 - a lost port is called PortLost; the root already says that it is an error
 
+import sys
+
 from eitskin_proto.errors import MismatchError, ProtocolError, SkinError
 
 __all__ = [
@@ -151,3 +153,19 @@ class StaleFrame(SkinError, TimeoutError):
 
 class CloudWarning(UserWarning):
     """A cloud is in use, but something about it is doubtful."""
+
+
+def require_linux(who: str) -> None:
+    """Refuse what reads a device or publishes on a system where it was never tried.
+
+    Args:
+        who: The command or the class.
+
+    Raises:
+        SkinError: The system is another one.
+    """
+    if sys.platform != "linux":
+        raise SkinError(
+            f"{who} needs Linux, found {sys.platform}: start the runtime on a Linux machine, and subscribe from here "
+            "with its tcp://address:port and keys"
+        )

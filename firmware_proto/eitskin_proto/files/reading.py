@@ -43,6 +43,15 @@ class FileError(SkinError, ValueError):
     """A file that is not read: no regular one, too long, nested too deeply, or no text of its kind."""
 
 
+def _known(*names: str) -> int:
+    """Return those flags of ``os.open`` that this system has; Windows has few, and one that others do not need."""
+    return sum(getattr(os, name, 0) for name in names)
+
+
+READ: Final = os.O_RDONLY | _known("O_CLOEXEC", "O_NOCTTY", "O_BINARY")
+NOT_WAIT: Final = _known("O_NONBLOCK")
+
+
 def kind_of(mode: int) -> str:
     """Return a file's kind, by ``st_mode``."""
     return next((name for fits, name in KINDS if fits(mode)), "a file")
@@ -63,7 +72,7 @@ def opened(path: str | Path, largest: int) -> Iterator[BinaryIO]:
     given = os.path.abspath(path)
     handed_over = given.startswith(HANDED_OVER)
     # a FIFO would wait for its writer, a terminal could become the process's own
-    file = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOCTTY | (0 if handed_over else os.O_NONBLOCK))
+    file = os.open(path, READ | (0 if handed_over else NOT_WAIT))
     try:
         found = os.fstat(file)
         if not stat.S_ISREG(found.st_mode) and (not handed_over or stat.S_ISDIR(found.st_mode)):

@@ -5,7 +5,6 @@ replaced, or new ones made. If the name is a symbolic link, the link is replaced
 in a folder cannot cause another file to be overwritten.
 """
 
-import fcntl
 import os
 import secrets
 import stat
@@ -61,8 +60,7 @@ def replacing(path: str | Path, mode: int = 0o666) -> Iterator[BinaryIO]:
     begun = os.fsdecode(os.fsencode(where.name)[:200])
     beside = where.with_name(f".{begun}.{secrets.token_hex(6)}{CUT_OFF}")
     try:
-        handle = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, mode)
-        with open(handle, "wb") as stream:
+        with open(beside, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as stream:
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
@@ -74,11 +72,12 @@ def replacing(path: str | Path, mode: int = 0o666) -> Iterator[BinaryIO]:
         if isinstance(error, OSError) and error.filename in (None, str(beside)):
             error.filename = str(where)  # a full disk names no file, and the new file's name means nothing to a user
         raise
-    folder = os.open(where.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(folder)  # the new name is on disk too
-    finally:
-        os.close(folder)
+    if hasattr(os, "O_DIRECTORY"):  # Windows opens no folders
+        folder = os.open(where.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(folder)  # the new name is on disk too
+        finally:
+            os.close(folder)
 
 
 def is_empty(folder: Path) -> bool:
@@ -114,6 +113,8 @@ def held(folder: Path, who: str, hint: str) -> Iterator[None]:
         HeldError: Another process holds it.
         OSError: It cannot be opened.
     """
+    import fcntl  # noqa: PLC0415 -- Windows has none, and its programs write without holding a folder
+
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         with suppress(OSError):

@@ -42,8 +42,10 @@ def runtime_folders() -> list[Path]:
     """Return the default folders of sockets, the one in use first, without making them.
 
     The first is in ``XDG_RUNTIME_DIR``, where a session has one. The other replaces it under ``cron`` or ``sudo``: a
-    runtime there and a subscriber on a desktop use different folders, and messages say so.
+    runtime there and a subscriber on a desktop use different folders, and messages say so. Windows has none.
     """
+    if not hasattr(os, "getuid"):
+        return []
     base = os.environ.get("XDG_RUNTIME_DIR")
     session = Path(base) if base else Path(f"/run/user/{os.getuid()}")
     found = [session / "eitskin", Path(f"/tmp/eitskin-{os.getuid()}")]
@@ -54,9 +56,11 @@ def runtime_folder() -> Path:
     """Return a folder that only this user can enter; make it if necessary.
 
     Raises:
-        EndpointError: It exists and belongs to another user, or others may enter.
+        EndpointError: It exists and belongs to another user, or others may enter; or this is Windows.
     """
-    folder = runtime_folders()[0]
+    if not (folders := runtime_folders()):
+        raise EndpointError("this system has no default endpoint: name the runtime's tcp://address:port, with keys")
+    folder = folders[0]
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
     found = folder.lstat()

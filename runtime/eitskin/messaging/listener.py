@@ -21,7 +21,6 @@ counts connections as libzmq's monitor reports them, because libzmq blocks when 
 import errno
 import itertools
 import os
-import resource
 import select
 import socket
 import stat
@@ -295,6 +294,10 @@ def check_files(endpoint: str, wanted: int = RESERVE + CONTEXT_FILES + 2 * (QUEU
 
 def file_limit() -> int:
     """Return how many files may be open."""
+    try:
+        import resource  # noqa: PLC0415 -- Windows has none
+    except ImportError:
+        return MOST_FILES
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return MOST_FILES if soft == resource.RLIM_INFINITY else min(soft, MOST_FILES)
 
@@ -303,6 +306,8 @@ def free_files() -> int:
     """Return how many files may still be opened for connections; less than nothing if the reserve is used."""
     try:
         used = len(os.listdir("/proc/self/fd"))
+    except FileNotFoundError:
+        used = 0  # macOS and Windows do not tell
     except OSError:  # not even one is left
         used = file_limit()
     return file_limit() - used - RESERVE

@@ -94,7 +94,8 @@ def _nobody(endpoint: str, patience_s: float) -> str | None:
 
 
 def _nobody_at_path(path: Path) -> str | None:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as probe:
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.setblocking(False)
         try:
             probe.connect(os.fspath(path))
         except FileNotFoundError:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import eitskin
 from eitskin_tools import cli
 from eitskin_tools.command_line import needs
 
@@ -77,8 +78,20 @@ def test_a_missing_extra_is_one_line_before_anything_starts(capsys, words, expec
 
 @pytest.mark.parametrize(("words", "least"), [(["virtual-skin"], 524288), (["subscribe"], 262144)])
 def test_too_little_memory_for_libraries_that_would_abort_or_wait_forever_is_said(monkeypatch, capsys, words, least):
-    monkeypatch.setattr(needs.resource, "getrlimit", lambda _: (200_000 << 10, 200_000 << 10))
+    monkeypatch.setattr("resource.getrlimit", lambda _: (200_000 << 10, 200_000 << 10))
     assert cli.main(words) == 1
     error = capsys.readouterr().err
     assert error.startswith(f"eitskin {words[0]}: only 195 MB of memory are allowed")
     assert f"'ulimit -v {least}'" in error
+
+
+@pytest.mark.parametrize("system", ["darwin", "win32"])
+def test_on_another_system_a_runtime_says_that_it_needs_linux_in_one_line(monkeypatch, capsys, system):
+    monkeypatch.setattr("sys.platform", system)
+    assert cli.main(["run", "--port", "COM3"]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"eitskin run: run needs Linux, found {system}: ")
+    assert error.count("\n") == 1
+    monkeypatch.delitem(vars(eitskin), "Skin", raising=False)
+    with pytest.raises(eitskin.SkinError, match=r"^eitskin\.Skin needs Linux"):
+        eitskin.Skin  # noqa: B018

@@ -1,11 +1,12 @@
 """Packages that a command needs beyond the runtime's own, checked before it starts, with the extra that brings them."""
 
 import argparse
-import resource
+import sys
 from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import Final
 
+from eitskin.errors import require_linux
 from eitskin_proto.errors import SkinError
 
 EXTRAS: Final[dict[str, str]] = {
@@ -46,6 +47,9 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
 }
 """Modules by command; those that are not here need none."""
 
+LINUX: Final = ("demo", "run", "virtual-skin", "reference", "flash", "service", "doctor", "replay")
+"""Commands that read a device or publish."""
+
 LEAST_MB: Final = 256
 """Address space that a command needs, and twice as much for scipy; with less, libraries abort or wait forever."""
 
@@ -65,20 +69,26 @@ def check(arguments: argparse.Namespace) -> None:
 
     Raises:
         MissingExtraError: Some are missing.
-        SkinError: The memory is limited.
+        SkinError: The memory is limited, or the command needs Linux.
     """
+    if arguments.command in LINUX:
+        require_linux(arguments.command)
     name = " ".join(str(part) for part in (arguments.command, getattr(arguments, "benchmark", None)) if part)
     modules = ("scipy",) if getattr(arguments, "physics", False) else NEEDS.get(name, ())
     require(name, modules)
+    for (command, option), more in OPTION_NEEDS.items():
+        if command == name and (value := getattr(arguments, option)) is not None:
+            require(f"{name} {value}", more)
+    if sys.platform != "linux":
+        return
+    import resource
+
     allowed, least_mb = resource.getrlimit(resource.RLIMIT_AS)[0], LEAST_MB * (2 if "scipy" in modules else 1)
     if 0 <= allowed < least_mb << 20:
         raise SkinError(
             f"only {allowed >> 20} MB of memory are allowed, expected at least {least_mb} MB: allow more with "
             f"'ulimit -v {least_mb << 10}'"
         )
-    for (command, option), modules in OPTION_NEEDS.items():
-        if command == name and (value := getattr(arguments, option)) is not None:
-            require(f"{name} {value}", modules)
 
 
 def require(who: str, modules: Iterable[str]) -> None:

@@ -5,7 +5,10 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
+from typing import Any, Final
+
+HANGUP: Final = getattr(signal, "SIGHUP", signal.SIGTERM)
+"""What comes when a command's terminal is closed; Windows sends nothing then."""
 
 
 def endings() -> tuple[signal.Signals, ...]:
@@ -14,7 +17,7 @@ def endings() -> tuple[signal.Signals, ...]:
     The last one is left out where the parent process has it ignored, as ``nohup`` does.
     """
     asked = (signal.SIGINT, signal.SIGTERM)
-    return asked if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN else (*asked, signal.SIGHUP)
+    return asked if signal.getsignal(HANGUP) == signal.SIG_IGN else (*asked, HANGUP)
 
 
 class EndRequested(KeyboardInterrupt):
@@ -38,7 +41,7 @@ def end_signals_as_interrupts() -> Iterator[None]:
     ImportError; the block then raises the interrupt in its place.
     """
     unmet = (signal.SIG_DFL, signal.default_int_handler)
-    ours = [one for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(one) in unmet]
+    ours = [one for one in {signal.SIGINT, signal.SIGTERM, HANGUP} if signal.getsignal(one) in unmet]
     raised: list[KeyboardInterrupt] = []
 
     def interrupt_once(number: int, frame: FrameType | None) -> None:
