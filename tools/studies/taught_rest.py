@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     from eitskin.model.taught import TaughtField
-    from eitskin.reference.steadiness import Steadiness
+    from eitskin.reference.steadiness import steady_frames
     from eitskin_proto.sensor.noise_law import noise_of
     from eitskin_sim.scene.scene import load_scene
     from eitskin_tools.teach.teaching import teach_shapes
@@ -67,13 +67,10 @@ def run(arguments: argparse.Namespace) -> int:
     (found,) = teach_shapes({"flat": taught}, None, 0.01).values()
     rest = tested.readings[0] * np.exp(noise(BEFORE))
     spread, shared = noise_of(rest / rest.mean(axis=0) - 1.0)
-    steady = Steadiness(104)
-    for one in rest:
-        steady.add(one)
     reference_V = rest.mean(axis=0)
     field = TaughtField([found.arrays], found.skin.grid)
     size = np.abs(reference_V)
-    most = steady.frames(spread * size)
+    most = steady_frames(rest, spread * size)
     field.use_reference(reference_V, spread * size, shared * size[:, None], BEFORE, most)
     errors_mm, fused = [], []
     for reading, place_mm in zip(tested.readings[tested.pressed], tested.xy_mm[tested.pressed], strict=True):

@@ -54,10 +54,9 @@ def capture(
         TransportError: The port is missing, busy, denied or lost.
         HandshakeError: The device does not answer, or measures in a way that cannot be used.
         BadReference: The sheet was bent, touched or moving, or nothing is connected, or the frames did not come.
-        ValueError: Fewer than 2 frames.
+        ValueError: Fewer than 2 frames, or too many.
     """
-    if frames < 2:
-        ReferenceBuilder(frames)  # raises, before a port is opened
+    ReferenceBuilder(frames)  # raises, before a port is opened
     transport = open_line(port, baud) if reconnect_s is None else HotPlug(port, baud, reconnect_s)
     try:
         device = Device(transport, skin)

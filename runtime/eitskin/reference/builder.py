@@ -1,4 +1,4 @@
-"""Averages frames into a reference: mean, spread, and how far the sheet moved, without keeping the frames."""
+"""Makes a reference of frames: mean, spread, shared noise, and how far the sheet moved."""
 
 import time
 from dataclasses import replace
@@ -9,52 +9,44 @@ import numpy.typing as npt
 
 from eitskin.errors import BadReference
 from eitskin.reference.captured import SMALLEST_V, Reference
-from eitskin.reference.front_end import Sameness, stuck
+from eitskin.reference.front_end import repeated, stuck
 from eitskin.reference.judged import ReferenceChecks, accept, judge
-from eitskin.reference.movement import Movement
+from eitskin.reference.movement import movement_of
 from eitskin.reference.scanned import ReferenceScan
-from eitskin.reference.steadiness import Steadiness
-from eitskin_proto.sensor.noise_law import shared_noise
+from eitskin.reference.steadiness import steady_frames
+from eitskin_proto.sensor.noise_law import noise_of
 from eitskin_proto.sensor.row_table import ADJACENT_104, RowTable
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.wire.messages import Hello
 from eitskin_proto.wire.volts import step_of, table_of_hello
+
+MOST_FRAMES: Final = 10_000
+"""Frames of a reference, 17 MB with 208 rows."""
 
 MOST_UNFIT: Final = 200
 """Frames that are not fit, with few wanted: one second at 200 frames/s."""
 
 
 class ReferenceBuilder:
-    """Makes a reference from frame after frame, by Welford's running mean and covariance.
+    """Makes a reference from frame after frame.
 
     Args:
-        frames: Number of frames, at least 2.
+        frames: Number of frames, 2 to ``MOST_FRAMES``.
         skin: The skin of the reference.
         scan: Scan of the sheet in its present shape; None for a flat one.
         table: Rows of the frames.
     """
 
-    __slots__ = (
-        "_delta", "_mean", "_movement", "_outer", "_product", "_products", "_sameness", "_scan", "_skin", "_squares",
-        "_steadiness", "_table", "_unfit", "frames", "taken",
-    )  # fmt: skip
+    __slots__ = ("_scan", "_skin", "_table", "_unfit", "_voltages", "frames", "taken")
 
     def __init__(
         self, frames: int, skin: Skin = PAPER, scan: ReferenceScan | None = None, table: RowTable = ADJACENT_104
     ) -> None:
-        if frames < 2:
-            raise ValueError(f"a reference of {frames} frames has no spread; expected at least 2 frames")
+        if not 2 <= frames <= MOST_FRAMES:
+            raise ValueError(f"found a reference of {frames} frames, expected 2 to {MOST_FRAMES}")
         self.frames, self._skin, self._scan, self._table = frames, skin, scan, table
-        self.taken = 0
-        self._mean = np.zeros(table.rows)
-        self._squares = np.zeros(table.rows)
-        self._delta = np.zeros(table.rows)
-        self._product = np.zeros(table.rows)
-        self._outer, self._products = np.zeros((2, table.rows, table.rows))
-        self._unfit = 0
-        self._movement = Movement(frames, table.rows)
-        self._sameness = Sameness(table.rows)
-        self._steadiness = Steadiness(table.rows)
+        self.taken = self._unfit = 0
+        self._voltages = np.zeros((frames, table.rows))
 
     def add(self, voltages: npt.NDArray[np.float64]) -> bool:
         """Take one frame and return whether there are enough.
@@ -62,18 +54,8 @@ class ReferenceBuilder:
         Args:
             voltages: (rows,) V.
         """
+        self._voltages[self.taken] = voltages
         self.taken += 1
-        self._movement.add(voltages)
-        self._sameness.add(voltages)
-        self._steadiness.add(voltages)
-        np.subtract(voltages, self._mean, out=self._delta)
-        np.divide(self._delta, self.taken, out=self._product)
-        np.add(self._mean, self._product, out=self._mean)
-        np.subtract(voltages, self._mean, out=self._product)
-        np.multiply.outer(self._product, self._delta, out=self._outer)
-        np.add(self._products, self._outer, out=self._products)
-        np.multiply(self._product, self._delta, out=self._product)
-        np.add(self._squares, self._product, out=self._squares)
         return self.taken >= self.frames
 
     def leave_out(self, why: str) -> None:
@@ -104,16 +86,17 @@ class ReferenceBuilder:
             BadReference: All voltages are zero, or rows are alike as no sheet's are; or the sheet was bent, touched or
                 moving, or the front end hung, with what was found.
         """
-        largest = float(np.abs(self._mean).max())
+        voltages = self._voltages[: self.taken]
+        mean_V = voltages.mean(axis=0)
+        largest = float(np.abs(mean_V).max())
         if not largest >= SMALLEST_V:
             raise BadReference(
                 f"the reference is at most {largest:.3g} V in every row, expected at least {SMALLEST_V:g} V in one: "
                 "check that the electrodes are connected"
             )
-        shared_V = shared_noise(self._products / (self.taken - 1), self.taken)
-        spread_V = np.sqrt(self._squares / (self.taken - 1))
+        spread_V, shared_V = noise_of(voltages - voltages[0])  # exactly 0 if all frames are the same
         found = Reference(
-            voltages_V=self._mean.copy(),
+            voltages_V=mean_V,
             spread_V=spread_V,
             frames=self.taken,
             serial_number=hello.serial_number,
@@ -125,18 +108,17 @@ class ReferenceBuilder:
             scan=self._scan,
             table=self._table,
             shared_V=shared_V if shared_V.size else None,
-            steady_frames=self._steadiness.frames(spread_V),
+            steady_frames=steady_frames(voltages, spread_V),
         )
         against = checks or ReferenceChecks()
-        looked_at = found.voltages_V if against.missing is None else np.where(against.missing, 0.0, found.voltages_V)
         step_V = step_of(hello)
         if wrong := stuck(found.voltages_V / step_V, own_rows=self._table.id == ADJACENT_104.id):
             raise BadReference(
                 f"the reference does not come from a sheet: {wrong}; the front end's converter or multiplexer is "
                 "stuck: power the device off and on, check its supply and its wires"
             )
-        faults = self._sameness.faults(found.voltages_V, step_V)
-        judgement = judge(found, self._movement.relative(looked_at), against, faults)
+        moved = movement_of(voltages, against.missing)
+        judgement = judge(found, moved, against, repeated(voltages, step_V))
         accept(judgement, force=force)
         return replace(found, judgement=judgement)
 

@@ -145,49 +145,30 @@ def _different(rows: npt.NDArray[np.intp], reference: npt.NDArray[np.number] | N
     return different
 
 
-class Sameness:
-    """Counts rows of a capture that repeat the frame before; allocates little.
+def repeated(voltages: Array, step_V: float) -> tuple[str, ...]:
+    """Return what of a capture's repetitions no living front end reads.
 
     Args:
-        rows: Of a frame.
+        voltages: (n, rows) V.
+        step_V: Of one count.
     """
-
-    __slots__ = ("_before", "_same", "_squares", "taken")
-
-    def __init__(self, rows: int) -> None:
-        self.taken = 0
-        self._before, self._same, self._squares = np.zeros((3, rows))
-
-    def add(self, voltages: Array) -> None:
-        """Take one frame, (rows,) V."""
-        self.taken += 1
-        if self.taken > 1:
-            self._same += voltages == self._before
-            self._squares += (voltages - self._before) ** 2
-        self._before[:] = voltages
-
-    def faults(self, mean_V: Array, step_V: float) -> tuple[str, ...]:
-        """Return what of them no living front end reads.
-
-        Args:
-            mean_V: (rows,) V.
-            step_V: Of one count.
-        """
-        if self._same.min() == self.taken - 1:
-            return (
-                f"all {self.taken} frames are the same bit by bit: the front end hangs, or it has no noise at all, as "
-                "only a simulation can",
-            )
-        # Noise from one frame to the next. A row that hangs has none: what the others have counts, in V or as a share
-        size, there = np.abs(mean_V), mean_V != 0.0
-        noise_V = np.sqrt(self._squares / (2.0 * (self.taken - 1)))
-        usual_V = np.minimum(np.median(noise_V[there] / size[there]) * size, np.median(noise_V[there]))
-        chance = np.exp(-evidence(np.maximum(noise_V, usual_V) / step_V)) * (self.taken - 1)
-        surprise = self._same * np.log(np.maximum(self._same / chance, 1.0)) - self._same + chance
-        hanging = np.flatnonzero((surprise >= SURPRISE) & (self._same > chance) & there)
-        if not hanging.size:
-            return ()
-        return (f"rows {ranges(hanging)} repeat their reading, which noise does not do: the front end hangs",)
+    mean_V, steps = voltages.mean(axis=0), np.diff(voltages, axis=0)
+    same = np.count_nonzero(steps == 0.0, axis=0)
+    if same.min() == len(steps):
+        return (
+            f"all {len(voltages)} frames are the same bit by bit: the front end hangs, or it has no noise at all, as "
+            "only a simulation can",
+        )
+    # Noise from one frame to the next. A row that hangs has none: what the others have counts, in V or as a share
+    size, there = np.abs(mean_V), mean_V != 0.0
+    noise_V = np.sqrt(np.mean(steps**2, axis=0) / 2.0)
+    usual_V = np.minimum(np.median(noise_V[there] / size[there]) * size, np.median(noise_V[there]))
+    chance = np.exp(-evidence(np.maximum(noise_V, usual_V) / step_V)) * len(steps)
+    surprise = same * np.log(np.maximum(same / chance, 1.0)) - same + chance
+    hanging = np.flatnonzero((surprise >= SURPRISE) & (same > chance) & there)
+    if not hanging.size:
+        return ()
+    return (f"rows {ranges(hanging)} repeat their reading, which noise does not do: the front end hangs",)
 
 
 def front_end_faults(voltages: Array, step_V: float | None = None) -> tuple[str, ...]:
@@ -198,10 +179,7 @@ def front_end_faults(voltages: Array, step_V: float | None = None) -> tuple[str,
         step_V: Of one count; None takes a 24-bit converter's that the recording fills to a half.
     """
     step_V = step_V or max(float(np.abs(voltages).max()), 1e-30) / (1 << 22)
-    sameness = Sameness(voltages.shape[1])
-    for frame in voltages:
-        sameness.add(frame)
-    faults = list(sameness.faults(voltages.mean(axis=0), step_V))
+    faults = list(repeated(voltages, step_V))
     found = [text for frame in np.rint(voltages / step_V) if (text := stuck(frame))]
     if found:
         faults.append(f"in {len(found)} of {len(voltages)} frames its converter or multiplexer is stuck: {found[-1]}")

@@ -7,7 +7,7 @@ from eitskin.errors import BadReference
 from eitskin.model.bundle import load_bundle
 from eitskin.reference.builder import ReferenceBuilder
 from eitskin.reference.judged import ReferenceChecks, reference_checks
-from eitskin.reference.movement import Movement
+from eitskin.reference.movement import movement_of
 
 LEVEL = 10.0 ** (-50.0 / 20.0)
 
@@ -126,16 +126,11 @@ def test_noise_that_is_the_same_in_all_rows_is_no_movement(flat, count):
     moved = 0
     for seed in range(50):
         common = 1.0 + 0.004 * np.random.default_rng(seed).standard_normal((count, 1))
-        movement = Movement(count)
-        for frame in flat * common:
-            movement.add(frame)
-        moved += movement.relative(flat) > 0.005
+        moved += movement_of(flat * common) > 0.005
     assert moved == 0
 
 
 def test_movement_is_as_large_as_it_is(flat):
-    movement = Movement(100)
-    for share in np.linspace(0.0, 1.0, 100):
-        movement.add(flat * (1.0 + 0.06 * share))
+    movement = movement_of(flat * (1.0 + 0.06 * np.linspace(0.0, 1.0, 100)[:, None]))
     # means of ten parts of a ramp lie ten of its 99 steps apart; of ten such it is sqrt(110 / 12) times
-    assert movement.relative(flat * 1.03) == pytest.approx(0.06 * 10 / 99 / 1.03 * np.sqrt(110 / 12), rel=1e-3)
+    assert movement == pytest.approx(0.06 * 10 / 99 / 1.03 * np.sqrt(110 / 12), rel=1e-3)

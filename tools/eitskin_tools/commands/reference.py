@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="FILE", help="capture: file to write")
     options.add_reconnect(parser)
     parser.add_argument(
-        "--frames", type=whole(2), default=100, metavar="N", help="capture: number of frames (default 100)"
+        "--frames", type=whole(2, 10_000), default=100, metavar="N", help="capture: number of frames (default 100)"
     )
     parser.add_argument("--baud", type=int, help="bits per second of a UART (default 2000000)")
     options.add_bundle(

@@ -55,7 +55,10 @@ def add_arguments(parser: Parser) -> None:
     group.add_argument("--baud", type=whole(300), help="bits per second of a UART (default 2000000)")
     group.add_argument("--check", action="store_true", help="with --config: check the file and what it names, and end")
     group.add_argument(
-        "--reference-frames", type=whole(2), metavar="N", help="frames of a reference captured now (default 100)"
+        "--reference-frames",
+        type=whole(2, 10_000),
+        metavar="N",
+        help="frames of a reference captured now (default 100)",
     )
     group.add_argument(
         "--force-reference", action="store_true", help="capture it even if the sheet seems bent, touched or moving"
