@@ -101,14 +101,16 @@ def whole_frames(device: Device, end_s: float) -> Iterator[FrameView | VoltsView
 def _collect(device: Device, builder: ReferenceBuilder, table: RowTable, end_s: float) -> None:
     normaliser, own_rows = normaliser_of(device.hello, table), table.id == ADJACENT_104.id
     step = step_of(device.hello) / device.hello.volts_per_count
+    why = ""
     for view in whole_frames(device, end_s):
         normaliser.load(view.counts)
         counts = normaliser.counts if step == 1.0 else np.rint(normaliser.counts / step)
         if unfit := "rows are cut off" if view.saturation else stuck(counts, own_rows=own_rows):
+            why = f", the last one left out because {unfit}"
             builder.leave_out(unfit)
         elif builder.add(normaliser.voltages()):
             return
-    few = f"only {builder.taken} of {builder.frames} frames for the reference were whole and not saturated"
+    few = f"only {builder.taken} of {builder.frames} frames could be used for the reference{why}"
     if isinstance(device.hello, DriverHello):
         trouble = getattr(device.transport, "trouble", "")
         raise BadReference(f"{few}{f' ({trouble})' if trouble else ''}; check the options of {device.transport.name}")

@@ -1,6 +1,5 @@
 """A cable that is out for a moment costs frames and not the program, at whatever operation it is pulled."""
 
-import threading
 import time
 
 import numpy as np
@@ -55,9 +54,14 @@ def test_what_happened_at_frames_that_are_withheld_the_next_frame_tells(tiny):
     with opened(here, tiny) as skin:
         skin.capture_reference(5)
         some(skin, 5)
-        here.source.factor = 0.0  # no current for a moment, and a cloud comes
+        here.source.factor = 0.0  # no current until a frame was withheld, and a cloud comes
         revision = skin.set_cloud(skin.description.grid.flat_cloud_mm())
-        threading.Timer(0.05, setattr, (here.source, "factor", 1.0)).start()
+
+        def flows_again(*_):
+            if skin.status()["withheld_by_reason"]["no_signal"]:
+                here.source.factor = 1.0
+
+        here.leaves = flows_again
         frame = next(skin.frames(timeout_s=PATIENCE_S))
         assert frame.cloud == revision
         told = frame.events

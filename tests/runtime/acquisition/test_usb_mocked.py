@@ -77,5 +77,5 @@ def test_the_runtime_goes_on_after_an_unplug(usb, tmp_path, tiny_path):
             runtime.kill()
     assert runtime.returncode == 0, err
     summary = json.loads(out)
-    assert (summary["frames"], summary["recoveries"], summary["corrupt"]) == (300, 1, 0)
+    assert (summary["frames"], summary["recoveries"] >= 1, summary["corrupt"]) == (300, True, 0)  # silent if starved
     assert summary["lost"] >= 20, "0.2 s at 200 frames/s"

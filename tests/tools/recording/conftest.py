@@ -1,6 +1,6 @@
 """Recordings made in this process: a device that is played, the tiny bundle, the real frame loop, the real recorder."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -123,17 +123,24 @@ def measured(
         line.before = before
         for _ in skin.publish(taker):
             pass
-    first_ns = next(item.read_ns for item in taker.items if isinstance(item, WireFrame))
-    return [_in_time(item, first_ns) for item in taker.items]
+    return list(_in_time(taker.items))
 
 
-def _in_time(item: Any, first_ns: int) -> Any:
-    """Return what a device sends at its own pace, whatever pace this machine played it at."""
-    if isinstance(item, WireFrame):
-        return replace(item, read_ns=first_ns + (item.n - 1) * PERIOD_NS)
-    if isinstance(item, Frame):
-        item.host_ns["read"] = first_ns + (item.number - 1) * PERIOD_NS
-    return item
+def _in_time(items: list[Any]) -> Iterator[Any]:
+    """Yield items as from a device at its own pace, whatever pace this machine played it at."""
+    now_ns = first_ns = next(item.read_ns for item in items if isinstance(item, WireFrame))
+    for item in items:
+        if isinstance(item, WireFrame):
+            now_ns = first_ns + (item.n - 1) * PERIOD_NS
+            yield replace(item, read_ns=now_ns)
+        elif isinstance(item, CloudInUse) and item.taken_ns:
+            yield replace(item, taken_ns=now_ns + PERIOD_NS // 2)
+        elif isinstance(item, SkinState) and item.n > 1:
+            yield replace(item, made_ns=now_ns)
+        else:
+            if isinstance(item, Frame):
+                item.host_ns["read"] = first_ns + (item.number - 1) * PERIOD_NS
+            yield item
 
 
 def recorded(path: Path, items: list[Any], kept: RecorderOptions = RecorderOptions(), **options: Any) -> Recorder:  # noqa: B008
