@@ -40,6 +40,7 @@ from eitskin.reference.builder import reference_of_scans
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference
 from eitskin.reference.plausible import check_prediction
 from eitskin.stream_source import status_of, with_streams
+from eitskin_proto.skin.familiar_shape import unlike_family
 from eitskin_proto.skin.sheet_cloud import check_sheet
 from eitskin_proto.skin.touch_kind import TouchKind
 
@@ -81,9 +82,10 @@ class CloudChange:
             ValueError: The cloud or the voltages are malformed, or cannot be of this sheet; with value and bound.
             BadReference: There is a prediction, but no reference to compare it with.
         """
-        skin, doubts = self._pipeline.skin, tuple[str, ...]()
+        skin, doubts, unlike = self._pipeline.skin, tuple[str, ...](), tuple[str, ...]()
         if cloud is not None:
             cloud, doubts = check_sheet(cloud, skin)
+            unlike = unlike_family(cloud, skin)
             cloud = cloud.astype(np.float32).astype(np.float64)  # as control requests and streams carry it
         ratio: npt.NDArray[np.float32] | None = None
         if predicted is not None:
@@ -94,7 +96,8 @@ class CloudChange:
         with self._lock:
             geometry = self._graph.geometry(cloud, ratio, self._revision + 1)
             self._revision += 1
-            self._pipeline.use_geometry(replace(geometry, given=_given(cloud, predicted, predicted_flat)))
+            given = _given(cloud, predicted, predicted_flat)
+            self._pipeline.use_geometry(replace(geometry, given=given, unlike=unlike))
             return geometry.revision, doubts
 
 

@@ -153,7 +153,7 @@ def test_a_cloud_set_between_frames_shows_in_the_next_and_costs_the_others_nothi
     with virtual_skin(touches=[[0.15, 9, 0.3]], touches_wait=True) as port, opened(port, tiny_path) as skin:
         frames = []
         cloud = flat_cloud()
-        cloud[2] = 0.005 * (cloud[0] - 75) ** 2
+        cloud[2] = 0.005 * (cloud[0] - 75) ** 2 - 10 * np.exp(-(np.hypot(cloud[0] - 60, cloud[1] - 50) ** 2) / 288)
         for frame in skin.frames(timeout_s=120.0):
             frames.append(frame)
             if len(frames) == 20:
@@ -162,6 +162,7 @@ def test_a_cloud_set_between_frames_shows_in_the_next_and_costs_the_others_nothi
                 break
     assert [frame.cloud for frame in frames] == [0] * 20 + [1] * 20
     assert [index for index, frame in enumerate(frames) if "cloud" in frame.events] == [20]
+    assert "cloud:unlike_training:dent" in frames[20].events
     assert all("geometry:cloud_unchanged" in frame.skipped for index, frame in enumerate(frames) if index != 20)
     late = np.mean([frame.map for frame in frames[21:]], axis=0)
     early = np.mean([frame.map for frame in frames[12:20]], axis=0)

@@ -5,7 +5,7 @@ of a sheet were measured on 810 clouds with a scanner's noise of 0.1 mm: the pap
 the families A and B (:mod:`eitskin_sim.scene.family`). Lengths are in multiples of the flat sheet's::
 
                                                   drawn              refused outside     warned of outside
-    mean along x, along y                         0.96-1.25, 0.91-1.16  0.85-1.40, 0.80-1.30
+    mean along x, along y                         0.96-1.25, 0.91-1.16  0.80-1.60, 0.75-1.40
     the step from one row or column to the next   0.90-1.26             0.50-1.70
     |cosine| between row and column               at most 0.41          0.75
     noise, by fourth differences                  0.095-0.105 mm        0.5 mm           0.25 mm
@@ -36,8 +36,8 @@ from eitskin_proto.skin.skin import PAPER, Skin
 Array = npt.NDArray[np.float64]
 Range = tuple[float, float]
 
-MEAN_ALONG_X: Final = (0.85, 1.40)
-MEAN_ALONG_Y: Final = (0.80, 1.30)
+MEAN_ALONG_X: Final = (0.80, 1.60)
+MEAN_ALONG_Y: Final = (0.75, 1.40)
 """Mean spacing along x and along y, in multiples of the flat sheet's."""
 
 SPACING: Final = (0.50, 1.70)
@@ -128,9 +128,7 @@ def check_sheet(cloud: npt.ArrayLike, skin: Skin = PAPER) -> tuple[Array, tuple[
     )
     if off_mm > max(LARGEST_OFF[0] * coarse, LARGEST_OFF[1] * noise_mm):
         raise ValueError(alone)
-    across_x = along_x[:, :-1] + along_x[:, 1:]
-    across_y = along_y[:, :, :-1] + along_y[:, :, 1:]
-    _check_angles(across_x, across_y)
+    _check_angles(*_across(along_x, along_y))
     doubts = []
     if noise_mm > NOTED_NOISE_MM * coarse:
         doubts.append(
@@ -140,10 +138,10 @@ def check_sheet(cloud: npt.ArrayLike, skin: Skin = PAPER) -> tuple[Array, tuple[
         )
     if off_mm > max(NOTED_OFF[0] * coarse, NOTED_OFF[1] * noise_mm):
         doubts.append(alone)
-    turned_deg = _turned_deg(along_x, along_y, across_x, across_y, bounds.grid)
-    if turned_deg < bounds.turn_deg:
+    turn_deg = turned_deg(points, bounds.grid)
+    if turn_deg < bounds.turn_deg:
         doubts.append(
-            f"the cloud bends to the sheet's back by {-turned_deg:.0f} degrees, where networks learned bends to its "
+            f"the cloud bends to the sheet's back by {-turn_deg:.0f} degrees, where networks learned bends to its "
             "front: if the sheet does not, the order of its rows or columns is reversed, or x and y are exchanged"
         )
     return points, tuple(doubts)
@@ -209,8 +207,20 @@ def _check_angles(across_x: Array, across_y: Array) -> None:
         )
 
 
-def _turned_deg(along_x: Array, along_y: Array, across_x: Array, across_y: Array, grid: Grid) -> float:
-    """Sum of the mean turns of rows and columns from end to end, positive towards the front of the sheet."""
+def _across(along_x: Array, along_y: Array) -> tuple[Array, Array]:
+    """Twice the mean step along x, and along y, of the sides of each square between four points."""
+    return along_x[:, :-1] + along_x[:, 1:], along_y[:, :, :-1] + along_y[:, :, 1:]
+
+
+def turned_deg(points: Array, grid: Grid) -> float:
+    """Return the sum of the mean turns of rows and columns from end to end, positive towards the front of the sheet.
+
+    Args:
+        points: (3, rows, columns) mm.
+        grid: Of them.
+    """
+    along_x, along_y = np.diff(points, axis=2), np.diff(points, axis=1)
+    across_x, across_y = _across(along_x, along_y)
     front = np.stack(
         [
             across_x[1] * across_y[2] - across_x[2] * across_y[1],

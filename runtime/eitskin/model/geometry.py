@@ -53,6 +53,8 @@ class Geometry:
     """The cloud in the pose in which it was given."""
     given: GivenCloud | None = None
     """The surface; None for the flat sheet with which a runtime starts."""
+    unlike: tuple[str, ...] = ()
+    """In which ways it is unlike the surfaces of the training (:mod:`eitskin_proto.skin.familiar_shape`)."""
 
 
 class GeometryGraph:

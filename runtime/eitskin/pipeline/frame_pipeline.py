@@ -625,7 +625,7 @@ class Pipeline:
         self._next_geometry = None
         self.start_with(geometry)
         self.record.cloud_sequence = self.record.sequence
-        self.record.events += ("cloud",)
+        self.record.events += ("cloud", *(f"cloud:unlike_training:{mode}" for mode in geometry.unlike))
         return True
 
     def _infers_untouched(self) -> bool:

@@ -56,7 +56,7 @@ def with_outlier(cloud):
 WRONG = {
     "double size": (
         lambda cloud: 2.0 * cloud,
-        r"300 mm along x and 200 mm along y, expected 127.5 to 210 and 80 to 130",
+        r"300 mm along x and 200 mm along y, expected 120 to 240 and 75 to 140",
     ),
     "half size": (lambda cloud: 0.5 * cloud, "75 mm along x"),
     "inches": (lambda cloud: cloud / 25.4, "in mm"),

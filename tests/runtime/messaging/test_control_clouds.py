@@ -44,7 +44,7 @@ def test_clouds_that_cannot_be_of_this_sheet_are_refused_by_the_runtime_which_sa
         eitskin.send_cloud(server.endpoint, 2 * flat_cloud())
     answer = raw(msgpack.packb({"command": "cloud", "cloud": (2 * flat_cloud()).astype("<f4").tobytes()}))
     assert answer["ok"] is False
-    assert "is 300 mm along x and 200 mm along y, expected 127.5 to 210 and 80 to 130 mm" in answer["error"]
+    assert "is 300 mm along x and 200 mm along y, expected 120 to 240 and 75 to 140 mm" in answer["error"]
     assert recorder.clouds == []
 
 

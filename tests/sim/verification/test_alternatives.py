@@ -65,6 +65,16 @@ def test_an_ellipse_that_lies_across_is_no_rectangle() -> None:
     assert alternatives.as_ellipses(frame, found, budget()) is found
 
 
+def test_a_touch_that_shrank_to_next_to_nothing_is_left_out_unless_the_frame_needs_it() -> None:
+    ghost = np.array([[0, 100.0, 60.0, 3.0, 3.0, 0.0, 20.0, 0.0]])
+    frame = frame_of(SQUARE, n_shown=2)
+    found = alternatives.without_smallest(frame, frame.at(np.vstack([SQUARE, ghost])), budget())
+    assert found.pieces[:, 1:3] == pytest.approx(SQUARE[:, 1:3], abs=0.5)
+    needed = np.vstack([SQUARE, ghost * [1, 1, 1, 1, 1, 1, 10, 1] + [0, -85, -20, 0, 0, 0, 0, 0]])
+    frame = frame_of(needed, n_shown=2)
+    assert len(alternatives.without_smallest(frame, frame.at(needed), budget()).pieces) == 2
+
+
 def test_what_is_as_strong_at_the_usual_contrast_is_found_along_the_valley() -> None:
     frame = frame_of(SQUARE)
     weak = alternatives.scaled_to_contrast(SQUARE, np.log([3.0]))

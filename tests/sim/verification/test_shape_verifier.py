@@ -84,6 +84,19 @@ def test_where_touches_go_both_ways_a_start_has_the_sign_of_the_voltages() -> No
     assert np.sign(np.log(found[:, 6])).tolist() == [-1.0, 1.0]
 
 
+def test_touches_beside_a_dent_are_flagged_until_the_sheet_was_seen_untouched() -> None:
+    bend = Bend(bumps_mm=((100.0, 40.0, -10.0, 12.0),))
+    verifier = ShapeVerifier(flat_model_V(PAPER), Noise("N2", 50.0))
+    verifier.deform(measured_cloud(bend, np.random.default_rng(2)))
+    sheet = touched_sheet(bend_metric(bend, nominal_sheet(PAPER)), PAPER)
+    volts = noisy(sheet.solve(SQUARE).voltages_V)
+    assert verifier.verify(volts, shares_of(SQUARE), LONG).on_dented_sheet
+    assert verifier.use_untouched(noisy(sheet.untouched_V), 1)
+    seen = verifier.verify(volts, shares_of(SQUARE), LONG)
+    assert not seen.flagged
+    assert seen.pieces[0, 1:3] == pytest.approx(SQUARE[0, 1:3], abs=2.0)
+
+
 def test_what_no_touch_explains_is_flagged_and_nothing_is_found_of_nothing() -> None:
     odd = read(SQUARE) * (1.0 + 0.03 * (-1.0) ** np.arange(104))
     assert flat_verifier().verify(odd, shares_of(SQUARE), LONG).flagged

@@ -137,6 +137,7 @@ def _phantoms(arguments: argparse.Namespace, request: Any, conditions: Any) -> i
     phantoms = _loaded(arguments.phantoms, conditions.skin)
     _tell_unknown(request, [(one.truth, one.scene.touch_kind) for one in phantoms if one.scene.touches])
     (found,) = evaluate_requests(phantoms, [request], conditions, arguments.progress)
+    _tell_unlike(found)
     if arguments.json:
         print(json.dumps(found))
     else:
@@ -185,6 +186,7 @@ def _trial(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:
         phantoms = trials.random(counts, deformations, each, family, labels, skin, arguments.seed)
     _tell_unknown(request, [(one.truth, one.scene.touch_kind) for one in phantoms])
     found = touched_trial(phantoms, each, request, conditions, arguments.progress)
+    _tell_unlike(found)
     return print_trial({"trial": trial, **found}, arguments.json)
 
 
@@ -199,6 +201,15 @@ def _tell_unknown(request: Any, groups: Any) -> None:
             known = f"{bundle.path} knows touches = {bundle.touch_kind}"
             hint = "; --single with --contrast 0.4 tries the others" if touches == "raise" else ""
             note(f"eitskin evaluate: {known}, and is tried on touches = {touches}{hint}")
+
+
+def _tell_unlike(found: dict[str, Any]) -> None:
+    """Say on stderr in which ways clouds were unlike those that the skin's networks learned."""
+    if modes := found["unlike_training"]:
+        note(
+            f"eitskin evaluate: cloud:unlike_training, by its {' and '.join(modes)}: the network was not trained on "
+            "such surfaces; check its maps by physics (--solver verified)"
+        )
 
 
 def _softness(arguments: argparse.Namespace) -> Any:

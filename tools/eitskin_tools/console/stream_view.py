@@ -11,7 +11,7 @@ from typing import Any, Final, TextIO
 
 import numpy as np
 
-from eitskin.messaging.streams.verified import CONTESTED, TIME, UNEXPLAINED
+from eitskin.messaging.streams.verified import CONTESTED, DENTED, TIME, UNEXPLAINED
 from eitskin.touches.force import ForceTable
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
@@ -111,6 +111,7 @@ def describe(frame: Any, rate_hz: float, grid: Grid | None = PAPER.grid) -> str:
 FLAGGED: Final = {
     UNEXPLAINED: "FLAGGED: these touches do not explain the frame",
     CONTESTED: "FLAGGED: the network clearly shows a touch that is missing here, or a touch is too small",
+    DENTED: "FLAGGED: the sheet has a dent; touches may be some mm off until it was seen untouched",
     TIME: "FLAGGED: no confirmed explanation within the time limit",
 }
 """By reason; an older runtime gives none."""

@@ -7,7 +7,7 @@ touches match the phantoms, unless one is named.
 """
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -19,6 +19,7 @@ from eitskin.model.engine import HEADS
 from eitskin.model.engine import solvers as solvers_of
 from eitskin.model.gate import Gate
 from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.skin.familiar_shape import unlike_family
 from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
@@ -92,6 +93,8 @@ class Named:
     """What the head's second input is fed; None where there is no such input."""
     verified: "VerifiedNetwork | None" = None
     """Keeps the verdicts, if there are any."""
+    unlike: set[str] = field(default_factory=set)
+    """In which ways clouds were unlike those of the training (:mod:`eitskin_proto.skin.familiar_shape`)."""
 
 
 def named(
@@ -204,6 +207,7 @@ def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> N
         raise ValueError(f"{loaded.path} holds no network {request.name!r}{how}")
     graph = GeometryGraph(loaded)
     prediction = request.prediction if loaded.uses_prediction else None
+    unlike: set[str] = set()
     shown: list[Any] = [None, 0]  # the sheet whose geometry is in the buffers, and how many there were
 
     def solve(case: Case) -> npt.NDArray[np.float64]:
@@ -212,13 +216,14 @@ def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> N
             if prediction == "scan":
                 predicted = log_ratio(case.sheet.predicted(), flat_voltages(case.sheet.skin))
             shown[:] = [case.sheet, shown[1] + 1]
+            unlike.update(unlike_family(np.asarray(case.sheet.cloud_mm, dtype=np.float64), skin))
             buffers.use_geometry(graph.geometry(case.sheet.cloud_mm, predicted, shown[1]))
         buffers.change[0] = relative_change(case.voltages, case.flat_reference)
         engine.infer()
         return np.asarray(buffers.map, dtype=np.float64).reshape(skin.grid.shape)
 
     solver: Solver = solve
-    return Named(Run(solver, "pre"), loaded.id, prediction)
+    return Named(Run(solver, "pre"), loaded.id, prediction, unlike=unlike)
 
 
 def _verified(
@@ -400,4 +405,5 @@ def _head(request: Request, conditions: Conditions, solvers: Collection[Named]) 
         "prediction": first.prediction,
         "bundles": sorted({one.bundle_id for one in solvers if one.bundle_id}),
         "skin_digest": conditions.skin.digest,
+        "unlike_training": sorted(set[str]().union(*(one.unlike for one in solvers))),
     }

@@ -4,7 +4,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from eitskin.messaging.streams.verified import TIME, UNEXPLAINED, VerifiedTouch
+from eitskin.messaging.streams.verified import DENTED, TIME, UNEXPLAINED, VerifiedTouch
 from eitskin.touches.surface import Surface
 from eitskin_proto.sensor.normalise import inverse_reference
 from eitskin_proto.skin.toml import parse
@@ -113,4 +113,6 @@ def reason_of(verdict: Found[Any]) -> str:
     """Return why a verdict is flagged, in the words of the message; nothing where it is not."""
     if not verdict.flagged:
         return ""
-    return TIME if verdict.unfinished else UNEXPLAINED
+    if verdict.unfinished:
+        return TIME
+    return UNEXPLAINED if verdict.p_value < verdict.level else DENTED

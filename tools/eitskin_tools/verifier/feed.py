@@ -142,7 +142,8 @@ class VerifierFeed:
             self._stillness.keep(self._pipeline.buffers.change[0], record.fused)
             self._drop()
             self._candidate = self._frame_packet(record)
-            self._is_due = self.mode == "always"
+            geometry = self._pipeline.buffers.geometry
+            self._is_due = self.mode == "always" or (geometry is not None and bool(geometry.unlike))
         elif self._candidate is not None:
             self._is_due = True
         self._baseline.reset()

@@ -113,6 +113,14 @@ def two_in_place_of_one(frame: Frame, fit: Fit, shares: Array, budget: Budget) -
     return _cheaper(fit, other, 0.0 if weak else c.MIN_GAIN_OF_TWO)
 
 
+def without_smallest(frame: Frame, fit: Fit, budget: Budget) -> Fit:
+    """Return the fit, or one without its smallest touch, if that has shrunk to next to nothing and costs less so."""
+    areas = areas_mm2(fit.pieces)
+    if len(areas) < 2 or areas.min() > c.MAX_AREA_OF_GHOST_MM2 or budget.search_over():
+        return fit
+    return _cheaper(fit, fitted(frame, np.delete(fit.pieces, np.argmin(areas), axis=0), fit.turning, budget))
+
+
 def as_one_body(frame: Frame, fit: Fit, shares: Array, budget: Budget) -> Fit:
     """Return the fit with what the network shows as one touch made one body, unless the frame speaks against it.
 

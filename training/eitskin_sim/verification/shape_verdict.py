@@ -79,8 +79,8 @@ class ShapeVerdict(Verdict[ShapeTouch]):
 
     @property
     def flagged(self) -> bool:
-        """Whether physics cannot explain the frame by these touches, or time ended the search."""
-        return self.unfinished or self.p_value < self.level
+        """Whether physics cannot explain the frame by these touches, knows its sheet too badly, or time ended."""
+        return self.unfinished or self.on_dented_sheet or self.p_value < self.level
 
 
 def touches_of(fit: Fit, scatter: Array, others: Sequence[Array] = ()) -> tuple[ShapeTouch, ...]:

@@ -19,6 +19,7 @@ from typing import Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.skin.familiar_shape import largest_curvature
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.arrays import Array
@@ -65,6 +66,7 @@ class ShapeVerifier:
         self._noise = noise
         """Of the frame in hand."""
         self._clock = clock
+        self._is_dented = False
         self._skin = skin
         self.deformation = Deformation(clock)
         """The present one, with its models and what they took."""
@@ -76,6 +78,8 @@ class ShapeVerifier:
             ValueError: The cloud is malformed, or folds in its own plane.
         """
         self.deformation.scan(lambda: model_of_cloud(cloud_mm, self._skin))
+        curvature = largest_curvature(np.asarray(cloud_mm, dtype=np.float64), self._skin.grid)
+        self._is_dented = curvature > c.MAX_CURVATURE_PER_MM2
 
     def use_untouched(self, voltages_V: Array, frames: int = 1) -> bool:
         """Learn from what the deformation reads while nothing touches it.
@@ -143,6 +147,7 @@ class ShapeVerifier:
             budget.fits,
             budget.seconds,
             unfinished,
+            self._is_dented and self.deformation.model.rest is None,
             fit.pieces,
             tuple((share, without_cracks(pieces, shares, grid)) for share, pieces in likely),
         )
@@ -158,7 +163,8 @@ class ShapeVerifier:
         if not fit.explains:
             usual = alternatives.of_usual_contrast(fit.frame, fit, budget)
             fit = self._on_its_sheet(alternatives.as_ellipses(fit.frame, usual, budget), budget)
-        return alternatives.two_in_place_of_one(fit.frame, fit, shares, budget)
+        fit = alternatives.two_in_place_of_one(fit.frame, fit, shares, budget)
+        return alternatives.without_smallest(fit.frame, fit, budget)
 
     def _one_by_one(self, before: Fit, budget: Budget) -> Fit:
         """Return a fit that does not explain its frame, or touches of either sign that do, found without the network.

@@ -147,6 +147,7 @@ class UnitFrame:
             evaluations=found.evaluations + self.sets,
             seconds=budget.seconds,
             unfinished=best.p < LEVEL and budget.search_over(),
+            on_dented_sheet=found.on_dented_sheet,
             pieces=found.pieces,
         )
 

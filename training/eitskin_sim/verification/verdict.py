@@ -36,10 +36,13 @@ class Verdict(Generic[Touch]):
     unfinished: bool = False
     """Whether time ended the search before these explained the frame, or were confirmed."""
 
+    on_dented_sheet: bool = False
+    """Whether the sheet has a dent in which a scan does not show well enough where its material is."""
+
     @property
     def flagged(self) -> bool:
-        """Whether physics cannot explain the frame by these touches."""
-        return self.p_value < self.level
+        """Whether physics cannot explain the frame by these touches, or knows its sheet too badly."""
+        return self.p_value < self.level or self.on_dented_sheet
 
 
 def p_value(chi_squared: float, degrees_of_freedom: int) -> float:

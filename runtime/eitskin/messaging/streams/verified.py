@@ -36,7 +36,7 @@ STARTING, PREPARING, READY, WAITING, FAILED = STATES = ("starting", "preparing",
 """Of a verifier: its process begins; it makes the model of the cloud in use; it verifies; it ended and will be started
 again; it will not verify, until the cloud or the reference changes or for good."""
 
-UNEXPLAINED, CONTESTED, TIME = FLAGS = ("unexplained", "contested", "time")
+UNEXPLAINED, CONTESTED, TIME, DENTED = FLAGS = ("unexplained", "contested", "time", "dented")
 """Why a frame is flagged: p is below 0.01; the network plainly shows a touch that is not among these, or one of these
 is smaller than touches of the skin are; time ended the search before it had explained the frame or confirmed its
 touches."""
