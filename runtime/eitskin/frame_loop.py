@@ -575,7 +575,7 @@ class FrameLoop:
         Raises:
             BadReference: The sheet was bent, touched or moving, or nothing is connected, or the frames did not come.
             PortLost: The port vanished.
-            ValueError: Fewer than 2 frames.
+            ValueError: Fewer than 2 frames, or too many.
         """
         builder, checks = ReferenceBuilder(frames, self._pipeline.skin, table=self._pipeline.table), self._checks()
         asked_ns, first = time.perf_counter_ns(), True
