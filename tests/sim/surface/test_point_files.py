@@ -187,3 +187,9 @@ def test_unreadable_file_is_named_and_nothing_is_written(tmp_path, name, capsys)
     assert captured.out == ""
     assert len(captured.err.strip().splitlines()) == 1
     assert not (tmp_path / "cloud.npz").exists()
+
+
+def test_nans_that_signal_are_missing_points_without_a_warning(tmp_path):
+    words = np.full((10, 3), 0x7F800001, dtype="<u4")
+    np.save(tmp_path / "p.npy", words.view("<f4"))
+    assert np.isnan(read_points(tmp_path / "p.npy")).all()

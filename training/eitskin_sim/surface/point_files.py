@@ -42,6 +42,7 @@ class PointFileError(SkinError):
     """A file that holds no points."""
 
 
+@np.errstate(invalid="ignore")  # a NaN that signals is one like any other
 def read_points(path: str | Path) -> Array:
     """Return the (n, 3) points of a file.
 
