@@ -51,7 +51,8 @@ def check_cloud(cloud: npt.ArrayLike, grid: Grid = PAPER.grid) -> npt.NDArray[np
     try:
         if np.iscomplexobj(cloud):
             raise TypeError("found complex numbers, expected millimetres")
-        points = np.array(cloud, dtype=np.float64)
+        with np.errstate(invalid="ignore"):  # a NaN that signals is refused like any other
+            points = np.array(cloud, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"a cloud must be numbers of shape {expected} in mm, found {type(cloud).__name__}") from error
     if points.shape != expected:

@@ -54,6 +54,7 @@ def broken(value, where=(2, 3, 4)):
     ("cloud", "text"),
     [
         (broken(np.nan), r"cloud\[2, 3, 4\] is nan, expected a finite number of mm; 1 of 4050"),
+        (np.full((3, 30, 45), 0x7F800001, dtype="<u4").view("<f4"), r"cloud\[0, 0, 0\] is nan"),  # one that signals
         (broken(np.inf), r"cloud\[2, 3, 4\] is inf"),
         (broken(-100_001.0), r"cloud\[2, 3, 4\] is -100001 mm, expected at most 100000 mm from the origin"),
         (np.zeros((3, 45, 30)), r"\(3, 30, 45\).*found \(3, 45, 30\)"),
