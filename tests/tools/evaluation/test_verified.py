@@ -67,6 +67,7 @@ def test_bad_options_of_the_benchmark_are_one_line(
     ("arguments", "status", "says"),
     [
         (["--single", "10", "--at-rest", "5"], 1, "--at-rest needs --solver verified"),
+        (["--single", "10", "--cloud", "fitted"], 1, "--cloud fitted needs --solver verified"),
         (["--devices", "lab", "--solver", "verified", "--at-rest", "5"], 2, "--at-rest"),
     ],
 )

@@ -10,9 +10,12 @@ from eitskin.messaging.streams.verified import pack_head, unpack_verified
 from eitskin_proto.sensor.row_gaussian import rows_of as rows_of_electrodes
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import to_toml
+from eitskin_sim.scene.bend import bend_metric
+from eitskin_sim.scene.nominal import nominal_sheet
+from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import RECTANGLE
 from eitskin_sim.verification.network_map import map_of
-from eitskin_sim.verification.sheet_model import model_of_cloud
+from eitskin_sim.verification.sheet_model import model_of_cloud, touched_sheet
 from eitskin_tools.verifier.checkers import CannotVerifyError, Checker
 from eitskin_tools.verifier.child import Placement, VerifierProcess
 from eitskin_tools.verifier.letters import LARGEST_PACKET, STATE, BaselineLetter, FrameLetter, Setup, packed, unpack
@@ -112,6 +115,18 @@ def test_a_sheet_seen_at_rest_is_known_and_one_that_is_not_its_scans_is_said(mod
         off = 0.05 * np.sin(np.arange(104.0))
         assert checker.learn_baseline(BaselineLetter(1, 50, np.full(104, 0.02))) == ""
         assert "send its cloud" in checker.learn_baseline(BaselineLetter(1, 50, off + 2.0 * np.abs(off)))
+
+
+def test_a_guessed_cloud_gives_way_to_the_shape_that_a_frame_shows(model):
+    bent = touched_sheet(bend_metric(Bend(twist_deg=20.0, stretch_along=1.12), nominal_sheet(PAPER)), PAPER)
+    change = bent.solve(PIECE).voltages_V / model.flat_V - 1.0
+    change += NOISE * (1.0 + change) * np.random.default_rng(2).standard_normal(104)
+    image = map_of(PIECE).astype("f4").ravel()
+    for is_guess in (False, True):
+        setup = dataclasses.replace(setup_of(PAPER, "area", 1e-3 * model.flat_V), is_guess=is_guess)
+        (*_, flagged), touches, _ = Checker(setup).check(letter(change.astype("f4"), image))
+        assert flagged is not is_guess
+    assert touches[0].centre_mm == pytest.approx(PIECE[0, 1:3], abs=1.0)
 
 
 @pytest.mark.process

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from eitskin_proto.skin.parts import Deformations
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools import cli
 from eitskin_tools.command_line import needs
@@ -19,6 +20,16 @@ def test_without_scipy_it_is_said_which_extra_to_install(monkeypatch, capsys):
     assert cli.main([*NOWHERE, "--verify", "always"]) == 1
     said = capsys.readouterr().err
     assert said == "eitskin run: --verify always needs scipy: pip install 'eitskin[sim]'\n"
+
+
+def test_a_shape_is_fitted_only_by_a_verifier_and_only_of_a_skin_that_bends(capsys):
+    assert cli.main([*NOWHERE, "--cloud", "fitted"]) == 2
+    assert "--cloud needs --verify idle or --verify always" in capsys.readouterr().err
+    stiff = replace(PAPER, deformations=Deformations(*((0.0, 0.0),) * 4, (1.0, 1.0), (1.0, 1.0), (0.0, 0.0)))
+    skin = SimpleNamespace(pipeline=SimpleNamespace(skin=stiff))
+    arguments = SimpleNamespace(verify="always", cloud="fitted")
+    with pytest.raises(UsageError, match=r"\[deformations\] are all fixed"), verifying(skin, None, arguments):
+        pass
 
 
 def test_a_disc_is_refused():

@@ -129,8 +129,9 @@ def add_arguments(parser: Parser) -> None:
     )
     group.add_argument(
         "--cloud",
-        choices=("scan", "flat", "other"),
-        help="the shape that solvers are given: as measured, flat, or of another deformation (default: scan)",
+        choices=("scan", "fitted", "flat", "other"),
+        help="the shape that solvers are given: as measured, none (verified fits it to frames), flat, or of another "
+        "deformation (default: scan)",
     )
 
     group = parser.add_more("devices")

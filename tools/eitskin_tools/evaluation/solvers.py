@@ -121,6 +121,8 @@ def named(
     """
     if request.reference is not None and request.reference not in REFERENCES:
         raise ValueError(f"reference {request.reference!r} is unknown; expected one of {', '.join(REFERENCES)}")
+    if conditions is not None and conditions.cloud == "fitted" and request.name != VERIFIED:
+        raise ValueError("--cloud fitted needs --solver verified: physics fits the shape")
     if request.at_rest and request.name != VERIFIED:
         raise ValueError("--at-rest needs --solver verified")
     if request.name in SOLVERS and not is_deployed(request):

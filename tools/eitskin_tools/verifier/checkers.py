@@ -48,7 +48,7 @@ class Checker:
         touches: TouchKind = setup.touches  # type: ignore[assignment]  # of a bundle, which was checked
         noise = noise_shown(reference_V, setup.spread_V, setup.shared_V)
         self._verifier = MapVerifier(self._reference_V, noise, setup.labels, touches, skin)
-        self._verifier.shapes.deform(cloud_mm)
+        self._verifier.shapes.deform(cloud_mm, is_guess=setup.is_guess)
 
     def check(self, frame: FrameLetter) -> Verdict:
         """Return what explains a frame best.

@@ -60,12 +60,19 @@ class VerifierFeed:
         process: The verifier's.
         mode: "always" or "idle".
         budget_s: What a frame may take.
+        cloud: "scan", where none came that of the frames; "fitted", always that of the frames; or "flat".
     """
 
     def __init__(
-        self, skin: Skin, publisher: Publisher, process: VerifierProcess, mode: str, budget_s: float = BUDGET_S
+        self,
+        skin: Skin,
+        publisher: Publisher,
+        process: VerifierProcess,
+        mode: str,
+        budget_s: float = BUDGET_S,
+        cloud: str = "flat",
     ) -> None:
-        self._skin, self._publisher, self._process = skin, publisher, process
+        self._skin, self._publisher, self._process, self._cloud = skin, publisher, process, cloud
         self.mode, self._budget_s = mode, budget_s
         self._pipeline = skin.pipeline
         self._nothing_missing = np.zeros(len(skin.pipeline.buffers.change[0]), dtype=np.bool_)
@@ -200,14 +207,15 @@ class VerifierFeed:
         flat, step_V = reference.flat(), pipeline.step_V
         given = None if pipeline.buffers.geometry is None else pipeline.buffers.geometry.given
         skin = pipeline.skin
-        cloud = skin.grid.flat_cloud_mm() if given is None or given.cloud is None else given.cloud
+        cloud = None if given is None or self._cloud != "scan" else given.cloud
         self._setup += 1
         self._setup_packet = packed(
             Setup(
                 self._setup, pipeline.bundle.labels, pipeline.bundle.touch_kind, to_toml(skin),
-                np.asarray(cloud, dtype=np.float32), flat.voltages_V,
+                np.asarray(skin.grid.flat_cloud_mm() if cloud is None else cloud, dtype=np.float32), flat.voltages_V,
                 np.hypot(flat.spread_V, step_V / math.sqrt(12.0)),
                 np.zeros((len(flat.voltages_V), 0)) if flat.shared_V is None else flat.shared_V, self._budget_s,
+                cloud is None and self._cloud != "flat",
             )
         )  # fmt: skip
         noise = flat.voltages_V, flat.spread_V, flat.frames, step_V, flat.shared_V

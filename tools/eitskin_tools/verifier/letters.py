@@ -50,6 +50,8 @@ class Setup:
     """(104, k) the part of the spread that rows share."""
     budget_s: float
     """What a frame may take."""
+    is_guess: bool = False
+    """Whether nothing measured the cloud: frames may show another shape."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

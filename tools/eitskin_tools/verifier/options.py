@@ -14,6 +14,8 @@ from eitskin_tools.errors import UsageError
 if TYPE_CHECKING:
     from eitskin.frame_record import FrameRecord
 
+CLOUDS: Final = ("scan", "fitted", "flat")
+
 MODES: Final = ("off", "idle", "always")
 
 NICE: Final = 10
@@ -32,6 +34,12 @@ def add_arguments(parser: Any) -> None:
     )
     parser.add_argument(
         "--verify-budget-ms", type=positive(MOST_MS), metavar="B", help="time limit for a frame in ms (default 200)"
+    )
+    parser.add_argument(
+        "--cloud",
+        choices=CLOUDS,
+        help="shape that --verify assumes: the cloud sent, where none came the one that frames show (scan); always the "
+        "latter (fitted); or flat (default: scan)",
     )
     parser.add_argument(
         "--verify-nice",
@@ -57,6 +65,8 @@ def check(arguments: argparse.Namespace) -> None:
     arguments.verify_cpus = ()
     given = [name for name in ("budget_ms", "nice", "affinity") if getattr(arguments, f"verify_{name}") is not None]
     if arguments.verify == "off":
+        if arguments.cloud is not None:
+            raise UsageError("--cloud needs --verify idle or --verify always")
         if given:
             raise UsageError(f"--verify-{given[0].replace('_', '-')} needs --verify idle or --verify always")
         return
@@ -101,14 +111,20 @@ def verifying(
         return
     if skin.pipeline.skin.outline.kind == "disc":
         raise UsageError("--verify needs a rectangle: no touches are modelled on a disc; leave it out")
+    from eitskin_sim.scene.family import NO_FAMILY, is_family
     from eitskin_tools.verifier.child import Placement, VerifierProcess
     from eitskin_tools.verifier.feed import VerifierFeed
     from eitskin_tools.verifier.letters import BUDGET_S
 
+    cloud = arguments.cloud or "scan"
+    if not is_family(skin.pipeline.skin.deformations):
+        if cloud == "fitted":
+            raise UsageError(f"--cloud fitted: {NO_FAMILY}")
+        cloud = "flat" if arguments.cloud is None else cloud
     nice = NICE if arguments.verify_nice is None else arguments.verify_nice
     place = Placement(nice, arguments.verify_cpus, idle=arguments.verify == "idle")
     with VerifierProcess(place) as process:
         budget_s = BUDGET_S if arguments.verify_budget_ms is None else arguments.verify_budget_ms * 1e-3
-        feed = VerifierFeed(skin, publisher, process, arguments.verify, budget_s)
+        feed = VerifierFeed(skin, publisher, process, arguments.verify, budget_s, cloud)
         skin.loop.verifier_status = feed.status
         yield feed.after_frame

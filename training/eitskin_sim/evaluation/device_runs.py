@@ -214,7 +214,7 @@ def cases(
 
 def _sheet(device: Device, phantom: Phantom, rng: np.random.Generator, skin: Skin) -> Sheet:
     cloud = device.cloud(phantom.scene.bend, rng)
-    return Sheet(flat_cloud(skin.grid) if cloud is None else cloud, np.full(N_ROWS, np.nan), skin)
+    return Sheet(flat_cloud(skin.grid) if cloud is None else cloud, np.full(N_ROWS, np.nan), skin, cloud is None)
 
 
 @lru_cache(maxsize=1024)

@@ -57,8 +57,9 @@ CLOUD_SEED: Final = 20_000
 SHIFT_SEED: Final = 21_000
 """Shifts of touches too: the same draw whatever the noise."""
 
-CloudKind = Literal["scan", "flat", "other"]
-"""Which cloud the solvers are given: the one measured, the flat sheet's, or that of another deformation."""
+CloudKind = Literal["scan", "fitted", "flat", "other"]
+"""Which cloud the solvers are given: the one measured, none but the frames themselves, the flat sheet's, or that of
+another deformation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +94,8 @@ class Sheet:
     """(104,) V of the true bent sheet."""
     skin: Skin = PAPER
     """Whose model explains it."""
+    is_guess: bool = False
+    """Whether nothing measured the cloud: the frames may show another shape."""
     _operators: dict[Cells, Operators] = field(default_factory=dict)
     _matrices: dict[Cells, Array] = field(default_factory=dict)
     _predicted: Array | None = None
@@ -240,7 +243,8 @@ def evaluate_all(
                 shown, truth, clean = moved, truth_map(moved, grid), _solved(moved.scene, where)
             frames = np.tile(clean, (conditions.fused, 1))
             noisy = add_noise(frames, flat, conditions.noise, conditions.snr_db, rng).mean(axis=0)
-            sheet = Sheet(_cloud(bare, conditions.cloud, seed, skin), _solved(bare, where), skin)
+            cloud, is_guess = _cloud(bare, conditions.cloud, seed, skin), conditions.cloud == "fitted"
+            sheet = Sheet(cloud, _solved(bare, where), skin, is_guess)
             for run, kept in zip(runs, scores, strict=True):
                 held = _reference(run.reference, sheet, flat)
                 lowering = phantom.scene.touch_kind == "lower"
@@ -278,7 +282,7 @@ def _reference(kind: Reference, sheet: Sheet, flat: Array) -> Array:
 def _cloud(bare: Scene, kind: CloudKind, seed: int, skin: Skin) -> Array:
     """Return the scan of a scene's own sheet, or the cloud that solvers get instead."""
     bend = bare.bend
-    if kind == "flat":
+    if kind in ("flat", "fitted"):
         bend = Bend()
     elif kind == "other":
         bend = next(other for other in draw("A", 2 + seed, CLOUD_SEED, skin)[seed:] if other != bend)

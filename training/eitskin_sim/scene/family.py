@@ -52,6 +52,17 @@ def bounds(deformations: Deformations = PAPER.deformations) -> dict[str, tuple[f
     return asdict(deformations)
 
 
+NO_FAMILY: Final = (
+    "the skin's [deformations] are all fixed, so no shapes can be fitted; give them ranges, or send a cloud"
+)
+"""Why a skin without a family is refused."""
+
+
+def is_family(deformations: Deformations) -> bool:
+    """Return whether a skin states more than one deformation."""
+    return any(low < high for low, high in bounds(deformations).values())
+
+
 def paper_bend(q: float, skin: Skin = PAPER) -> Bend:
     """Return the paper-like deformation at q from 0, flat, to 1, a half cylinder stretched by 19 %.
 

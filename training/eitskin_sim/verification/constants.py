@@ -326,6 +326,43 @@ MODEL_ERROR_SHARE_OF_TOUCH: Final = 0.25
 ROW_ERROR_BY_TOUCH: Final = 0.1
 """Part of what was seen beside the model, row by row, that a touch may change."""
 
+# A shape that nothing scanned.
+
+SEARCH_LOG_SDS: Final = (0.06, 0.03, 0.015, 0.008, 0.005, 0.0)
+"""Standard deviations of log V by which rows are believed less, model after model; the last holds on."""
+
+SEARCH_MAX_MODELS: Final = 14
+
+SEARCH_MIN_STEP: Final = 0.2
+"""An amplitude's largest step from a model that is the last, in standard deviations."""
+
+SEARCH_STEPS: Final = 2
+"""With each model."""
+
+SEARCH_MAX_STEP: Final = 1.0
+"""Of every amplitude away from a model, in standard deviations."""
+
+DICTIONARY_MM: Final = 7.0
+"""Between places of touches that a search starts from."""
+
+DICTIONARY_LOG_SD: Final = 0.03
+"""Of rows, whose columns are those of the mean shape."""
+
+DICTIONARY_STRENGTH_SD: Final = 0.5
+"""Of the strength of a touch over the usual."""
+
+DICTIONARY_TOUCHES: Final = 6
+"""The most that are chosen,"""
+
+DICTIONARY_APART_MM: Final = 16.0
+"""and how far apart they are at least."""
+
+MAX_EXCESS_OF_GUESS: Final = 1.5
+"""Times that more may be off at rest than was thought, for a shape that nothing scanned."""
+
+ALIKE_MM: Final = 8.0
+"""Starts whose touches are nearer to each other end alike."""
+
 # Units: a map of units is snapped from shapes. 16 of 16 sets of paper_units, 94 of 97 sets of 1 to 6 units at random.
 
 MAX_UNITS: Final = 6

@@ -30,6 +30,7 @@ class Deformation:
         self._model: SheetModel | None = None
         self._scanned: SheetModel | None = None
         self._first: SheetModel | None = None
+        self._guess: SheetModel | None = None
         self._others: list[Callable[[Array], SheetModel | None]] = []
         self._made_again = 0
         self.spent_s = 0.0
@@ -48,24 +49,47 @@ class Deformation:
             raise ValueError("no deformation to verify on; give its cloud first")
         return self._model
 
-    def scan(self, make: Callable[[], SheetModel]) -> None:
-        """Go on with the model of another scan."""
+    def scan(self, make: Callable[[], SheetModel], *, is_guess: bool = False) -> None:
+        """Go on with the model of another scan; that of a guess is not made again."""
         self.spent_s = self.spent_cpu_s = 0.0
         self._make(make)
-        self._scanned, self._first, self._made_again = self.model, self.model, 0
-        self._others = [self._as_far_as_likely]
+        self._scanned = self._first = self.model
+        self._guess, self._made_again = self.model if is_guess else None, 0
+        self._others = [] if is_guess else [self._as_far_as_likely]
 
-    def use_untouched(self, change: Array, reference: Array, noise: Noise) -> bool:
+    @property
+    def is_guess(self) -> bool:
+        """Whether the model is that of a guess: frames have not shown any other shape."""
+        return self.model is self._guess
+
+    def go_on_with(self, make: Callable[[], SheetModel | None]) -> Callable[[], None] | None:
+        """Go on with a shape that a frame shows, and return what brings back the present one; None if it shows none."""
+        back = self._go_on_with(make, 0)
+        if back is not None:
+            self._first = self.model
+        return back
+
+    def use_untouched(
+        self, change: Array, reference: Array, noise: Noise, found: Callable[[], SheetModel | None] | None = None
+    ) -> bool:
         """Learn from what the untouched sheet reads, and return whether it is the scanned one; else nothing changes.
 
         Args:
             change: (104,) dV, the mean of some frames.
             reference: (104,) V.
             noise: Of that mean.
+            found: Makes the model of the shape that these frames show, for a sheet that is not the scanned one.
         """
         before, scanned = self.model, self._scanned
         assert scanned is not None
-        self._make(lambda: scanned.rested(change, reference, noise) or before)
+
+        def make() -> SheetModel:
+            other, model = None, scanned.rested(change, reference, noise)
+            if found is not None and (model is None or not model.rest or model.rest.scale > c.MAX_EXCESS_OF_GUESS):
+                other = found()
+            return (other and other.rested(change, reference, noise)) or model or before
+
+        self._make(make)
         if self._model is before:
             return False
         self._first, self._others = self.model, [lambda _: scanned]
@@ -74,7 +98,7 @@ class Deformation:
     @property
     def may_be_made_again(self) -> bool:
         """Whether a frame may show another sheet: not where it was seen at rest, and some times a deformation."""
-        return self.model.rest is None and self._made_again < c.MAX_MODELS_PER_DEFORMATION
+        return self.model.rest is None and not self.is_guess and self._made_again < c.MAX_MODELS_PER_DEFORMATION
 
     def make_again(self, amplitudes: Array) -> Callable[[], None] | None:
         """Make the model about amplitudes of all its columns, and return what brings back the present one.

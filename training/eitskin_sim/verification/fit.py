@@ -255,7 +255,7 @@ def refine(
 
 def _try(frame: Frame, fit: Fit, fitted: npt.NDArray[np.bool_], step: Array) -> Fit | None:
     try:
-        return frame.at(bounded(frame, fit.pieces, fitted, step), fit.turning)
+        return frame.at(bounded(frame.prior, frame.model.skin, fit.pieces, fitted, step), fit.turning)
     except IMPOSSIBLE_TOUCH_ERRORS:
         return None
 
@@ -277,14 +277,14 @@ def _broyden(by: Array, before: Fit, after: Fit, fitted: npt.NDArray[np.bool_], 
     return np.asarray(rows + np.outer(wrong, weight / (weight @ step)))
 
 
-def bounded(frame: Frame, pieces: Array, fitted: npt.NDArray[np.bool_], step: Array) -> Array:
+def bounded(prior: TouchPrior, skin: Skin, pieces: Array, fitted: npt.NDArray[np.bool_], step: Array) -> Array:
     """Return touches after a step, shortened and held within what touches may be."""
     values = parameters_of(pieces)
     move = np.zeros(fitted.shape)
     move[fitted] = step
     sign = np.sign(values[:, LOG_CONTRAST])
     values += np.clip(move, -np.array(c.MAX_STEP), c.MAX_STEP)
-    values[:, [X, Y]] = on_sheet(values[:, [X, Y]], frame.model.skin)
+    values[:, [X, Y]] = on_sheet(values[:, [X, Y]], skin)
     halves = [HALF_LENGTH, HALF_WIDTH]
     values[:, halves] = np.clip(values[:, halves], c.MIN_HALF_SIDE_MM, c.MAX_HALF_SIDE_MM)
     log = np.clip(values[:, LOG_CONTRAST], *np.log(c.CONTRAST_BOUNDS))

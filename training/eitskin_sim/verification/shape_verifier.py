@@ -30,8 +30,9 @@ from eitskin_sim.verification.fit import Budget, Fit, Frame
 from eitskin_sim.verification.gentler_contrasts import likely_touches
 from eitskin_sim.verification.network_map import starts_of, without_cracks
 from eitskin_sim.verification.residual import Noise, Rows, change_of, check_frame
+from eitskin_sim.verification.shape_search import ShapeSearch
 from eitskin_sim.verification.shape_verdict import ShapeVerdict, scatter_of, touches_of
-from eitskin_sim.verification.sheet_model import model_of_cloud
+from eitskin_sim.verification.sheet_model import SheetModel, model_of_cloud
 from eitskin_sim.verification.touch_prior import TouchPrior, touch_prior
 from eitskin_sim.verification.verdict import LEVEL
 
@@ -68,16 +69,23 @@ class ShapeVerifier:
         self._clock = clock
         self._is_dented = False
         self._skin = skin
+        self._search: ShapeSearch | None = None
         self.deformation = Deformation(clock)
         """The present one, with its models and what they took."""
 
-    def deform(self, cloud_mm: npt.ArrayLike) -> None:
-        """Go on with a scanned deformation.
+    def deform(self, cloud_mm: npt.ArrayLike, *, is_guess: bool = False) -> None:
+        """Go on with a deformation.
+
+        Args:
+            cloud_mm: (3, rows, columns) its scan.
+            is_guess: Whether the sheet may have any other shape of its family: a frame that this one does not explain
+                shows it.
 
         Raises:
-            ValueError: The cloud is malformed, or folds in its own plane.
+            ValueError: The cloud is malformed, or folds in its own plane; or another shape may be, of no family.
         """
-        self.deformation.scan(lambda: model_of_cloud(cloud_mm, self._skin))
+        self._search = ShapeSearch(self._prior, self._skin) if is_guess else None
+        self.deformation.scan(lambda: model_of_cloud(cloud_mm, self._skin), is_guess=is_guess)
         curvature = largest_curvature(np.asarray(cloud_mm, dtype=np.float64), self._skin.grid)
         self._is_dented = curvature > c.MAX_CURVATURE_PER_MM2
 
@@ -95,9 +103,10 @@ class ShapeVerifier:
             ValueError: There is no deformation yet, or no frame; a number is not finite.
         """
         check_frame(voltages_V, self._reference)
-        return self.deformation.use_untouched(
-            voltages_V / self._reference - 1.0, self._reference, self._of_one.of_mean(frames)
-        )
+        change, noise = voltages_V / self._reference - 1.0, self._of_one.of_mean(frames)
+        search = self._search
+        found = None if search is None else partial(search.model, change, self._reference, noise, self._rows)
+        return self.deformation.use_untouched(change, self._reference, noise, found)
 
     def verify(
         self,
@@ -126,6 +135,8 @@ class ShapeVerifier:
         change, grid = change_of(voltages_V, self._reference, rows), self._skin.grid
         starts = starts_of(shares, self._prior, grid)
         fit = self._explained(change, rows, starts, shares, budget)
+        if self._search is not None and not fit.explains and self._time_for_model(budget):
+            fit = self._on_found_shape(self._search, fit, starts, shares, budget)
         while self.deformation.has_others and fit.p_value <= LEVEL and self._time_for_model(budget):
             back = self._counted(budget, partial(self.deformation.try_other, self._amplitudes(fit)))
             if back is None:
@@ -158,7 +169,7 @@ class ShapeVerifier:
         if not frame.prior.sign:
             starts = [both_signs.signed(frame, pieces) for pieces in starts]
         fit = self._best_start(frame, starts, budget)
-        if fit.chi_squared > c.MIN_MISFIT_WITHOUT_NETWORK * len(fit.residual):
+        if not self.deformation.is_guess and fit.chi_squared > c.MIN_MISFIT_WITHOUT_NETWORK * len(fit.residual):
             fit = self._one_by_one(fit, budget)
         if not fit.explains:
             usual = alternatives.of_usual_contrast(fit.frame, fit, budget)
@@ -181,6 +192,24 @@ class ShapeVerifier:
                 return fit
         back()
         return before
+
+    def _on_found_shape(self, search: ShapeSearch, fit: Fit, starts: list[Array], shares: Array, budget: Budget) -> Fit:
+        """Return the fit on the shape that its frame shows, or the given one if that explains the frame as well."""
+        change, rows, found = fit.frame.change, fit.frame.white.rows, list[Array]()
+
+        def make() -> SheetModel | None:
+            shape = search.shape(change, self._reference, self._noise, starts, rows)
+            found.append(np.zeros((0, 8)) if shape is None else shape.pieces)
+            return None if shape is None else shape.model
+
+        back = self._counted(budget, partial(self.deformation.go_on_with, make))
+        if back is None:
+            return fit
+        other = self._explained(change, rows, found, shares, budget)
+        if other.cost < c.MAX_COST_RATIO_OF_MODEL_MADE_AGAIN * fit.cost:
+            return other
+        back()
+        return fit
 
     def _best_start(self, frame: Frame, starts: list[Array], budget: Budget) -> Fit:
         """Return the first start that explains the frame once it is fitted, or the best of them."""

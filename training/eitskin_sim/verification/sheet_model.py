@@ -22,12 +22,13 @@ from eitskin_sim.freeform.sheet import assembled_metric
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_sheet
 from eitskin_sim.shapes.sheet import Solved, TouchedSheet
 from eitskin_sim.surface.predict import FittedSurface, fit_cloud
-from eitskin_sim.surface.smoothed import Scan, smoothed
+from eitskin_sim.surface.smoothed import smoothed
 from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.at_rest import AtRest, at_rest
+from eitskin_sim.verification.metric_family import metric_family
 from eitskin_sim.verification.residual import Noise, Rows, Whitener
-from eitskin_sim.verification.unseen import Unseen, unseen
-from eitskin_sim.verification.usual_waves import MaterialPrior, usual_waves
+from eitskin_sim.verification.unseen import Shape, Unseen, unseen
+from eitskin_sim.verification.usual_waves import ScannedShape, usual_waves
 from eitskin_sim.verification.waves import waves_of
 
 
@@ -43,8 +44,7 @@ class SheetModel:
 
     touched: TouchedSheet
     metric: Metric
-    scan: Scan
-    material: MaterialPrior
+    shape: Shape
     unseen: Unseen
     flat_V: Array
     """(104,) of the model's flat sheet."""
@@ -148,9 +148,9 @@ class SheetModel:
         return np.clip(np.abs((1.0 + change) / (1.0 + untouched)), *c.VOLTAGE_RATIO_BOUNDS)
 
     def beyond(self, amplitudes: Array) -> tuple[Array, float]:
-        """Return (w,) the waves and the gauge factor that amplitudes of all columns say, less those of the model."""
+        """Return (w,) stretches and the gauge factor that amplitudes of all columns say, less those of the model."""
         own = amplitudes[: len(self.held)] - self.held
-        return np.asarray(self.unseen.mixed @ own[: self.unseen.n_waves]), self._gauge(own)
+        return np.asarray(self.shape.stretch @ own[: self.unseen.n_waves]), self._gauge(own)
 
     def is_far(self, amplitudes: Array) -> bool:
         """Return whether amplitudes of all columns are farther from the model than derivatives are good for."""
@@ -171,7 +171,7 @@ class SheetModel:
         for kept in (slice(waves), self._gauge_column):
             held[kept] = self.held[kept] + share * (amplitudes[kept] - self.held[kept])
         try:
-            return _model(self.scan, self.material, self.skin, held, self._gauge(held))
+            return _model(self.shape, self.skin, held, self._gauge(held))
         except (ValueError, np.linalg.LinAlgError):
             return None
 
@@ -185,10 +185,8 @@ class SheetModel:
             reference: (104,) V.
             noise: Of that mean.
         """
-        model = self
-        if self.material.at_rest is not self.material.ways:
-            material = replace(self.material, ways=self.material.at_rest)
-            model = _model(self.scan, material, self.skin)
+        shape = self.shape.at_rest()
+        model = self if shape is self.shape else _model(shape, self.skin)
         for left in reversed(range(c.MAX_MODELS_AT_REST + 1)):
             ratio = model.ratio(change)
             beside, expected = change - model.untouched, model.expected(ratio)
@@ -221,7 +219,16 @@ def model_of_cloud(cloud_mm: npt.ArrayLike, skin: Skin = PAPER) -> SheetModel:
     """
     surface, stated_mm = fit_cloud(cloud_mm, skin.grid), skin.may_be_off.scan_noise_mm[0] or c.SCAN_NOISE_MM
     scan = smoothed(surface, max(stated_mm, scan_noise_mm(cloud_mm, surface, skin.grid)), skin.grid)
-    return _model(scan, usual_waves(skin).under(scan), skin)
+    return _model(ScannedShape(scan, waves_of(skin), usual_waves(skin).under(scan)), skin)
+
+
+def model_without_scan(skin: Skin = PAPER) -> SheetModel:
+    """Return the model of the skin's usual deformation, whose own shape is anything of the family.
+
+    Raises:
+        ValueError: The skin has no family.
+    """
+    return _model(metric_family(skin), skin)
 
 
 def scan_noise_mm(cloud_mm: npt.ArrayLike, surface: FittedSurface, grid: Grid = PAPER.grid) -> float:
@@ -242,18 +249,16 @@ def scan_noise_mm(cloud_mm: npt.ArrayLike, surface: FittedSurface, grid: Grid = 
     return float(min(np.sqrt(np.sum(off**2) / (3 * free)), c.MAX_SCAN_NOISE_MM))
 
 
-def _model(
-    scan: Scan, material: MaterialPrior, skin: Skin, held: Array | None = None, gauge: float = 0.0
-) -> SheetModel:
-    """Return the model of a scan about amplitudes of its first columns; None of them is none."""
-    ways = material.ways
-    own = np.zeros(ways.shape[1]) if held is None else held[: ways.shape[1]]
-    metric = waves_of(skin).moved(scan.surface.metric, material.mean + ways @ own)
+def _model(shape: Shape, skin: Skin, held: Array | None = None, gauge: float = 0.0) -> SheetModel:
+    """Return the model of a shape about amplitudes of its first columns; None of them is none."""
+    count = shape.stretch.shape[1]
+    own = np.zeros(count) if held is None else held[:count]
+    metric = shape.metric(own)
     sheet = touched_sheet(metric, skin, gauge)
-    found = unseen(sheet, metric, scan, ways, skin, nominal_sheet(skin).gauge_factor + gauge)
+    found = unseen(sheet, metric, shape, own, skin, nominal_sheet(skin).gauge_factor + gauge)
     if held is None:
         held = np.zeros(found.n_waves + len(found.names))
-    return SheetModel(sheet, metric, scan, material, found, flat_model_V(skin), skin, held)
+    return SheetModel(sheet, metric, shape, found, flat_model_V(skin), skin, held)
 
 
 def touched_sheet(metric: Metric, skin: Skin, gauge: float = 0.0) -> TouchedSheet:

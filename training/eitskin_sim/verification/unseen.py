@@ -17,6 +17,7 @@ so the three powers of every element are computed once, and a change costs one s
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -27,9 +28,31 @@ from eitskin_sim.fem.borders.enrichment import PRODUCTS
 from eitskin_sim.fem.mesh import MM, Metric
 from eitskin_sim.freeform.mesh import KEPT_NODES, MIDDLE_NODE, with_contacts
 from eitskin_sim.shapes.sheet import TouchedSheet
-from eitskin_sim.surface.smoothed import Scan
 from eitskin_sim.verification import constants as c
-from eitskin_sim.verification.waves import Waves, waves_of
+
+
+class Shape(Protocol):
+    """What is known of a sheet's shape: metrics by amplitudes of standard deviation 1, and what is unsure beside them.
+
+    A scan gives the metric of its surface, with displacements of the material; without one, it is a member of the
+    skin's family.
+    """
+
+    @property
+    def stretch(self) -> Array:
+        """(w, k) stretches by each of the k amplitudes."""
+
+    def metric(self, amplitudes: Array) -> Metric:
+        """Return the metric at (k,) amplitudes."""
+
+    def rates(self, amplitudes: Array, metric: Metric, xy_mm: Array) -> tuple[Array, Array]:
+        """Return the (3, n, k) derivatives of E, F and G at flat points (n, 2) by amplitudes, and (3, n, m) errors.
+
+        These are whatever else may be off, one standard deviation each.
+        """
+
+    def at_rest(self) -> "Shape":
+        """Return the shape as it is known where the untouched sheet decides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,19 +60,13 @@ class Unseen:
     """All changes of one deformation."""
 
     names: tuple[str, ...]
-    """Of those after the waves; the scans' come last and have no names."""
+    """Of those after the shape's; the scans' come last and have no names."""
     columns: Array
     """(104, m) V for one standard deviation of each, under 1 A, untouched."""
-    waves: Waves
-    mixed: Array
-    """(w, k) amplitudes of the waves by the first k columns."""
     by_log_sigma: Array
     """(n_elements, 104) V by log conductivity of each element, untouched."""
-
-    @property
-    def n_waves(self) -> int:
-        """Return how many columns are waves; those of the layer follow, by ``names``."""
-        return int(self.mixed.shape[1])
+    n_waves: int
+    """How many columns are amplitudes of the shape; those of the layer follow, by ``names``."""
 
 
 def _powers(touched: TouchedSheet) -> Array:
@@ -70,21 +87,14 @@ def _powers(touched: TouchedSheet) -> Array:
     return np.array([-(flipped @ (table @ fields))[:, drive, measure] for table in tables])
 
 
-def unseen(
-    touched: TouchedSheet,
-    metric: Metric,
-    scan: Scan,
-    ways: Array,
-    skin: Skin,
-    gauge: float,
-) -> Unseen:
+def unseen(touched: TouchedSheet, metric: Metric, shape: Shape, amplitudes: Array, skin: Skin, gauge: float) -> Unseen:
     """Return the possible differences on a deformation.
 
     Args:
         touched: Its sheet.
         metric: The sheet's.
-        scan: Its surface, and what that may be off by.
-        ways: (w, k) amplitudes of the waves by which its material may lie elsewhere, for one standard deviation.
+        shape: What is known of it.
+        amplitudes: (k,) of the shape, at which it has this metric.
         skin: Whose sheet.
         gauge: k of its model, where conductivity goes by (area stretch)^-k: it follows what changes the stretch.
     """
@@ -108,19 +118,19 @@ def unseen(
             power[0] * (scale * ratio)[:, None] - by_log_sigma * (stretch * E)[:, None],
         ]
     )  # (3, e, 104) V by E, F and G of each element
-    waves = waves_of(skin)
-    moved, noise = (
-        sum(by.T @ rate for by, rate in zip(by_metric, rates, strict=True))
-        for rates in (waves.rates(metric, at), scan.rates(at))
+    own, noise = (
+        np.einsum("cer,cek->rk", by_metric, rates, optimize=True) for rates in shape.rates(amplitudes, metric, at)
     )
     fields = _layer_fields(at, first, skin)
     layer = np.array([by_log_sigma.T @ (size * one) for one, size in fields.values()]).T
-    parts = [moved @ ways, layer, _strongest(noise @ scan.unsure)]
-    return Unseen(tuple(fields), np.concatenate(parts, axis=1), waves, ways, by_log_sigma)
+    columns = np.concatenate([own, layer, _strongest(noise)], axis=1)
+    return Unseen(tuple(fields), columns, by_log_sigma, own.shape[1])
 
 
 def _strongest(columns: Array) -> Array:
     """Return (104, m) columns of nearly the same covariance, as few as do."""
+    if not columns.size:
+        return columns
     left, size, _ = np.linalg.svd(columns, full_matrices=False)
     kept = int(np.sum(size > c.MIN_SCAN_WAY_SHARE * size.max(initial=0.0)))
     return np.asarray(left[:, :kept] * size[:kept])

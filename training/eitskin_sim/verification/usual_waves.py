@@ -39,6 +39,33 @@ class MaterialPrior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ScannedShape:
+    """The shape of a scan: its surface, with the material displaced."""
+
+    scan: Scan
+    waves: Waves
+    material: MaterialPrior
+
+    @property
+    def stretch(self) -> Array:
+        """(w, k) stretches by each amplitude: those of the waves."""
+        return self.material.ways
+
+    def metric(self, amplitudes: Array) -> Metric:
+        """Return the metric at (k,) amplitudes."""
+        return self.waves.moved(self.scan.surface.metric, self.material.mean + self.material.ways @ amplitudes)
+
+    def rates(self, amplitudes: Array, metric: Metric, xy_mm: Array) -> tuple[Array, Array]:
+        """Return the derivatives of E, F and G by amplitudes, and what the scan's noise may do to them."""
+        return np.array(self.waves.rates(metric, xy_mm)) @ self.material.ways, self.scan.rates(xy_mm) @ self.scan.unsure
+
+    def at_rest(self) -> "ScannedShape":
+        """Return the shape whose material is as loose as what the untouched sheet reads may tell."""
+        ways = self.material.at_rest
+        return self if ways is self.material.ways else replace(self, material=replace(self.material, ways=ways))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class UsualWaves:
     """A model of the material's displacement, from the shapes of a skin's deformations."""
 

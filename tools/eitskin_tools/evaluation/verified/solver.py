@@ -198,7 +198,7 @@ class VerifiedNetwork:
             verifier = MapVerifier(
                 case.flat_reference, self._noise, self._labels, self._touches, self._skin, time.process_time
             )
-            verifier.shapes.deform(case.sheet.cloud_mm)
+            verifier.shapes.deform(case.sheet.cloud_mm, is_guess=case.sheet.is_guess)
             if self._at_rest:
                 self.use_untouched(untouched_mean(case, self._noise, self._at_rest), self._at_rest)
             self._shape = key, verifier
