@@ -17,13 +17,10 @@ SET_DEVICE, KIND, NAME = 0x400454CA, 0x1001, "eit{}{:x}"  # of <linux/if_tun.h>:
 
 
 class Link:
-    """A context manager; raises OSError or CalledProcessError where namespaces are not allowed.
+    """Two machines and the link; raises OSError or CalledProcessError where namespaces are not allowed.
 
-    Attributes:
-        delay_s: Of each packet, in each direction.
-        loss: Share of packets that are dropped.
-        cut: Whether all are.
-        carried: How many were carried, and how many dropped.
+    ``delay_s`` holds for each direction, ``loss`` is the share of packets that are dropped, ``cut`` drops all;
+    ``carried`` counts those that were carried and those that were dropped.
     """
 
     def __init__(self, delay_s=0.0, loss=0.0):
@@ -33,18 +30,18 @@ class Link:
         self._devices, self._ended = [], threading.Event()
 
     def command(self, side, *words):
-        """Return a command that runs on machine 0 or 1."""
         return ["ip", "netns", "exec", self.names[side], *words]
 
     def __enter__(self):
         try:
-            for side, (name, address) in enumerate(zip(self.names, self.addresses, strict=True)):
+            for name, address in zip(self.names, self.addresses, strict=True):
                 self._devices.append(os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK))
                 fcntl.ioctl(self._devices[-1], SET_DEVICE, struct.pack("16sH22x", name.encode(), KIND))
-                for words in (["netns", "add", name], ["link", "set", name, "netns", name]):
-                    subprocess.run(["ip", *words], check=True, capture_output=True)
-                for words in (["addr", "add", f"{address}/24", "dev", name], ["link", "set", name, "up"]):
-                    subprocess.run(self.command(side, "ip", *words), check=True, capture_output=True)
+                for words in (
+                    f"netns add {name}", f"link set {name} netns {name}",
+                    f"-n {name} addr add {address}/24 dev {name}", f"-n {name} link set {name} up",
+                ):  # fmt: skip
+                    subprocess.run(["ip", *words.split()], check=True, capture_output=True)
         except BaseException:
             self._remove()
             raise

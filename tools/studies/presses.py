@@ -2,8 +2,8 @@
 
 Random presses on a bent hydrogel skin, one and two at a time. The errors are those of dV, V over the untouched sheet's
 less 1, against the same scene solved on its own fine mesh: rms over rows. Rates count CPU time of one core. Then the
-runtime with the shipped bundle feels single presses, light and firm, in frames with noise, and its largest touch is
-compared with the truth.
+runtime with the shipped bundle feels single presses of several depths, in frames with noise, each after a rest, and its
+largest touch is compared with the truth.
 """
 
 import argparse
@@ -33,8 +33,11 @@ NOISE: Final = 0.003
 """Of each reading, relative: 50 dB."""
 
 RADII_MM: Final = (7.0, 10.0)
-LIGHT_MM, FIRM_MM, ALL_MM = (4.0, 9.0), (9.0, 12.5), (4.0, 12.5)
-"""Depths of light and of firm presses."""
+DEPTHS_MM: Final = ((4.0, 5.0), (5.0, 7.0), (7.0, 9.0), (9.0, 12.5))
+ALL_MM: Final = (4.0, 12.5)
+
+REST, HELD = 100, 5
+"""Untouched frames before each press, half a second, and frames in which it is to be found."""
 
 FOUND_MM: Final = 10.0
 """A press is found if the largest touch is nearer than this."""
@@ -58,9 +61,9 @@ def run(arguments: argparse.Namespace) -> int:
     for count in (1, 2):
         frames = [drawn(sheet, random, count, ALL_MM, arguments.border) for _ in range(arguments.fine)]
         rows += compared(sheet, frames)
-    for name, depths_mm in (("light", LIGHT_MM), ("firm", FIRM_MM)):
-        presses = [drawn(sheet, random, 1, depths_mm, arguments.border) for _ in range(arguments.presses)]
-        rows.append({"what": name, **felt(sheet, presses, random)})
+    for low, high in DEPTHS_MM:
+        presses = [drawn(sheet, random, 1, (low, high), arguments.border) for _ in range(arguments.presses)]
+        rows.append({"what": f"{low:g} to {high:g} mm", **felt(sheet, presses, random)})
     return report(arguments, rows[:-1], rows[-1])
 
 
@@ -111,7 +114,7 @@ def fine(sheet: Sheet, frame: list[Press]) -> Array:
 
 
 def felt(sheet: Sheet, frames: list[list[Press]], random: np.random.Generator) -> dict[str, Any]:
-    """Return how many presses the runtime finds, and how far off; two untouched frames come before each."""
+    """Return how many presses the runtime finds, and how far off."""
 
     def read(volts: Array) -> Array:
         return np.asarray(volts * (1.0 + NOISE * random.standard_normal(104)))
@@ -121,11 +124,12 @@ def felt(sheet: Sheet, frames: list[list[Press]], random: np.random.Generator) -
     with eitskin.Skin(source=eitskin.Feed(), bundle="press", reference=reference) as skin:
         skin.set_cloud(sheet.cloud_mm, sheet.untouched_V, sheet.flat_V)
         for (press,) in frames:
-            before = [skin.feed(read(sheet.untouched_V)) for _ in range(2)]
+            before = [skin.feed(read(sheet.untouched_V)) for _ in range(REST)]
             false += sum(bool(frame and frame.touches) for frame in before)
-            frame = skin.feed(read(sheet.voltages([press])))
-            if frame is not None and frame.touches:
-                x, y = max(frame.touches, key=lambda touch: touch.area_mm2).centre_mm
+            pressed_V = sheet.voltages([press])
+            held = [skin.feed(read(pressed_V)) for _ in range(HELD)]
+            if seen := [frame.touches for frame in held if frame and frame.touches]:
+                x, y = max(seen[0], key=lambda touch: touch.area_mm2).centre_mm
                 off.append(float(np.hypot(x - press.x_mm, y - press.y_mm)))
     return {
         "presses": len(frames),

@@ -14,7 +14,7 @@ from eitskin.skin import Skin
 
 def test_a_budget_below_the_fastest_solver_is_refused_with_its_time(tiny, hello):
     with pytest.raises(
-        BudgetError, match=r"budget of 1e-06 ms cannot be met: the fastest solver, tikhonov, takes 0\.\d+"
+        BudgetError, match=r"budget of 1e-06 ms cannot be met: the fastest solver, tikhonov, takes \d+\.\d+"
     ):
         Pipeline(tiny, hello, budget_ns=1)
 

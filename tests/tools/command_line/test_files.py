@@ -56,22 +56,6 @@ def test_a_file_that_is_not_there_is_named_in_one_line(capsys, monkeypatch, tmp_
 
 
 @pytest.mark.parametrize(
-    ("kind", "names"),
-    [
-        (files.PHANTOMS, ("paper_mm", "paper_units")),
-        (files.CONFIGURATION, ("fast", "full208", "idle", "paper")),
-        (files.SCENE, ("sample",)),
-    ],
-)
-def test_shipped_files_are_found_by_name_and_listed_where_another_was_meant(kind, names):
-    assert kind.names() == names
-    for name in names:
-        assert files.find(name, kind).is_file()
-    with pytest.raises(files.MissingFileError, match=f"{', '.join(names)}; did you mean {names[0]!r}"):
-        files.find(names[0] + "x", kind)
-
-
-@pytest.mark.parametrize(
     ("error", "expected"),
     [
         (FileNotFoundError(errno.ENOENT, "no", "x.json"), "no file 'x.json' in"),

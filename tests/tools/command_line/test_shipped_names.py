@@ -37,6 +37,9 @@ def refused(capsys, words):
         (["reference", "--port=p", "--out=o.json", "--skin=papr"], "did you mean 'paper'?"),
         (["reinfer", "f.mcap", "--recorded-bundle=unit"], "did you mean 'units'?"),
         (["bench", "tradeoff", "--phantoms", "paper_mm", "--bundle=fre"], "did you mean 'free'?"),
+        (["bench", "tradeoff", "--phantoms=paper_m"], "paper_mm, paper_units; did you mean 'paper_mm'?"),
+        (["flash", "write", "fas", "--dry-run"], "fast, full208, idle, paper; did you mean 'fast'?"),
+        (["simulate", "sampl", "--out=v.npz"], "did you mean 'sample'?"),
         (["evaluate", "--devices=labb"], "one of the shipped: lab, random, drift, single; did you mean 'lab'?"),
     ],
 )

@@ -90,7 +90,7 @@ class SkinNode(LifecycleNode):
         """Publish from now on."""
         done = super().on_activate(state)
         self._ending.clear()
-        self._thread = threading.Thread(target=self._read, name="frames", daemon=True)
+        self._thread = threading.Thread(target=self._read_until_shutdown, name="frames", daemon=True)
         self._thread.start()
         return done
 
@@ -115,6 +115,13 @@ class SkinNode(LifecycleNode):
 
     def _given(self) -> dict[str, Any]:
         return {name: self.get_parameter(name).value for name in PARAMETERS}
+
+    def _read_until_shutdown(self) -> None:
+        try:
+            self._read()
+        except Exception:
+            if self.context.ok():
+                raise  # otherwise Ctrl-C has shut ROS down amid a frame
 
     def _read(self) -> None:
         """Publish what comes, until the node is deactivated."""
