@@ -5,10 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from eitskin.errors import ControlError, EndpointError
+import eitskin
+from eitskin.errors import ControlError, EndpointError, NoFrame
 from eitskin.messaging.control import ControlServer
 from eitskin.messaging.control_client import request
 from eitskin.messaging.curve_keys import load_client_keys, load_server_keys, make_keys
+from eitskin.messaging.publish import Publisher
+
+from .publishing import send, wait_until_wanted
 
 
 @pytest.mark.parametrize("name", [".", "clients", "clients/client.key", "server.key_secret"])
@@ -59,10 +63,11 @@ def test_a_damaged_key_is_refused_by_its_name(keys, name):
     assert "\n" not in str(found.value)
 
 
-def test_who_has_a_listed_key_enters_and_nobody_else(keys, tmp_path, recorder):
+def test_who_has_a_listed_key_enters_and_nobody_else(keys, tmp_path, recorder, packer):
     (keys / "clients" / "readme.txt").write_text("no key, and none is expected")
     make_keys(tmp_path / "other")
     server = ControlServer("tcp://127.0.0.1:*", recorder, load_server_keys(keys))
+    publisher = Publisher("tcp://127.0.0.1:*", load_server_keys(keys))
     try:
         trusted = load_client_keys(keys / "server.key", keys / "client.key_secret")
         assert request(server.endpoint, "status", keys=trusted, timeout_s=60) == {"frames": 5}
@@ -71,7 +76,15 @@ def test_who_has_a_listed_key_enters_and_nobody_else(keys, tmp_path, recorder):
         stranger = load_client_keys(keys / "server.key", tmp_path / "other" / "client.key_secret")
         with pytest.raises(ControlError, match="no answer"):
             request(server.endpoint, "status", keys=stranger, timeout_s=0.3)
+        with eitskin.subscribe(publisher.endpoint, keys=stranger, timeout_s=0.3) as nothing:
+            with eitskin.subscribe(publisher.endpoint, keys=trusted, timeout_s=60) as frames:
+                wait_until_wanted(publisher)
+                send(publisher, packer, 9)
+                assert next(frames).number == 9
+            with pytest.raises(NoFrame):
+                next(nothing)
     finally:
+        publisher.close()
         server.close()
 
 

@@ -1,13 +1,11 @@
 """Where sockets may be bound, and with which keys: what is taken over, refused, or kept to oneself."""
 
 import stat
-import time
 
 import pytest
 
 import eitskin
-from eitskin.errors import EndpointError, NoFrame
-from eitskin.messaging.curve_keys import load_client_keys, load_server_keys, make_keys
+from eitskin.errors import EndpointError
 from eitskin.messaging.endpoints import default_control, needs_keys, runtime_folder
 from eitskin.messaging.publish import Publisher
 
@@ -73,25 +71,3 @@ def test_tcp_is_refused_without_keys_on_this_machine_too(endpoint):
 def test_other_endpoints_are_refused(endpoint):
     with pytest.raises(EndpointError):
         Publisher(endpoint)
-
-
-def test_curve_lets_in_who_is_listed_and_nobody_else(tmp_path, keys, packer):
-    make_keys(tmp_path / "stranger")
-    publisher = Publisher("tcp://127.0.0.1:*", load_server_keys(keys))
-    trusted = load_client_keys(keys / "server.key", keys / "client.key_secret")
-    stranger = load_client_keys(keys / "server.key", tmp_path / "stranger" / "client.key_secret")
-    try:
-        with (
-            eitskin.subscribe(publisher.endpoint, keys=trusted, timeout_s=60) as frames,
-            eitskin.subscribe(publisher.endpoint, keys=stranger, timeout_s=0.3) as nothing,
-        ):
-            with pytest.raises(EndpointError, match="is in use"):
-                Publisher(publisher.endpoint, load_server_keys(keys))
-            wait_until_wanted(publisher)
-            time.sleep(0.2)
-            send(publisher, packer, 9)
-            assert next(frames).number == 9
-            with pytest.raises(NoFrame):
-                next(nothing)
-    finally:
-        publisher.close()
