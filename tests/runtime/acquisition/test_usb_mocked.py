@@ -7,6 +7,8 @@ import sys
 import pytest
 from tests.faults.usb_skin import MockedUsb, missing
 
+from ..command_line import wait_until_ready
+
 LACKING = missing()
 pytestmark = [pytest.mark.process, pytest.mark.skipif(bool(LACKING), reason=LACKING)]
 
@@ -64,13 +66,8 @@ def test_the_runtime_goes_on_after_an_unplug(usb, tmp_path, tiny_path):
         [sys.executable, "-m", "eitskin_tools.cli", *map(str, words)],
         env=usb.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     ) as runtime:  # fmt: skip
-        said = []
         try:
-            for line in runtime.stderr:
-                said.append(line)
-                if line.startswith("ready"):
-                    break
-            assert any(line.startswith("ready") for line in said), "".join(said)
+            wait_until_ready(runtime)
             usb.tell("unplug 0.2")
             out, err = runtime.communicate(timeout=300)
         finally:

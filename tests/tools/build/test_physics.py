@@ -44,7 +44,7 @@ def built(tmp_path_factory):
     (folder / "build.py").write_text(BUILD)
     out = folder / "round.eitskin"
     command = [sys.executable, str(folder / "build.py"), str(folder / "round.toml"), str(out)]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=1200)
     return out, json.loads(done.stdout)
 
 

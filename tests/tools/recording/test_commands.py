@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from tests.runtime.command_line import wait_until_ready
 
 from eitskin.messaging.curve_keys import make_keys
 from eitskin_tools import cli
@@ -18,8 +19,6 @@ from eitskin_tools.recording.script import Script
 from .conftest import TINY
 
 Capture = pytest.CaptureFixture[str]
-
-RATE_HZ = 200.0
 
 
 def one_line(capsys: Capture, *words: str) -> tuple[int, str]:
@@ -75,23 +74,15 @@ def test_replay_refuses_a_damaged_client_key_before_all_else(tmp_path: Path, cap
 
 @contextmanager
 def played(file: Path, folder: Path) -> Iterator[str]:
-    """Play a recording again and again at a skin's pace, in a process of its own.
-
-    Its frames were computed as fast as can be, 5000 a second: at that pace a recorder that waits a tenth of a second
-    for a core loses some.
-    """
-    endpoint, script = f"ipc://{folder}/f", Script(file)
-    speed = RATE_HZ * script.seconds / script.frames
+    """Play a recording again and again, in a process of its own."""
+    endpoint = f"ipc://{folder}/f"
     process = subprocess.Popen(
         [sys.executable, "-m", "eitskin_tools.cli", "replay", str(file), "--bundle", str(TINY), "--loop",
-         "--speed", str(speed), "--publish", endpoint, "--control", f"ipc://{folder}/c"],
+         "--publish", endpoint, "--control", f"ipc://{folder}/c"],
         stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    assert process.stderr is not None
     try:
-        for line in process.stderr:
-            if line.startswith("ready"):
-                break
+        wait_until_ready(process)
         yield endpoint
     finally:
         process.send_signal(signal.SIGTERM)
