@@ -12,7 +12,7 @@ from tests.runtime.made_up_skin import virtual_skin
 
 import eitskin
 
-from .far_apart import Link
+from .far_apart import ADDRESSES, linked
 
 pytestmark = [pytest.mark.slow, pytest.mark.process]
 
@@ -43,7 +43,7 @@ with eitskin.subscribe(frames_at, mode="all", keys=keys, timeout_s=1.0, max_age_
 @pytest.fixture
 def link():
     try:
-        with Link(DELAY_S, loss=0.01) as found:
+        with linked(DELAY_S, loss=0.01) as found:
             yield found
     except (OSError, subprocess.CalledProcessError) as error:
         pytest.skip(f"no network namespaces here: {error}")
@@ -51,7 +51,7 @@ def link():
 
 def test_a_subscriber_on_another_machine_goes_blind_in_a_partition_and_never_gets_an_old_frame(link, tmp_path, capsys):
     eitskin.make_keys(tmp_path / "keys")
-    frames_at, control_at = (f"tcp://{link.addresses[0]}:{port}" for port in (7000, 7001))
+    frames_at, control_at = (f"tcp://{ADDRESSES[0]}:{port}" for port in (7000, 7001))
     popen = partial(subprocess.Popen, stdout=subprocess.PIPE, text=True)
     words = ["-m", "eitskin_tools.cli", "run", "--bundle", TINY, "--quiet", "--curve-keys", tmp_path / "keys"]
     words += ["--publish", frames_at, "--control", control_at, "--port"]
@@ -89,7 +89,7 @@ def observed(link, lines):
     ages_s = np.array([one["age_s"] for one in seen])
     assert ages_s.min() > DELAY_S
     assert all(abs(one["by_clock_s"] - one["age_s"]) <= clock["error_s"] + 0.002 for one in seen)
-    dropped = link.carried[1] / sum(link.carried)
+    dropped = link.counts[1] / sum(link.counts)
     link.cut = True
     while "blind" not in (one := take(1)[0]):
         pass

@@ -144,14 +144,6 @@ def test_ctrl_c_ends_subscribe_without_a_traceback_before_and_after_the_first_fr
     assert (process.returncode, err) == (0, "")
 
 
-def test_subscribe_without_a_runtime_gives_up_with_one_line(tmp_path):
-    code, out, err = finished("subscribe", f"ipc://{tmp_path}/nobody", "--timeout-s", "0.2")
-    assert (code, out) == (1, "")
-    assert "no runtime listens there" in err
-    assert "'eitskin run --port PORT'" in err
-    assert finished("subscribe", "ipc:///tmp/x", "--frames", "0")[0] == 2
-
-
 def test_doctor_reports_and_makes_keys(virtual_skin, tmp_path):
     with virtual_skin() as port:
         code, out, err = finished("doctor", "--port", port, "--json")
@@ -163,9 +155,3 @@ def test_doctor_reports_and_makes_keys(virtual_skin, tmp_path):
     assert code == 0
     assert len(json.loads(out)["files"]) == 4
     assert finished("doctor", "--port", "/dev/ttyNONE9")[0] == 1
-
-
-def test_reference_without_a_file_to_go_to_is_bad_usage():
-    assert finished("reference", "--port", "/dev/null")[0] == 2
-    assert finished("reference")[0] == 2
-    assert finished("reference", "--show", "/nowhere.json")[0] == 1

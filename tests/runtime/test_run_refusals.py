@@ -51,19 +51,6 @@ def test_a_damaged_bundle_and_a_foreign_device_exit_1(virtual_skin, tiny_path, t
 
 
 @pytest.mark.parametrize(
-    "words",
-    [
-        ["--frames", "0"], ["--seconds", "-1"], ["--budget-ms", "0"], ["--reference-frames", "1"],
-        ["--affinity", "one"], ["--budget-ms", "nan"], ["--speed", "9"], ["--solver", "magic"], ["--idle-after", "0"],
-    ],
-)  # fmt: skip
-def test_bad_usage_of_run_exits_2(words):
-    code, out, err = finished("run", "--port", "/dev/null", *words)
-    assert (code, out) == (2, "")
-    assert words[0] in err
-
-
-@pytest.mark.parametrize(
     ("words", "said"),
     [
         (["--publish", "here"], "endpoint 'here': expected ipc:///path or tcp://address:port"),

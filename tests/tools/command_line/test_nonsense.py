@@ -16,6 +16,15 @@ demo --seconds=0 | --seconds
 demo --rate=-5 | --rate
 demo --noise=N9 | --noise
 run --port /dev/null --reference flat.json --force-reference | --force-reference is for capturing a reference
+run --port /dev/x --frames 0 | --frames
+run --port /dev/x --seconds -1 | --seconds
+run --port /dev/x --budget-ms nan | --budget-ms
+run --port /dev/x --reference-frames 1 | --reference-frames
+run --port /dev/x --affinity one | --affinity
+run --port /dev/x --solver magic | --solver
+run --port /dev/x --idle-after 0 | --idle-after
+reference --port /dev/null | --out
+subscribe --frames 0 | --frames
 run | expected either --port PORT for one skin, or --config
 run --port /dev/x --config r.toml | expected either --port PORT
 run --config r.toml --solver vd2t | --solver is for one skin; with --config, write it into r.toml
