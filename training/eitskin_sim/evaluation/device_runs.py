@@ -32,6 +32,7 @@ from eitskin_sim.fem.solve import factorise_scene, solve_scene
 from eitskin_sim.measurement.faults import response_of
 from eitskin_sim.measurement.front_end import IDEAL, FrontEnd
 from eitskin_sim.measurement.noise import Kind, add_noise
+from eitskin_sim.scene.family import is_family
 from eitskin_sim.scene.parts import Phantom, Scene
 from eitskin_sim.surface.predict import flat_voltages, predict
 
@@ -214,7 +215,8 @@ def cases(
 
 def _sheet(device: Device, phantom: Phantom, rng: np.random.Generator, skin: Skin) -> Sheet:
     cloud = device.cloud(phantom.scene.bend, rng)
-    return Sheet(flat_cloud(skin.grid) if cloud is None else cloud, np.full(N_ROWS, np.nan), skin, cloud is None)
+    is_guess = cloud is None and is_family(skin.deformations)
+    return Sheet(flat_cloud(skin.grid) if cloud is None else cloud, np.full(N_ROWS, np.nan), skin, is_guess)
 
 
 @lru_cache(maxsize=1024)

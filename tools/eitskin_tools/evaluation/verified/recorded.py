@@ -17,6 +17,7 @@ from eitskin.reference.captured import Reference
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.volts import step_of
 from eitskin_sim.evaluation.harness import Case, Run, Sheet
+from eitskin_sim.scene.family import is_family
 from eitskin_tools.evaluation.verified.solver import MapVerdict, VerifiedNetwork, noise_shown
 from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES, UntouchedBaseline
 from eitskin_tools.recording.reinfer import NO_SOLVER, ComputedFrame, Rerun
@@ -74,7 +75,8 @@ class VerifiedSolver:
         if step.reference is not None:
             self._reference = reference_of(self._script, step.reference, skin).flat()
         if step.cloud is not None:
-            self._sheet = Sheet(step.cloud.cloud.astype(np.float64), np.full(N_ROWS, np.nan), skin)
+            is_guess = step.cloud.why != "given" and is_family(skin.deformations)
+            self._sheet = Sheet(step.cloud.cloud.astype(np.float64), np.full(N_ROWS, np.nan), skin, is_guess)
         if self._reference is not None and not (step.reference is None and step.cloud is None):
             self._begin(self._reference)
         found = self._rerun.compute(step)
