@@ -529,11 +529,12 @@ class FrameLoop:
             self._touches = touches = TouchWatch(grid, finder, pipeline.bundle.touch_kind)
         if not wanted:
             touches.reset()
-            record.touches = None
+            record.touches, pipeline.maps.stillness.alone = None, False
             return
         values = pipeline.buffers.map[0] if record.touched and not record.map_is_zero else None
         which = record.solver, record.map_key
-        record.touches = touches.update(values, which, pipeline.buffers.surface, record.device_us)
+        record.touches = touches.update(values, which, pipeline.buffers.surface, record.device_us, record.fused)
+        pipeline.maps.stillness.alone = touches.tracker.moves
 
     def _pack(self, *, short: bool, frames: bool) -> memoryview:
         record = self._pipeline.record

@@ -149,8 +149,9 @@ struct Touch {
     float place_mm[3], normal[3], surface_mm2;           // on the surface of the cloud in use
     float error_mm[2], amplitude, log_likelihood_ratio;  // NaN unless touches were learned from presses
     float sign;                                          // 1 raises conductance, -1 lowers it, NaN while unknown
+    float velocity_mm_s[2];                              // 0 while it rests; NaN from older runtimes
 };
-static_assert(sizeof(Touch) == 96, "a touch has 96 bytes");
+static_assert(sizeof(Touch) == 104, "a touch has 104 bytes");
 
 // A list in place of a vector, which would allocate.
 template <typename Item, std::size_t Most> struct List {
@@ -245,6 +246,7 @@ class Frame {
         for (std::size_t at = 0; at < touches_bin.size(); at += touch_bytes) {
             Touch &touch = touches.items[touches.count++];
             touch.error_mm[0] = touch.error_mm[1] = touch.amplitude = touch.log_likelihood_ratio = touch.sign = NAN;
+            touch.velocity_mm_s[0] = touch.velocity_mm_s[1] = NAN;
             std::memcpy(&touch, touches_bin.data() + at, touch_bytes < sizeof touch ? touch_bytes : sizeof touch);
         }
         return nullptr;

@@ -1,16 +1,15 @@
 """Decides whether a frame differs by more than noise from those before it, and averages the frames that do not.
 
-The captured reference says how rows of a resting sheet vary from frame to frame, each by itself and together. A matrix
-makes that noise *white*: independent values of variance 1. The difference of the means of n and m frames of an
-unchanged scene then has a known size; over the values its mean square is 1, give or take sqrt(2 / values)::
+The captured reference says how rows of a resting sheet vary from frame to frame, each by itself and together. With the
+covariance C of that noise, the difference of the means of n and m frames of an unchanged scene has a known size::
 
-    z = white (mean of n - mean of m) / sqrt(1 / n + 1 / m)
-    still, if mean z^2 <= 1 + 3 sqrt(2 / values)
+    d = (mean of n - mean of m) / sqrt(1 / n + 1 / m)
+    still, if d C^-1 d <= rows (1 + 3 sqrt(2 / rows))
 
-(A spread of few frames is itself uncertain: with nu = frames - 1, z^2 follows Fisher's F(1, nu), of which mean and
-variance are used. A row of which the converter shows only a few steps may rest on one and then flip between two, so no
-spread is less than half a step.) About one in 700 frames of a resting scene ends its mean needlessly. A spread above
-``LARGEST_SPREAD`` is not used, because with such a reference hardly anything would count as a change.
+(A spread of few frames is itself uncertain: with nu = frames - 1, a squared value follows Fisher's F(1, nu), of which
+mean and variance are used. A row of which the converter shows only a few steps may rest on one and then flip between
+two, so no spread is less than half a step.) About one in 700 frames of a resting scene ends its mean needlessly. A
+spread above ``LARGEST_SPREAD`` is not used, because with such a reference hardly anything would count as a change.
 
 Two means serve, and they have no frame in common. The *mean* is that of which a map was computed. Each frame is held
 against it, and a frame that is not still begins another one at once. Still frames gather, ``NEWEST`` at a time, in a
@@ -20,7 +19,7 @@ against it, and a frame that is not still begins another one at once. Still fram
     still, and few frames       block and mean together are the mean: of 2, 4, 8 ... frames
     still, and as many as may   after ``REFRESH_FRAMES`` the block is the mean, else it begins anew
 
-So a change of 0.9 of a frame's own noise (rms over the values) can stay unseen in one frame, and of 0.3 in 8 to 16
+So a change of 0.9 of a frame's own noise (rms over the rows) can stay unseen in one frame, and of 0.3 in 8 to 16
 frames. At the latest after ``REFRESH_FRAMES`` a map is computed again.
 """
 
@@ -64,19 +63,22 @@ class Stillness:
     """
 
     __slots__ = (
-        "_age", "_block", "_difference", "_gathered", "_limit", "_most", "_new", "_newest", "_white", "_whitened",
-        "frames", "mean", "still_frames",
+        "_age", "_block", "_difference", "_gathered", "_limit", "_most", "_new", "_newest", "_shared", "_together",
+        "_weight", "alone", "frames", "mean", "still_frames",
     )  # fmt: skip
 
     def __init__(self, values: int = N_ROWS) -> None:
         self.mean, self._block, self._newest, self._difference = np.zeros((4, values), dtype=np.float32)
-        self._white, self._whitened = np.zeros((values, values), np.float32), np.zeros(values, np.float32)
+        self._weight, self._shared = np.zeros(values, np.float32), np.zeros((0, values), np.float32)
+        self._together = np.zeros(0, np.float32)
         self._limit, self._most = 0.0, 1
         self._age = self._gathered = self._new = 0
         self.frames = 0
         """That the mean is of; 0 before the first."""
         self.still_frames = 0
         """Frames in a row that were still."""
+        self.alone = False
+        """Whether each frame begins another mean, because a touch moves."""
 
     def use_reference(
         self,
@@ -104,21 +106,25 @@ class Stillness:
         shared = np.zeros((len(size), 0)) if shared_V is None else shared_V[usable] / size[:, None]
         shared = shared * (believed / measured)[:, None]
         own = np.maximum(believed**2 - (shared**2).sum(axis=1), SMALLEST_SPREAD**2)
-        own = np.maximum(own, (0.5 * step_V / size) ** 2)
-        white = np.zeros((len(size), len(usable)))
-        white[:, usable] = whitening(np.diag(own) + shared @ shared.T)
-        self.use_noise(white, frames, most)
+        own = np.sqrt(np.maximum(own, (0.5 * step_V / size) ** 2))
+        shared /= own[:, None]
+        root = np.linalg.cholesky(np.eye(shared.shape[1]) + shared.T @ shared)
+        weight, less = np.zeros(len(usable)), np.zeros((shared.shape[1], len(usable)))
+        weight[usable], less[:, usable] = 1.0 / own, np.linalg.solve(root, shared.T)
+        self.use_noise(weight, less, frames, most)
 
-    def use_noise(self, white: Array, frames: int, most: int | None = None) -> None:
-        """Judge by other noise from the next frame on.
+    def use_noise(self, weight: Array, shared: Array, frames: int, most: int | None = None) -> None:
+        """Judge by other noise from the next frame on: d C^-1 d = |y|^2 - |shared y|^2 with y = weight d.
 
         Args:
-            white: (n, values), which makes noise independent and of variance 1.
+            weight: (values,), 0 for values that are not looked at.
+            shared: (k, values)
             frames: As in :meth:`use_reference`.
             most: Likewise.
         """
-        freedom, count = frames - 1, len(white)
-        self._white, self._whitened = white.astype(np.float32), np.zeros(count, np.float32)
+        freedom, count = frames - 1, int(np.count_nonzero(weight))
+        self._weight, self._shared = weight.astype(np.float32), shared.astype(np.float32)
+        self._together = np.zeros(len(shared), np.float32)
         self._limit = -1.0
         if freedom > FEWEST:
             mean, variance = freedom / (freedom - 2), 2.0 * (freedom - 1) / (freedom - 4)
@@ -133,7 +139,7 @@ class Stillness:
             values: (values,) of the frame.
             wanted: Whether a map is computed in any case.
         """
-        if not self.still(values):
+        if self.alone or not self.still(values):
             self.keep(values)
             return True
         self.still_frames += 1
@@ -171,9 +177,12 @@ class Stillness:
 
     def _is_noise(self, frames: int) -> bool:
         """Return whether what is in ``_difference``, of so many frames against the mean, is noise."""
-        np.matmul(self._white, self._difference, out=self._whitened)
-        limit = self._limit * (1.0 / frames + 1.0 / self.frames)
-        return bool(self._whitened.dot(self._whitened) <= limit)
+        np.multiply(self._difference, self._weight, out=self._difference)
+        size = self._difference.dot(self._difference)
+        if len(self._shared):
+            np.matmul(self._shared, self._difference, out=self._together)
+            size -= self._together.dot(self._together)
+        return bool(size <= self._limit * (1.0 / frames + 1.0 / self.frames))
 
     def keep(self, values: npt.NDArray[np.float32], frames: int = 1) -> None:
         """Begin another mean with this frame.
@@ -258,8 +267,3 @@ class Stillness:
         np.multiply(total, np.float32(1.0 / frames), out=self.mean)
         self.frames = frames
         self._begin_block()
-
-
-def whitening(covariance: Array) -> Array:
-    """Return (n, n) what makes noise of this covariance independent and of variance 1."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))

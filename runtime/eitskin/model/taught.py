@@ -24,7 +24,7 @@ import numpy.typing as npt
 from eitskin.errors import BundleError, MismatchError
 from eitskin.model.bundle import Bundle
 from eitskin.model.response_field import HINT, ResponseField, TaughtTouch, finite
-from eitskin.model.stillness import FEWEST, Stillness, whitening
+from eitskin.model.stillness import FEWEST, Stillness
 from eitskin.touches.moments import Found
 from eitskin_proto.sensor.row_table import MIN_ELECTRODES
 from eitskin_proto.sensor.wiring import rank_correlation
@@ -44,6 +44,9 @@ RELEASED: Final = 0.02
 
 LEAST_NOISE: Final = 1e-6
 """Variance of a frame, over that of taught readings: a simulation without noise has none."""
+
+LEAST_SIZE: Final = 1e-4
+"""Variance of the noise in a direction, over that in the noisiest one."""
 
 ENOUGH: Final = 1000
 """Readings by which the taught covariance is as good as known."""
@@ -164,16 +167,18 @@ class TaughtField:
         self._use(self._home)
         project = self._field.project * np.where(carries, 1.0 / np.where(carries, voltages_V, 1.0), 0.0)[:, None]
         taught = self._field.untouched
-        noise = LEAST_NOISE * taught
         if spread_V is None or frames <= FEWEST + 1:
             noise, frames = taught, ENOUGH
         else:
             shared = project.T @ (np.zeros((len(carries), 0)) if shared_V is None else shared_V)
             own = np.maximum(spread_V**2 - (0.0 if shared_V is None else (shared_V**2).sum(axis=1)), 0.0)
-            noise = noise + (project.T * own) @ project + shared @ shared.T
-        white = np.zeros((len(noise), self._project.shape[1]))
-        white[:, self._parts[self._home]] = whitening(noise)
-        self.stillness.use_noise(white, frames, most)
+            noise = LEAST_NOISE * taught + (project.T * own) @ project + shared @ shared.T
+        size, vectors = np.linalg.eigh(noise)
+        size = np.maximum(size, LEAST_SIZE * size[-1])
+        weight, less = np.zeros(len(self._now)), np.zeros((len(size), len(self._now)))
+        home = self._parts[self._home]
+        weight[home], less[:, home] = size[0] ** -0.5, np.sqrt(1.0 - size[0] / size)[:, None] * vectors.T
+        self.stillness.use_noise(weight, less, frames, most)
 
     def use_prediction(self, log_predicted: npt.NDArray[np.floating]) -> None:
         """Take the level that the forward model predicts, (rows,) log(V_pred / V_reference); zeros for none."""

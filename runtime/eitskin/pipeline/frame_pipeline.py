@@ -529,6 +529,8 @@ class Pipeline:
             return self._give_up_fault("reversed") if of_wires else self.intake.give_up("reversed")
         stamps[NORMALISE] = time.perf_counter_ns()
         record.touched = True  # without a gate every frame is computed
+        if self.field is not None and decided.keeps_map is not None:
+            self.field.stillness.alone = decided.fused == 1 and not decided.keeps_map
         if gate is not None:
             record.touched, record.gate_logit = gate.touched(), gate.logit
         if self.field is not None and self.field.shape != self._shape:

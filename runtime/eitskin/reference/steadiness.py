@@ -22,7 +22,8 @@ def steady_frames(voltages_V: Array, spread_V: Array) -> int:
         voltages_V: (n, rows) V.
         spread_V: (rows,) V, standard deviation of a single frame, by which rows are compared.
     """
-    means, variances = voltages_V / np.where(spread_V > 0.0, spread_V, np.inf), []
+    means = voltages_V / np.where(spread_V > 0.0, spread_V, np.inf)
+    variances: list[float] = []
     while len(means) > 1 and len(variances) < LEVELS:
         pairs = means[: len(means) // 2 * 2].reshape(-1, 2, means.shape[1])
         variances.append(float(np.square(pairs[:, 1] - pairs[:, 0]).sum()) / len(pairs))

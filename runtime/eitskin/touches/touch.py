@@ -10,14 +10,14 @@ from typing import Final
 
 from eitskin.errors import FrameError
 
-LAYOUT: Final = struct.Struct("<II22f")
+LAYOUT: Final = struct.Struct("<II24f")
 """id, parent, age, then x, y, major, minor, angle, area, peak, strength, confidence, place, normal, surface area; error
-along x and y, amplitude, log likelihood ratio; sign."""
+along x and y, amplitude, log likelihood ratio; sign; velocity along x and y."""
 
 SHORTEST: Final = struct.calcsize("<II17f")
 """A touch of the first runtimes, which had no error and nothing after it."""
 
-UNKNOWN: Final = LAYOUT.pack(0, 0, *[math.nan] * 22)
+UNKNOWN: Final = LAYOUT.pack(0, 0, *[math.nan] * 24)
 """Completes the touches of earlier runtimes."""
 
 HEAD: Final = struct.Struct("<IIf")
@@ -61,6 +61,8 @@ class Touch:
         log_likelihood_ratio: How much better the frame is explained with it than without; None likewise.
         sign: 1 if it raises the sheet's conductance, -1 if it lowers it; None from a network that knows touches of both
             signs and shows them alike (verified touches have a contrast).
+        velocity_mm_s: Velocity of the centre along x and y on the flat sheet, 0 while it rests; None from older
+            runtimes.
     """
 
     id: int
@@ -80,6 +82,7 @@ class Touch:
     amplitude: float | None = None
     log_likelihood_ratio: float | None = None
     sign: int | None = None
+    velocity_mm_s: tuple[float, float] | None = None
 
     def __str__(self) -> str:
         """Return one line: where it is, how large, which way the surface faces, how old."""
@@ -151,14 +154,14 @@ def unpack_touches(raw: object, size: object, raw_events: object, more: object) 
 def _touch(raw: bytes) -> Touch:
     number, parent, *values = LAYOUT.unpack((raw + UNKNOWN[len(raw) :])[: LAYOUT.size])
     age, x, y, major, minor, angle, area, peak, strength, confidence, *space = values[:17]
-    along, across, amplitude, ratio, sign = map(_known, values[17:])
+    x_error, y_error, amplitude, ratio, sign, vx, vy = map(_known, values[17:])
     if not all(map(math.isfinite, (age, x, y, major, minor, angle, area, peak, *space))):
         raise FrameError(f"frame touches: touch {number} has values that are not finite")
     return Touch(
         number, parent, age, (x, y), (major, minor), angle, area, peak, _known(strength), _known(confidence),
         (space[0], space[1], space[2]), (space[3], space[4], space[5]), space[6],
-        None if along is None or across is None else (along, across), amplitude, ratio,
-        None if sign is None else int(sign),
+        None if x_error is None or y_error is None else (x_error, y_error), amplitude, ratio,
+        None if sign is None else int(sign), None if vx is None or vy is None else (vx, vy),
     )  # fmt: skip
 
 

@@ -1,7 +1,13 @@
 """Follows touches from frame to frame: each keeps its number while it moves.
 
-A touch continues as the nearest one of the next frame, if that is within ``GATE_MM`` or covers the same place; the
-nearest pairs are matched first. Touches without a match begin or end::
+A touch is expected where its velocity takes it. It continues as the nearest touch of the next frame, if that is within
+``GATE_MM`` or covers the same place; the nearest pairs are matched first. While a touch rests, its place is that of the
+frames' mean. Otherwise a Kalman filter weighs what is expected against what the frame shows; its velocity changes as a
+random walk::
+
+    place += velocity dt        velocity += noise of variance WALK dt        shown = place + noise
+
+Touches without a match begin or end::
 
     born      no touch was here before, and it rises to ``BIRTH`` at least
     split     it is where another touch was, its parent, which continues elsewhere
@@ -12,6 +18,7 @@ A touch is listed in the first frame that shows it; to avoid flicker, check its 
 used twice until they run out.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -34,6 +41,31 @@ HOLD_FRAMES: Final = 5
 """Frames for which a touch that is not seen keeps its number."""
 
 
+WALK: Final = 1e3
+"""mm2/s3, by which the variance of a velocity grows: 10 mm/s in 100 ms."""
+
+SPEED_MM_S: Final = 50.0
+"""Of a touch whose velocity is not known, standard deviation along x and y."""
+
+NOISE_MM: Final = 0.5
+"""Standard deviation along x and y of the place that one frame shows, until frames have told."""
+
+LEAST_MM: Final = 0.05
+"""The least that it is taken for."""
+
+LEARNING: Final = 1.0 / 16.0
+"""Share of a frame in what is known of that noise."""
+
+JUMP: Final = 16.0
+"""A squared deviation over its variance beyond which a touch has begun to move otherwise."""
+
+SETTLE_FRAMES: Final = 16
+"""Frames after the end of a mean by which a velocity is known to 6 mm/s."""
+
+LONGEST_S: Final = 0.1
+"""Time between frames after which nothing is expected."""
+
+
 @dataclass(slots=True)
 class Track:
     """A touch from frame to frame."""
@@ -46,6 +78,52 @@ class Track:
     y_mm: float
     unseen: int = 0
     """Frames since it was seen last."""
+    velocity_mm_s: tuple[float, float] = (0.0, 0.0)
+    fused: int = 1
+    """Frames that its place was averaged over."""
+    settling: int = 0
+    """Frames until its velocity is known."""
+    noise_var: float = NOISE_MM**2
+    """Variance along x and y of the place that one frame shows."""
+    place_var: float = NOISE_MM**2
+    both_var: float = 0.0
+    velocity_var: float = SPEED_MM_S**2
+    """Variances of place and velocity along x and y, and their covariance."""
+
+    @property
+    def moves(self) -> bool:
+        """Whether frames are not to be averaged: it moves, or may have begun to."""
+        speed = math.hypot(*self.velocity_mm_s)
+        return self.settling > 0 or speed * speed > 9.0 * self.velocity_var
+
+    def expect(self, passed_s: float) -> None:
+        """Go where the velocity leads."""
+        vx, vy = self.velocity_mm_s
+        self.x_mm, self.y_mm = self.x_mm + passed_s * vx, self.y_mm + passed_s * vy
+        more = WALK * passed_s
+        self.place_var += passed_s * (2.0 * self.both_var + passed_s * (self.velocity_var + more / 3.0))
+        self.both_var += passed_s * (self.velocity_var + 0.5 * more)
+        self.velocity_var += more
+        self.settling = max(0, self.settling - 1)
+
+    def follow(self, x_mm: float, y_mm: float, fused: int) -> None:
+        """Correct what is expected by what a frame shows, or the mean of several."""
+        if fused < self.fused:
+            self.settling = SETTLE_FRAMES
+        self.fused, self.unseen = fused, 0
+        across, along, total = x_mm - self.x_mm, y_mm - self.y_mm, self.place_var + self.noise_var
+        apart = 0.5 * (across * across + along * along)
+        if fused > 1 or apart > JUMP * total:
+            self.x_mm, self.y_mm, self.velocity_mm_s = x_mm, y_mm, (0.0, 0.0)
+            self.place_var, self.both_var, self.velocity_var = self.noise_var / fused, 0.0, SPEED_MM_S**2
+            return
+        place, velocity = self.place_var / total, self.both_var / total
+        vx, vy = self.velocity_mm_s
+        self.x_mm, self.y_mm = self.x_mm + place * across, self.y_mm + place * along
+        self.velocity_mm_s = vx + velocity * across, vy + velocity * along
+        self.velocity_var -= velocity * self.both_var
+        self.place_var, self.both_var = place * self.noise_var, velocity * self.noise_var
+        self.noise_var = max(LEAST_MM**2, self.noise_var * (1.0 + LEARNING * (apart / total - 1.0)))
 
 
 Event = tuple[int, int, int]
@@ -85,13 +163,22 @@ class Tracker:
         self._used = self._used[:0]
         self._tracks.clear()
 
-    def step(self, found: Found, device_us: int) -> tuple[list[Track | None], list[Event]]:
+    @property
+    def moves(self) -> bool:
+        """Whether a touch moves, or may have begun to."""
+        return any(track.moves for track in self._tracks)
+
+    def step(self, found: Found, device_us: int, fused: int = 1) -> tuple[list[Track | None], list[Event]]:
         """Return the track of each touch of a frame, and what happened; None for one that does not rise to ``BIRTH``.
 
         Args:
             found: The frame's touches.
             device_us: When it was scanned.
+            fused: Frames that it is the mean of.
         """
+        passed_s = 1e-6 * (device_us - self._device_us)
+        for track in self._tracks if 0.0 < passed_s <= LONGEST_S else ():
+            track.expect(passed_s)
         if device_us < self._device_us:  # a restarted device counts from 0; ages continue
             for track in self._tracks:
                 track.born_us += device_us - self._device_us
@@ -104,13 +191,16 @@ class Tracker:
         lay_in = [int(before[self._pixel(x, y)]) for x, y in zip(xs, ys, strict=True)]
         now[found.pixels] = -1
         result, taken = self._paired(xs, ys, lies_in, lay_in)
+        for known, x, y in zip(result, xs, ys, strict=True):
+            if known is not None:
+                known.follow(x, y, fused)
         events: list[Event] = []
         goes_on = {track.id for track in result if track is not None}
         for touch in range(count):
             if result[touch] is None and peaks[touch] >= BIRTH:
                 parent = lay_in[touch] if lay_in[touch] in goes_on else 0
                 self.newest = self.newest % MAX_ID + 1
-                result[touch] = Track(self.newest, parent, device_us, xs[touch], ys[touch])
+                result[touch] = Track(self.newest, parent, device_us, xs[touch], ys[touch], fused=fused)
                 events.append((SPLIT if parent else BORN, self.newest, parent))
         left: list[Track] = []
         for index, track in enumerate(self._tracks):
@@ -135,7 +225,7 @@ class Tracker:
     def _paired(
         self, xs: list[float], ys: list[float], lies_in: list[int], lay_in: list[int]
     ) -> tuple[list[Track | None], set[int]]:
-        """Return the known track of each touch, moved to its place, and which tracks these are."""
+        """Return the known track of each touch, and which tracks these are."""
         pairs = []
         for index, track in enumerate(self._tracks):
             for touch, x in enumerate(xs):
@@ -149,10 +239,10 @@ class Tracker:
         for _, _, index, touch in pairs:
             if index not in taken and result[touch] is None:
                 taken.add(index)
-                result[touch] = track = self._tracks[index]
-                track.x_mm, track.y_mm, track.unseen = xs[touch], ys[touch], 0
+                result[touch] = self._tracks[index]
         return result, taken
 
     def _pixel(self, x_mm: float, y_mm: float) -> int:
         """Return the pixel of a place, by its number in the map with its border."""
-        return (int(y_mm / self._pixel_mm[1]) + 1) * self._width + int(x_mm / self._pixel_mm[0]) + 1
+        column, row = int(x_mm / self._pixel_mm[0]) + 1, int(y_mm / self._pixel_mm[1]) + 1
+        return min(max(row, 0), len(self._now) // self._width - 1) * self._width + min(max(column, 0), self._width - 1)

@@ -18,6 +18,9 @@ UNKNOWN: Final = float("nan")
 SIGNS: Final[dict[TouchKind, float]] = {"raise": 1.0, "lower": -1.0, "both": UNKNOWN}
 """Of touches by the kind that a network knows: a map of both kinds does not tell them apart."""
 
+Place = tuple[float, float, float, float]
+"""x, y in mm and their velocities."""
+
 Packed = tuple[bytes, bytes, int]
 """Touches, events, and how many touches are not listed."""
 
@@ -41,7 +44,7 @@ class TouchWatch:
         kind: Which way the touches on the maps change conductance.
     """
 
-    __slots__ = ("_finder", "_found", "_map", "_rows", "_sign", "_surface", "tracker")
+    __slots__ = ("_finder", "_found", "_map", "_places", "_rows", "_sign", "_surface", "tracker")
 
     def __init__(self, grid: Grid, finder: Finder | None = None, kind: TouchKind = "both") -> None:
         self._sign = SIGNS[kind]
@@ -49,6 +52,7 @@ class TouchWatch:
         self.tracker = Tracker(grid)
         self._found: Found = self._finder.nothing
         self._rows: list[bytes] = []
+        self._places: list[Place] = []
         self._map: object = None
         self._surface: Surface | None = None
 
@@ -58,7 +62,7 @@ class TouchWatch:
         self._found, self._map = self._finder.nothing, None
 
     def update(
-        self, values: npt.NDArray[np.floating] | None, which: object, surface: Surface, device_us: int
+        self, values: npt.NDArray[np.floating] | None, which: object, surface: Surface, device_us: int, fused: int = 1
     ) -> Packed:
         """Return the touches of a frame.
 
@@ -67,16 +71,24 @@ class TouchWatch:
             which: Tells its map from others; while it stays the same, the map is not looked at again.
             surface: In use.
             device_us: When it was scanned.
+            fused: Frames that the map is computed of.
         """
+        fresh = False
         if values is None:
             self._found, self._map = self._finder.nothing, None
             if self.tracker.idle:
                 return b"", b"", 0
         elif which != self._map or surface is not self._surface:
-            self._map, self._surface = which, surface
+            fresh, self._map, self._surface = True, which, surface
             self._found = self._finder.find(values)
-            self._rows = _rows(self._found, surface, self._sign)
-        tracks, events = self.tracker.step(self._found, device_us)
+        found = self._found
+        tracks, events = self.tracker.step(found, device_us, fused)
+        places = [
+            (row[0], row[1], 0.0, 0.0) if track is None else (track.x_mm, track.y_mm, *track.velocity_mm_s)
+            for row, track in zip(found.rows, tracks, strict=True)
+        ]
+        if fresh or places != self._places:
+            self._places, self._rows = places, _rows(found, places, surface, self._sign)
         rows, pack = self._rows, HEAD.pack
         known = sorted([(track.id, index, track) for index, track in enumerate(tracks) if track is not None])
         parts = []
@@ -86,16 +98,16 @@ class TouchWatch:
         return b"".join(parts), b"".join([EVENT_LAYOUT.pack(*event) for event in events]), self._found.more
 
 
-def _rows(found: Found, surface: Surface, sign: float) -> list[bytes]:
-    """Return what ``LAYOUT`` has of each touch behind id, parent and age."""
+def _rows(found: Found, places: list[Place], surface: Surface, sign: float) -> list[bytes]:
+    """Return what ``LAYOUT`` has of each touch after id, parent and age, by its tracked place and velocity."""
     if not found.rows:
         return []
-    xs, ys = [row[0] for row in found.rows], [row[1] for row in found.rows]
     areas_mm2 = found.areas_mm2(surface.stretch)
     doubts = found.doubts or [(UNKNOWN,) * 4] * len(found.rows)
+    poses = surface.at([place[0] for place in places], [place[1] for place in places])
     rows = [
-        (*row, UNKNOWN, UNKNOWN, *place, area_mm2, *doubt, sign)
-        for row, place, area_mm2, doubt in zip(found.rows, surface.at(xs, ys), areas_mm2, doubts, strict=True)
+        (*place[:2], *row[2:], UNKNOWN, UNKNOWN, *pose, area_mm2, *doubt, sign, *place[2:])
+        for row, place, pose, area_mm2, doubt in zip(found.rows, places, poses, areas_mm2, doubts, strict=True)
     ]
     raw, width = np.array(rows, dtype="<f4").tobytes(), LAYOUT.size - HEAD.size
     return [raw[at : at + width] for at in range(0, len(raw), width)]

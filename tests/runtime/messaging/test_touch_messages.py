@@ -10,6 +10,7 @@ import eitskin
 from eitskin.errors import FrameError
 from eitskin.messaging.frame import unpack_frame
 from eitskin.touches.surface import Surface
+from eitskin.touches.touch import LAYOUT
 from eitskin.touches.watch import TouchWatch
 from eitskin_proto.skin.skin import PAPER
 
@@ -32,7 +33,7 @@ def test_a_client_written_from_the_specification_reads_them(packer, packed):
     packer.put_touches((packed[0], struct.pack("<III", 4, 7, 1), 3))
     for raw in (bytes(packer.message()), bytes(packer.short_message()), packer.touch_message()):
         fields = msgpack.unpackb(raw)
-        assert (fields["touch_bytes"], fields["touches_more"]) == (96, 3)
+        assert (fields["touch_bytes"], fields["touches_more"]) == (LAYOUT.size, 3)
         touch = fields["touches"]
         at = {name: struct.unpack_from(f"<{kind}", touch, place) for place, kind, name in (
             (0, "I", "id"), (4, "I", "parent"), (8, "f", "age"), (12, "2f", "centre"), (20, "2f", "axes"),

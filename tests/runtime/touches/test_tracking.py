@@ -132,5 +132,38 @@ def test_a_touch_has_the_sign_that_its_network_knows_and_of_older_runtimes_none(
     assert now.sign == sign
     for size in (76, 92):
         (older,) = unpack_touches(packed[0][:size], size, *packed[1:]).touches
-        assert older == replace(now, sign=None)
+        assert older == replace(now, sign=None, velocity_mm_s=None)
         assert older.error_mm is older.amplitude is None
+
+
+def moved(film, steps_mm, noise_mm, seed=1):
+    """Show a touch that goes so far in each frame, with noise of its place; return its true and listed places."""
+    rng, truth, found = np.random.default_rng(seed), 30.0 + np.cumsum(steps_mm), []
+    for x in truth:
+        dx, dy = noise_mm * rng.standard_normal(2)
+        found.append(film.show(square(x + dx, 50.0 + dy)).touches[0])
+    return truth, found
+
+
+def test_a_touch_that_slides_is_nearer_than_what_frames_show_and_no_later(film):
+    truth, found = moved(film, np.full(200, 0.25), 0.5)
+    late = truth[40:] - [touch.centre_mm[0] for touch in found[40:]]
+    assert np.std(late) < 0.5 * 0.6
+    assert np.mean(late) < 0.25  # 5 ms
+    assert np.mean([touch.velocity_mm_s for touch in found[40:]], axis=0) == pytest.approx((50.0, 0.0), abs=5.0)
+
+
+def test_a_touch_that_turns_round_is_followed_within_a_few_frames(film):
+    truth, found = moved(film, np.concatenate([np.full(100, 0.6), np.full(60, -0.6)]), 0.2)
+    apart = np.abs(truth - [touch.centre_mm[0] for touch in found])
+    assert apart.max() < 3.0
+    assert apart[112:].mean() < 0.3
+
+
+def test_a_clock_that_jumps_moves_no_touch(film):
+    moved(film, np.full(50, 0.25), 0.1)
+    watch, image = film.watch, square(42.5, 50.0).astype(np.float32).ravel()
+    for which, device_us in enumerate((10**9, 5, 10**12, 10**12, 6), 1000):
+        packed = watch.update(image, which, FLAT, device_us)
+        (touch,) = unpack_touches(packed[0], LAYOUT.size, *packed[1:]).touches
+        assert np.hypot(touch.centre_mm[0] - 42.5, touch.centre_mm[1] - 50.0) < 0.5

@@ -48,10 +48,9 @@ def test_all_parts_together_show_every_published_frame_with_its_map(path, items,
     for (head, body), frame, begin in zip(found, published, begins, strict=True):
         levels = np.rint(np.clip(frame.map, 0.0, 1.0) * 255.0)
         shown = np.frombuffer(body, dtype=np.uint8).reshape(levels.shape)
-        # A map from before its part is computed anew, from the part's first frame: only noise had changed.
-        before = frame.map_sequence < begin
-        by_history = int(begin > published[0].sequence)  # a later part lacks the frames before it: a level at most
-        np.testing.assert_allclose(shown, levels, atol=MOST_BY_NOISE if before else by_history)
+        # A map of frames from before its part is computed anew, of the part's frames: only noise had changed.
+        before = frame.map_sequence - 2 * frame.fused < begin
+        np.testing.assert_allclose(shown, levels, atol=MOST_BY_NOISE if before else 0)
         assert (head["touched"], head["n"], head["cloud"]) == (frame.touched, frame.number, frame.cloud)
         assert head["counts"] == frame.counts
     times = [head["t_ms"] for head, _ in found]

@@ -75,7 +75,7 @@ class RecordedFrames:
                 kept, shown = found.map, frame.seq if frame.map_seq is None else frame.map_seq
             values = kept if has_map else self._nothing
             flat = values.ravel().astype(float) if has_map else None
-            listed = watch.update(flat, shown, self._rerun.surface, frame.device_us or 0)
+            listed = watch.update(flat, shown, self._rerun.surface, frame.device_us or 0, frame.fused)
             touches = unpack_touches(listed[0], LAYOUT.size, *listed[1:])
             told = published(step, found, self._script.first_ns)
             yield step, replace(self._blank, **told, map=values, cloud=cloud, touch_list=touches)

@@ -208,7 +208,8 @@ class TouchLister:
         known = self._surfaces.get((frame.run, frame.cloud))
         surface = known or self._flat
         values = frame.map.reshape(-1) if frame.map.any() else None
-        raw, events, more = self._watch.update(values, (frame.solver, frame.map_sequence), surface, frame.device_us)
+        which = frame.solver, frame.map_sequence
+        raw, events, more = self._watch.update(values, which, surface, frame.device_us, frame.fused)
         found = unpack_touches(raw, LAYOUT.size, events, more)
         if known is None and frame.cloud:
             found = replace(found, touches=tuple(replace(one, normal=UNKNOWN_NORMAL) for one in found.touches))
