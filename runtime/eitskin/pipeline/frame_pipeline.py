@@ -460,6 +460,8 @@ class Pipeline:
             self.normaliser.load(intake.counts)
         self._compared = bool(self._suspicious or intake.repeated or (self.health and self.health.hanging_count))
         if self._compared and self._hangs():
+            if self.field is None:
+                self._reset_gates()  # they may have learned from frames that were old in part
             return intake.give_up("frozen")
         record.stamps[DECODE] = time.perf_counter_ns()
         return True

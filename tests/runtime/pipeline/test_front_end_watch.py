@@ -121,6 +121,21 @@ def test_old_readings_are_said_within_50_frames(hello, old):
     assert (all(seen), pipeline.intake.withheld_total) == (True, before), "what is over is over at once"
 
 
+@pytest.mark.parametrize("draw", [0, 7, 12])
+def test_a_touch_that_began_among_old_readings_leaves_no_touch_behind(hello, draw):
+    bundle = load_bundle("press")
+    pipeline, flat = watched(bundle, hello)
+    rows = np.random.default_rng(draw).random(104) < 0.6
+    frames, touch = living(flat, 100, draw), scenes(bundle, 1, draw)[0] ** 0.5
+    show(pipeline, frames)
+    now = np.concatenate([living(flat, 8, draw + 50), living(flat * touch, 52, draw + 90)])
+    now[:, rows] = frames[27 + np.arange(60) % 73][:, rows]
+    show(pipeline, now, 101)
+    assert pipeline.intake.withheld["frozen"] > 40
+    seen, _ = show(pipeline, living(flat, 60, draw + 7), 200)
+    assert all(seen)
+
+
 def test_readings_of_a_driver_that_hang_are_withheld():
     rng, flat = np.random.default_rng(0), load_bundle().consistency_arrays()["reference"]
     frames = flat * (1.0 + NOISE * rng.standard_normal((100, 104)))
