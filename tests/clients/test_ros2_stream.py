@@ -35,10 +35,10 @@ def messages():
     packer.put("n", 7)
     packer.put("age_us", 2000)
     packer.put_map(memoryview(np.random.default_rng(1).random(1350, dtype=np.float32)).cast("B"))
-    touches = b"".join(struct.pack("<II22f", number, 0, *range(number, number + 22)) for number in (3, 5))
+    touches = b"".join(struct.pack("<II24f", number, 0, *range(number, number + 24)) for number in (3, 5))
     packer.put_touches((touches, b"", 0))
     alone = packer.touch_message()
-    old = alone.replace(b"\xabtouch_bytes\x60", b"\xabtouch_bytes\x4c")
+    old = alone.replace(b"\xabtouch_bytes\x68", b"\xabtouch_bytes\x4c")
     old = old.replace(struct.pack(">BBB", 0xC4, len(touches), 3), struct.pack(">BBB", 0xC4, 76, 3))
     at = old.index(b"\xa7touches\xc4") + 10
     return bytes(packer.message()), alone, old[: at + 76] + old[at + len(touches) :]
@@ -57,6 +57,7 @@ def test_frames_are_those_that_a_python_subscriber_gets(stream, messages):
             assert tuple(touch[name] for name in ("x", "y", "z", "nx", "ny", "nz")) == wanted.place_mm + wanted.normal
             assert np.isnan(touch["amplitude"]) == (wanted.amplitude is None)
             assert np.isnan(touch["sign"]) == (wanted.sign is None)
+            assert np.isnan(touch["velocity_x"]) == (wanted.velocity_mm_s is None)
 
 
 def test_another_version_and_damaged_messages_are_refused(stream, messages):

@@ -20,15 +20,15 @@ MAPS, TOUCHES, CLOUDS = b"\xde\x00", b"\xdf", b"\x86\xa5cloud"
 VERSIONS = {0xDE: 1, 0xDF: 2}
 """Of a frame with its map, and of one with its touches alone, by the first byte."""
 
-TOUCH = struct.Struct("<II22f")
+TOUCH = struct.Struct("<II24f")
 NAMES = (
     "id", "parent", "age_s", "centre_x", "centre_y", "major", "minor", "angle", "area", "peak", "strength",
     "confidence", "x", "y", "z", "nx", "ny", "nz", "surface", "error_x", "error_y", "amplitude", "log_likelihood_ratio",
-    "sign",
+    "sign", "velocity_x", "velocity_y",
 )  # fmt: skip
 """Of a touch's fields: lengths in mm, x to nz on the bent surface."""
 
-UNKNOWN = struct.pack("<5f", *[float("nan")] * 5)
+UNKNOWN = struct.pack("<7f", *[float("nan")] * 7)
 """The last fields, which old runtimes do not send."""
 
 
