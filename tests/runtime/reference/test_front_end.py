@@ -9,6 +9,8 @@ from eitskin.reference.front_end import MAX_CUT_OFF, stuck
 from eitskin.reference.repeats import Repeats
 from eitskin_proto.sensor.table import TABLE
 
+from .capturing import capture
+
 FULL_SCALE = 2**23 - 1
 
 
@@ -19,10 +21,7 @@ def frames(counts):
 
 
 def captured(frames, hello, force=False):
-    builder = ReferenceBuilder(len(frames))
-    for frame in frames:
-        builder.add(frame * hello.volts_per_count)
-    return builder.finish(hello, force=force)
+    return capture(frames * hello.volts_per_count, hello, force=force)
 
 
 def test_rows_of_a_sheet_are_well(counts, frames):

@@ -5,9 +5,10 @@ import pytest
 
 from eitskin.errors import BadReference
 from eitskin.model.bundle import load_bundle
-from eitskin.reference.builder import ReferenceBuilder
 from eitskin.reference.judged import ReferenceChecks, reference_checks
 from eitskin.reference.movement import movement_of
+
+from .capturing import capture
 
 LEVEL = 10.0 ** (-50.0 / 20.0)
 
@@ -36,13 +37,6 @@ def frames_of(voltages, kind="N2", count=100, seed=0):
     draw = np.random.default_rng(seed).standard_normal((count, 104))
     size = np.abs(voltages) if kind == "N2" else np.sqrt(np.mean(voltages**2, axis=-1, keepdims=True))
     return voltages + LEVEL * size * draw
-
-
-def capture(frames, hello, checks=None, *, force=False):
-    builder = ReferenceBuilder(len(frames))
-    for frame in frames:
-        builder.add(frame)
-    return builder.finish(hello, checks, force=force)
 
 
 @pytest.mark.parametrize("kind", ["N2", "N3"])

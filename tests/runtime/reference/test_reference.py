@@ -8,8 +8,9 @@ import pytest
 
 from eitskin.errors import BadReference, MismatchError
 from eitskin.reference import captured as references
-from eitskin.reference.builder import ReferenceBuilder
 from eitskin_proto.skin.skin import PAPER
+
+from .capturing import capture
 
 
 @pytest.fixture
@@ -20,13 +21,10 @@ def frames(counts):
 
 @pytest.fixture
 def captured(frames, hello):
-    builder = ReferenceBuilder(50)
-    assert [builder.add(frame) for frame in frames] == [False] * 49 + [True]
-    return builder.finish(hello)
+    return capture(frames, hello)
 
 
 def test_a_reference_is_the_mean_and_the_spread_of_its_frames(captured, frames, hello):
-    # Welford against the two-pass formula: rounding only
     assert np.allclose(captured.voltages_V, frames.mean(axis=0), rtol=1e-13, atol=0)
     assert np.allclose(captured.spread_V, frames.std(axis=0, ddof=1), rtol=1e-9, atol=0)
     assert (captured.frames, captured.serial_number) == (50, hello.serial_number)
@@ -43,11 +41,8 @@ def test_a_stored_reference_comes_back_bit_by_bit(captured, hello, tmp_path):
 
 
 def test_noise_that_rows_share_is_stored_and_comes_back(frames, hello, tmp_path):
-    builder, rng = ReferenceBuilder(50), np.random.default_rng(2)
-    for volts in frames:
-        if builder.add(volts * (1.0 + 0.01 * rng.standard_normal())):
-            break
-    found = builder.finish(hello, force=True)
+    shared = 0.01 * np.random.default_rng(2).standard_normal((50, 1))
+    found = capture(frames * (1.0 + shared), hello, force=True)
     assert found.shared_V is not None
     assert found.shared_V.shape == (104, 1)
     assert np.allclose(np.abs(found.shared_V[:, 0]), 0.01 * np.abs(found.voltages_V), rtol=0.5)
@@ -121,10 +116,7 @@ def test_weak_rows_are_named_and_counted(frames, hello):
     frames = frames.copy()
     frames[:, 5] = 0.0
     frames[:, 60] *= 1e-4
-    builder = ReferenceBuilder(50)
-    for frame in frames:
-        builder.add(frame)
-    found = builder.finish(hello)
+    found = capture(frames, hello)
     assert found.weak.tolist() == [5, 60]
     line = found.report()[1]
     assert "2 weak rows, filled in from the others" in line
@@ -132,19 +124,13 @@ def test_weak_rows_are_named_and_counted(frames, hello):
 
 
 def test_zeros_are_no_reference(hello):
-    builder = ReferenceBuilder(2)
-    builder.add(np.zeros(104))
-    builder.add(np.zeros(104))
     with pytest.raises(BadReference, match="electrodes are connected"):
-        builder.finish(hello)
+        capture(np.zeros((2, 104)), hello)
 
 
 def test_a_sheet_that_moves_is_no_reference(frames, hello):
-    builder = ReferenceBuilder(50)
-    for index, frame in enumerate(frames):
-        builder.add(frame * (1 + 0.01 * index))
     with pytest.raises(BadReference, match=r"vary by 1\d\.\d%.*expected at most 5%"):
-        builder.finish(hello)
+        capture(frames * (1 + 0.01 * np.arange(50)[:, None]), hello)
 
 
 @pytest.mark.parametrize(

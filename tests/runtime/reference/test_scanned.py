@@ -8,12 +8,13 @@ import pytest
 
 from eitskin.errors import BadReference, MismatchError
 from eitskin.reference import captured as references
-from eitskin.reference.builder import ReferenceBuilder
 from eitskin.reference.judged import ReferenceChecks
 from eitskin.reference.plausible import scan_of
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.cloud_file import Surface
 from eitskin_proto.skin.skin import PAPER
+
+from .capturing import capture
 
 STRETCH = 1.03
 
@@ -36,11 +37,8 @@ def scan(bent):
 
 
 def taken(voltages, hello, scan=None, checks=None):
-    builder = ReferenceBuilder(20, PAPER, scan)
-    rng = np.random.default_rng(2)
-    for _ in range(20):
-        builder.add(voltages * (1.0 + 1e-3 * rng.standard_normal(104)))
-    return builder.finish(hello, checks)
+    noise = 1e-3 * np.random.default_rng(2).standard_normal((20, 104))
+    return capture(voltages * (1.0 + noise), hello, checks, scan=scan)
 
 
 def test_the_model_s_ratio_makes_a_flat_reference(flat_V, bent, scan, hello):
