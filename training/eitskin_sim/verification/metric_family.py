@@ -33,6 +33,9 @@ ORDERS: Final = (6, 5)
 MODES: Final = 45
 """The voltages of 40 deformations of another seed need as many: 30 leave 0.2 % of some."""
 
+SPREAD: Final = 2.0
+"""Times that a mode's standard deviation is that of the draws: most of these are gentle, and some are far out."""
+
 PLACES: Final = (15, 11)
 """Along x and y, where deformations are looked at."""
 
@@ -93,7 +96,7 @@ def metric_family(skin: Skin = PAPER) -> MetricFamily:
     drawn = np.array(fields)
     mean = drawn.mean(axis=0)
     _, values, ways = np.linalg.svd((drawn - mean).reshape(len(drawn), -1), full_matrices=False)
-    sizes = values[:MODES] / np.sqrt(len(drawn))
+    sizes = SPREAD * values[:MODES] / np.sqrt(len(drawn))
     to_coefficients = np.linalg.pinv(_basis(at, size_mm))
     modes = np.array([to_coefficients @ way.reshape(-1, 3) * one for one, way in zip(sizes, ways, strict=False)])
     rms = sizes / np.sqrt(len(at)) / 2.0
