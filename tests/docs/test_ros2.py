@@ -134,7 +134,7 @@ def run(ros, tmp_path):
 def test_a_runtime_is_on_standard_messages_and_takes_requests(run, ros, runtime):
     away = np.array([2000.0, 0.0, 250.0])[:, None, None]
     eitskin.send_cloud(runtime.control, flat_cloud() + away)  # whatever others of these tests have sent
-    run(ros / "skin", endpoint=runtime.frames, control=runtime.control, frame_id="forearm")
+    run(ros / "skin", endpoint=runtime.frames, control=runtime.control, frame_id="forearm", blind_s=30.0)
     probe = run("probe.py", "all")
     assert "True" in probe.until("excluded [3]")
     assert "False" in probe.until("excluded [1, 2, 3, 4, 5]")

@@ -55,7 +55,7 @@ def _ended_once(life: str, number: int, draw: random.Random) -> tuple[float, str
         stack.callback(ended, skin)
         out = folder / "out"
         words = ["run", "--bundle", str(TINY), "--port", port, "--json", *_options(life, folder, keys)]
-        words += ["--reference-frames", "100000" if life == "capture" else "5"]
+        words += ["--reference-frames", "10000" if life == "capture" else "5"]
         process = subprocess.Popen(
             [sys.executable, "-m", "eitskin_tools.cli", *words],
             stdin=subprocess.DEVNULL, stdout=stack.enter_context(out.open("w")), stderr=subprocess.STDOUT, cwd=ROOT,
