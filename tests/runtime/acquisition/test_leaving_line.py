@@ -43,10 +43,9 @@ def test_a_cable_out_just_as_another_mode_is_asked_for_ends_nothing(tiny):
         skin.capture_reference(5)
         skin.loop.idle = IdleMode(0.05)
         here.leaves = lambda kind, _: kind == "write" and skin.transport.returns == 0
-        events = some(skin, 40)
+        frames = skin.frames(timeout_s=PATIENCE_S)
+        assert any("recovered" in frame.events and skin.transport.returns for frame in frames)
         assert skin.transport.returns == 1
-        assert skin.recoveries >= 1  # a starved machine is silent for longer
-    assert "recovered" in events
 
 
 def test_what_happened_at_frames_that_are_withheld_the_next_frame_tells(tiny):
