@@ -108,7 +108,7 @@ class Runtime:
         packer.put_touches(touches)
         packer.put_numbers(
             (self.sent, self.sent, device_us, 900, 0xC3 if touched else 0xC2, 3.0, scene.cloud, 0, self.sent,
-             *scene.drift, *stamps, *scene.counts)
+             *scene.drift, 1, *stamps, *scene.counts)
         )  # fmt: skip
 
     def __enter__(self):
