@@ -29,8 +29,7 @@ def add_arguments(parser: Any) -> None:
         choices=MODES,
         metavar="MODE",
         default="off",
-        help="check published frames against the forward model: off, always (every changed frame, newest first) or "
-        "idle (frames at rest, on an otherwise idle core) (default: off)",
+        help="check frames against the forward model: off, always (each change) or idle (at rest, on an idle core)",
     )
     parser.add_argument(
         "--verify-budget-ms", type=positive(MOST_MS), metavar="B", help="time limit for a frame in ms (default 200)"
@@ -38,20 +37,19 @@ def add_arguments(parser: Any) -> None:
     parser.add_argument(
         "--cloud",
         choices=CLOUDS,
-        help="shape that --verify assumes: the cloud sent, where none came the one that frames show (scan); always the "
-        "latter (fitted); or flat (default: scan)",
+        help="shape that --verify assumes: as scanned, else as frames show (default); fitted to frames; or flat",
     )
     parser.add_argument(
         "--verify-nice",
         type=whole(0, 19),
         metavar="N",
-        help=f"priority of the verifier's process, 0 to 19 (default {NICE})",
+        help=f"priority of the verifier, 0 to 19 (default {NICE})",
     )
     parser.add_argument(
         "--verify-affinity",
         type=CPUS,
         metavar="CPUS",
-        help="CPUs of the verifier's process (default: those that --affinity leaves)",
+        help="CPUs of the verifier (default: what --affinity leaves)",
     )
 
 
