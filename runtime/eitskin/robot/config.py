@@ -93,12 +93,13 @@ class Realtime:
 
 @dataclass(frozen=True, slots=True)
 class Verify:
-    """How frames are verified, as the options ``--verify-*`` of ``eitskin run``."""
+    """How frames are verified, as the options ``--verify-*`` and ``--cloud`` of ``eitskin run``."""
 
     mode: str = "off"
     budget_ms: float | None = None
     nice: int | None = None
     affinity: tuple[int, ...] = ()
+    cloud: str = "scan"
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,6 +256,7 @@ def _verify(table: Fields) -> Verify:
         table.number("budget_ms", None, above=0.0, high=MAX_TIME),
         table.whole("nice", None, high=19),
         table.wholes("affinity", (), high=LAST_CORE),
+        table.choice("cloud", ("scan", "fitted", "flat"), "scan"),
     )
     table.close()
     if found.mode == "off" and found != Verify():

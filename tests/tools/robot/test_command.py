@@ -85,7 +85,7 @@ def test_every_key_of_the_file_becomes_an_option_that_run_takes(robot):
         'curve_keys = "k"', 'solver = "tikhonov"', "budget_ms = 5", "every_map = true", "idle_after_s = 2",
         "exclude_electrodes = [1, 2]", "compensate_drift = false", "reconnect_s = 60", "[skins.realtime]",
         "sched_fifo = 5", "affinity = [0, 1]", "mlock = true", "[skins.verify]", 'mode = "always"', "budget_ms = 30",
-        "nice = 3", "affinity = [1]",
+        "nice = 3", "affinity = [1]", 'cloud = "fitted"',
     )  # fmt: skip
     found = vars(cli._parser("run").parse_args(command_line_of(load_robot(path).skins[0])))
     folder = Path(path).parent
@@ -93,14 +93,14 @@ def test_every_key_of_the_file_becomes_an_option_that_run_takes(robot):
         "port", "baud", "bundle", "skin", "touches", "reference", "curve_keys", "solver", "budget_ms",
         "every_map", "idle_after", "exclude_electrode", "compensate_drift", "reconnect", "sched_fifo",
         "affinity", "mlock", "log_format", "publish", "control", "verify", "verify_budget_ms", "verify_nice",
-        "verify_affinity",
+        "verify_affinity", "cloud",
     )} == {
         "port": "/dev/ttyNONE9", "baud": 115200, "bundle": folder / "b", "skin": folder / "s", "touches": "lower",
         "reference": folder / "r", "curve_keys": folder / "k", "solver": "tikhonov", "budget_ms": 5.0,
         "every_map": True, "idle_after": 2.0, "exclude_electrode": [1, 2], "compensate_drift": False,
         "reconnect": 60.0, "sched_fifo": 5, "affinity": (0, 1), "mlock": True, "log_format": "json",
         "publish": f"ipc://{folder}/sockets/left/frames", "control": f"ipc://{folder}/sockets/left/control",
-        "verify": "always", "verify_budget_ms": 30.0, "verify_nice": 3, "verify_affinity": (1,),
+        "verify": "always", "verify_budget_ms": 30.0, "verify_nice": 3, "verify_affinity": (1,), "cloud": "fitted",
     }  # fmt: skip
     assert "--reference-frames=5" in command_line_of(load_robot(robot("reference_frames = 5")).skins[0])
 

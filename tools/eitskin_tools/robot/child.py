@@ -243,6 +243,7 @@ def command_line_of(settings: SkinSettings) -> list[str]:
         "verify-budget-ms": settings.verify.budget_ms,
         "verify-nice": settings.verify.nice,
         "verify-affinity": ",".join(map(str, settings.verify.affinity)) or None,
+        "cloud": None if settings.verify.mode == "off" else settings.verify.cloud,
     }
     found += [f"--{name}={value}" for name, value in valued.items() if value is not None]
     found += [f"--exclude-electrode={number}" for number in settings.exclude_electrodes]
