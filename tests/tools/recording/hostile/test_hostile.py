@@ -78,7 +78,9 @@ def test_times_after_every_era_are_left_out(file, words, tmp_path, capsys, monke
     assert "holds no frame from the device" in capsys.readouterr().err
 
 
+@pytest.mark.slow  # rosbags is there
 def test_a_bag_of_times_that_ros_cannot_hold_is_refused(file, tmp_path, capsys):
+    pytest.importorskip("rosbags", reason="extra: ros")
     path = rewritten(file, lambda _, data, ns: (data, (1 << 62) + ns % 10**12))
     assert (
         main(["convert", str(path), "--out", str(tmp_path / "bag"), "--format", "rosbag2", "--bundle", str(TINY)]) == 1
