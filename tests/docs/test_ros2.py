@@ -2,7 +2,6 @@
 
 import os
 import re
-import struct
 import subprocess
 import sys
 import time
@@ -13,6 +12,7 @@ import pytest
 import eitskin
 from eitskin.messaging.frame_message import FramePacker
 from eitskin.messaging.publish import Publisher
+from eitskin.touches.touch import LAYOUT
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
 
@@ -166,7 +166,7 @@ def test_every_frame_arrives_at_200_a_second_and_silence_or_other_frames_are_bli
         sent += 1
         for name, value in (("n", sent), ("age_us", age_us), ("publish", time.perf_counter_ns())):
             packer.put(name, value)
-        packer.put_touches((struct.pack("<II21f", number, 0, *[1.0] * 21), b"", 0))
+        packer.put_touches((LAYOUT.pack(number, 0, *[1.0] * 24), b"", 0))
         publisher.update()
         publisher.send_beside(packer.touch_message().replace(old, new))
         time.sleep(0.005)
@@ -175,7 +175,9 @@ def test_every_frame_arrives_at_200_a_second_and_silence_or_other_frames_are_bli
         return [int(line.split()[-1]) for line in probe.said if line.startswith("touch")]
 
     def until(wanted, **options):
+        end_s = time.monotonic() + PATIENCE_S
         while not (found := [line for line in probe.said if wanted in line]):
+            assert time.monotonic() < end_s, probe.said[-5:]
             send(1, **options)
         return found[0]
 
