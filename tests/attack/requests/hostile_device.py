@@ -118,7 +118,13 @@ def _ack(make: Callable[[random.Random, bytes], tuple[int, int, int]]) -> Lie:
 
 
 def _put(at: int, code: str, *values: int) -> Callable[[random.Random, bytearray], None]:
-    return lambda rng, bent: struct.pack_into(code, bent, at, rng.choice(values))
+    """Return a change to another value than is there."""
+
+    def put(rng: random.Random, bent: bytearray) -> None:
+        (honest,) = struct.unpack_from(code, bent, at)
+        struct.pack_into(code, bent, at, rng.choice([value for value in values if value != honest]))
+
+    return put
 
 
 def _cut(rng: random.Random, bent: bytearray) -> None:
