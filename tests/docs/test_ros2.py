@@ -151,7 +151,7 @@ def test_a_runtime_is_on_standard_messages_and_takes_requests(run, ros, runtime)
     assert "frames come 9" in probe.until("diag 0 eitskin: stream")
     robot = run(ROOT / "docs/examples/ros2_stop.py")
     robot.until("go ")
-    assert "touched" in robot.until("stop ")
+    assert "stop " in robot.until(" touched ")  # on a busy machine it may be blind before
 
 
 @pytest.mark.parametrize("reliability", ["best_effort", "reliable"])
