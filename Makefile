@@ -133,7 +133,7 @@ wheel: $(VENV)/.dev
 wheel-test: wheel
 	tools/wheel-test.sh $(PYTHON)
 
-# Ten minutes of a core.
+# Five minutes of a core.
 test-arm: wheel
 	tools/arm-test.sh $(BIN)/python
 

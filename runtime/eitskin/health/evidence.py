@@ -264,9 +264,8 @@ class Weigher:
         np.subtract(change, self._fit, out=step)
         np.multiply(step, self._trust, out=step)
         low = 1.0 + float(change.min())
-        small = max(step.max(), -step.min()) < LEAST_STEP * min(
-            low, self._fit_low
-        )  # the logarithms move less than this
+        least = LEAST_STEP * min(low, self._fit_low)  # readings that move less do not move logarithms by LEAST_STEP
+        small = max(step.max(), -step.min()) < least
         if look or not small:
             after, heard = self._logs_of(change, self._one, self._heard)
             if look and self._is_no_move(after, self._still, heard):
