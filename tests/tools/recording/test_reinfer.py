@@ -33,6 +33,19 @@ def test_they_do_by_whatever_solver_and_options(tmp_path: Path, options: dict[st
     assert (found["equal"], found["differing"]) == (90, {})
 
 
+def test_touched_frames_whose_map_nobody_asked_for_have_none_beside_another_solver_either(tmp_path: Path) -> None:
+    def unasked(item: Any) -> Any:
+        if not (isinstance(item, WireFrame) and item.touched):
+            return item
+        return replace(item, solver="none", map_seq=(item.seq or 0) - 1)
+
+    recorded(tmp_path / "a.mcap", [unasked(item) for item in measured(90) if not isinstance(item, Frame)])
+    script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
+    found = reinfer(script, bundle, comparison_solver(script, bundle, None, "tikhonov")).fields()["against_recorded"]
+    assert (found["frames"], found["both_touched"]) == (90, 0)
+    assert found["touched_agreement"] > 0.5
+
+
 def test_means_of_a_touch_at_rest_come_out_the_same_and_are_not_guessed_without_their_frames(tmp_path: Path) -> None:
     recorded(tmp_path / "a.mcap", items := measured(330, skip_unchanged=True))  # the cloud comes amid the touch
     touched = [item for item in items if isinstance(item, Frame) and item.touched]

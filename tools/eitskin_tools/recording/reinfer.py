@@ -151,7 +151,7 @@ class Rerun:
         wanted = decided.solver != NO_SOLVER and (every or not decided.keeps_map)
         if not pipeline.compute(decided.solver != NO_SOLVER):
             return ComputedFrame(self._nothing, False, NO_SOLVER)
-        if every and decided.keeps_map and record.touched and not pipeline.maps.infer(decided.solver):
+        if wanted and decided.keeps_map and record.touched and not pipeline.maps.infer(decided.solver):
             return ComputedFrame(self._nothing, False, NO_SOLVER)
         logit = None if pipeline.gate is None else record.gate_logit
         if not record.touched or decided.solver == NO_SOLVER:
