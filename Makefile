@@ -48,7 +48,7 @@ $(VENV)/.demo: pyproject.toml constraints.txt | $(VENV)/bin/python
 # torch by its pin alone and first: any other way of asking for it may bring gigabytes of CUDA.
 $(VENV)/.dev: pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(PIP) install torch==2.13.0
-	$(PIP) install --constraint constraints.txt --editable '.[train,dev]'
+	$(PIP) install --constraint constraints.txt --editable '.[train,dev,cluster]'
 	@touch $@ $(VENV)/.demo
 
 # Every worker compiles what it imports, tests for 12 s of CPU: before the first run one process does it for all.
@@ -59,7 +59,7 @@ $(VENV)/.collected: $(VENV)/.dev
 # Other programs' files, which the slow tests alone read, and what runs a notebook, simulators and a bridge: 350 MB that
 # nobody else needs.
 $(VENV)/.slow: pyproject.toml constraints.txt | $(VENV)/.dev
-	$(PIP) install --constraint constraints.txt --editable '.[train,dev,parquet,ros,notebook,simulators]' \
+	$(PIP) install --constraint constraints.txt --editable '.[train,dev,cluster,parquet,ros,notebook,simulators]' \
 	    eclipse-zenoh
 	@touch $@
 

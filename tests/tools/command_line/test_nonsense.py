@@ -66,6 +66,7 @@ bench frame --frames 5 | percentiles
 bench dataset --bends 0 | --bends must be at least 1
 card free --each 0 | --each is 0, expected at least 1
 dataset --set paper --out d --workers 0 | --workers is 0, expected at least 1
+dataset --set paper --out d --scheduler here | tls://HOST:
 dataset --set mm --out d | --set is 'mm', expected one of
 bech | eitskin: no command 'bech'; did you mean 'bench'?
 sim | eitskin: no command 'sim'; 'eitskin --help' lists them

@@ -11,7 +11,7 @@ from eitskin_proto.errors import SkinError
 
 EXTRAS: Final[dict[str, str]] = {
     "scipy": "sim", "torch": "train", "onnx": "train", "onnxscript": "train", "matplotlib": "plot",
-    "mcap": "record", "zstandard": "record", "lz4": "record",
+    "distributed": "cluster", "mcap": "record", "zstandard": "record", "lz4": "record",
     "pyarrow": "parquet", "rosbags": "ros",
 }  # fmt: skip
 """Extra of ``pip install 'eitskin[EXTRA]'`` by the module that it brings, as in pyproject.toml."""
@@ -54,7 +54,7 @@ LEAST_MB: Final = 256
 """Address space that a command needs, and twice as much for scipy; with less, libraries abort or wait forever."""
 
 OPTION_NEEDS: Final[dict[tuple[str, str], tuple[str, ...]]] = {
-    ("bench tradeoff", "plot"): ("matplotlib",),
+    ("bench tradeoff", "plot"): ("matplotlib",), ("dataset", "scheduler"): ("distributed",),
     ("teach", "picture"): ("matplotlib",), ("view", "file"): RECORDINGS,
 }  # fmt: skip
 """Modules by command and what it was given."""
@@ -119,7 +119,7 @@ def install(modules: Iterable[str]) -> str:
     """
     names = {module.partition(".")[0] for module in modules}
     extras = {EXTRAS[name] for name in names if name in EXTRAS}
-    if extras & {"train", "dev"}:
+    if extras & {"train", "cluster", "dev"}:
         extras -= {"sim"}  # they bring it along
     command = f"pip install 'eitskin[{','.join(sorted(extras))}]'" if extras else "pip install eitskin"
     if "torch" not in names:

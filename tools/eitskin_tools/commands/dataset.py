@@ -1,14 +1,19 @@
 """``eitskin dataset --set paper|units|free --out DIR``: writes a data set, or goes on with one that was interrupted."""
 
 import argparse
+import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eitskin_tools.command_line import files, options
 from eitskin_tools.command_line.parser import Parser, whole
 from eitskin_tools.console.progress import ProgressBar
 from eitskin_tools.console.terminal import answer
+from eitskin_tools.errors import UsageError
+
+if TYPE_CHECKING:
+    from eitskin_sim.dataset.cluster import Certificates
 
 
 def add_arguments(parser: Parser) -> None:
@@ -60,13 +65,21 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--workers", type=whole(1), default=1, metavar="N", help="processes on this machine (default 1)"
     )
+    group = parser.add_more("cluster")
+    group.add_argument("--scheduler", metavar="ADDRESS", help="use a Dask scheduler, such as tls://HOST:8786")
+    group.add_argument("--tls-ca", type=Path, metavar="FILE", help="certificate of the cluster's authority")
+    group.add_argument("--tls-cert", type=Path, metavar="FILE", help="your certificate, signed by it")
+    group.add_argument("--tls-key", type=Path, metavar="FILE", help="your private key")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Make the data set and report it."""
+    from eitskin_sim.dataset.cluster import Certificates
     from eitskin_sim.dataset.generate import generate
     from eitskin_sim.dataset.plan import make_plan
 
+    certificates = Certificates(arguments.tls_ca, arguments.tls_cert, arguments.tls_key)
+    _check_scheduler(arguments.scheduler, certificates)
     files.folder(arguments.out)
     plan = make_plan(
         arguments.set_name,
@@ -82,7 +95,14 @@ def run(arguments: argparse.Namespace) -> int:
     )
     start = time.perf_counter()
     with ProgressBar(arguments.set_name, "samples") as progress:
-        index = generate(plan, arguments.out, workers=arguments.workers, progress=progress.show)
+        index = generate(
+            plan,
+            arguments.out,
+            workers=arguments.workers,
+            scheduler=arguments.scheduler,
+            certificates=certificates,
+            progress=progress.show,
+        )
     seconds = time.perf_counter() - start
     report = {
         "out": str(arguments.out),
@@ -101,6 +121,30 @@ def run(arguments: argparse.Namespace) -> int:
         "digest": index["digest"],
     }
     return answer(arguments, report, _text(report))
+
+
+def _check_scheduler(scheduler: str | None, certificates: "Certificates") -> None:
+    """Refuse what cannot be meant, and warn of a cluster that anybody may be."""
+    from eitskin_sim.dataset.cluster import check_address, is_exposed
+
+    options = ", ".join(f"--tls-{name}" for name in certificates.given)
+    if scheduler is None:
+        if options:
+            raise UsageError(f"{options} need --scheduler tls://HOST:PORT")
+        return
+    try:
+        check_address(scheduler)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    if options and not scheduler.startswith("tls://"):
+        raise UsageError(f"{options}: expected --scheduler tls://HOST:PORT, found {scheduler}")
+    if is_exposed(scheduler):
+        print(
+            f"eitskin dataset: warning: {scheduler} is not encrypted and authenticates nobody: anyone on the network "
+            "can run code there and here; use tls:// with --tls-ca, --tls-cert and --tls-key",
+            file=sys.stderr,
+            flush=True,
+        )
 
 
 def _text(report: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Writes a data set: shards by worker processes, each file whole or not there, resumable.
+"""Writes a data set: shards by worker processes or a Dask cluster, each file whole or not there, resumable.
 
 ``plan.json`` is written first, a file a shard as it comes, ``index.json`` last. A second call with the same plan
 keeps the shards that are there and makes the rest; with another plan it refuses. Every file is written beside its
@@ -24,16 +24,14 @@ from eitskin_proto.files.reading import FileError, read_bytes
 from eitskin_proto.files.writing import is_empty, write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.toml import to_toml
+from eitskin_sim.dataset.cluster import Certificates, Made, shards_on_cluster
 from eitskin_sim.dataset.index import FORMAT, HINT, VERSION, VERSION_OF_SOFT
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.dataset.reader import LARGEST_FILE
-from eitskin_sim.dataset.shards import Arrays, make_shard, shard_job, touches_file
+from eitskin_sim.dataset.shards import make_shard, shard_job, touches_file
 
 Progress = Callable[[int, int], None]
 """Called with samples done and samples in all."""
-
-Made = tuple[list[int], list[Arrays]]
-"""Numbers of deformations, and what the file of each holds."""
 
 ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that hold BLAS to one thread."""
@@ -48,6 +46,8 @@ def generate(
     folder: str | Path,
     *,
     workers: int = 1,
+    scheduler: str | None = None,
+    certificates: Certificates | None = None,
     progress: Progress = lambda done, total: None,
 ) -> dict[str, Any]:
     """Write a data set, or resume one, and return its index.
@@ -56,12 +56,14 @@ def generate(
         plan: The plan of the data set.
         folder: Where to; made if it is not there.
         workers: Processes on this machine; 0 computes in this one.
+        scheduler: Address of a Dask scheduler that makes the shards instead, such as "tls://10.0.0.1:8786".
+        certificates: For a scheduler at ``tls://``; None takes those of Dask's own configuration.
         progress: Called after every shard.
 
     Raises:
         DataSetError: The folder holds another data set.
-        SkinError: A worker was ended.
-        ValueError: ``workers`` is negative.
+        SkinError: The scheduler cannot be reached, or its certificates are missing or useless; a worker was ended.
+        ValueError: ``workers`` is negative, or the scheduler's address is none.
     """
     if workers < 0:
         raise ValueError(f"workers is {workers}; it must be at least 0")
@@ -74,7 +76,7 @@ def generate(
     progress(done, sum(counts))
     together = [[number for number in shard if number in missing] for shard in plan.shards()]
     jobs = [shard_job(plan, shard) for shard in together if shard]
-    for numbers, files in _run(jobs, workers):
+    for numbers, files in _run(jobs, workers, scheduler, certificates):
         for number, arrays in zip(numbers, files, strict=True):
             write_bytes(out / names[number], pack_arrays(arrays))
             done += counts[number]
@@ -106,12 +108,18 @@ def _claim(plan: Plan, out: Path) -> None:
     write_bytes(path, content)
 
 
-def _run(jobs: list[dict[str, Any]], workers: int) -> Iterator[Made]:
+def _run(
+    jobs: list[dict[str, Any]], workers: int, scheduler: str | None, certificates: Certificates | None
+) -> Iterator[Made]:
     """Yield shards as they come."""
-    if workers == 0:
+    if not jobs:
+        return
+    if scheduler is not None:
+        yield from shards_on_cluster(jobs, scheduler, certificates)
+    elif workers == 0:
         for job in jobs:
             yield job["deformations"], make_shard(job)
-    elif jobs:
+    else:
         yield from _in_processes(jobs, min(workers, len(jobs)))
 
 
