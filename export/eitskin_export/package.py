@@ -138,7 +138,6 @@ def export(
     tell: Callable[[str], None] = lambda _: None,
     jacobian: Callable[[Skin], npt.NDArray[np.float64]] = flat_jacobian,
     bends: GiveBends | None = None,
-    gate_steps: int | None = None,
 ) -> dict[str, Any]:
     """Write a bundle and return its report: id, bytes, parity, int8 error, gate, metrics.
 
@@ -149,7 +148,6 @@ def export(
         tell: Called with each step.
         jacobian: Gives the (104, pixels) relative Jacobian of the projection.
         bends: Gives the untouched sheets for a gate that must be fitted; None solves them.
-        gate_steps: Steps that such a gate is fitted for; None takes the usual ones.
 
     Raises:
         SkinError: The graphs differ from the network, or still hold a training layer.
@@ -162,7 +160,7 @@ def export(
     tell("quantising")
     int8_bytes = int8_head(head_bytes)
     int8 = parity.int8_error(geometry_bytes, head_bytes, int8_bytes, *held_out_inputs(data))
-    own = gate_of_run(found.folder, data, found.seed, tell=tell, bends=bends, steps=gate_steps)
+    own = gate_of_run(found.folder, data, found.seed, tell=tell, bends=bends)
     tell("auditing the gate")
     touch_gate = own.gate.audited(
         audit_pixels(geometry_bytes, head_bytes, own.bends.measure, data.reference, skin.grid)

@@ -39,9 +39,7 @@ def run(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def exported(run: Path, data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     out: Path = tmp_path_factory.mktemp("bundle") / "toy.eitskin"
-    return out, package.export(
-        run_files.trained(run), data, out, jacobian=lambda skin: JACOBIAN, bends=bends_of, gate_steps=20
-    )
+    return out, package.export(run_files.trained(run), data, out, jacobian=lambda skin: JACOBIAN, bends=bends_of)
 
 
 @pytest.mark.slow
@@ -69,7 +67,7 @@ def test_a_bundle_of_another_skin_carries_it_and_runs(toy_data: Any, tmp_path: P
     train.train(data, replace(recipe("tiny"), epochs=1), tmp_path / "run")
     out = tmp_path / "second.eitskin"
     found = run_files.trained(tmp_path / "run")
-    result = package.export(found, data, out, bends=bends_of, gate_steps=50)
+    result = package.export(found, data, out, bends=bends_of)
     loaded = load_bundle(out)
     assert loaded.skin == SECOND
     assert loaded.touch_kind == result["touches"] == "lower"

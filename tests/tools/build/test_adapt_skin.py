@@ -61,7 +61,7 @@ def test_a_sheet_of_another_map_is_refused_before_its_data_is_made(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.process
 def test_a_bundle_of_the_twin_comes_out_and_knows_what_it_knew(tmp_path, monkeypatch, capsys):
-    small = Adaptation(2, 60, 1, gate=GateWork(0, 100), card=CardWork(1, 1, 1))
+    small = Adaptation(2, 60, 1, gate=GateWork(0), card=CardWork(1, 1, 1))
     monkeypatch.setattr(adaptation, "Adaptation", lambda: small)
     (tmp_path / "forearm.toml").write_text(to_toml(TWIN))
     words = ["adapt-skin", "press", "--skin", str(tmp_path / "forearm.toml"), "--out", str(tmp_path / "f.eitskin")]

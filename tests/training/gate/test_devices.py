@@ -43,7 +43,7 @@ def bends() -> Bends:
 
 @pytest.fixture(scope="module")
 def fitted(data: TrainingData, bends: Bends) -> fit.Gate:
-    return fit.fit(data, bends, steps=200, batch=256)
+    return fit.fit(data, bends)
 
 
 def test_devices_of_a_skin_without_doubts_move_as_the_nominal_bends_do() -> None:
@@ -129,6 +129,6 @@ def test_frames_of_a_press_are_counted_once_it_is_found_in_any_of_them(data: Tra
 def test_the_card_states_what_is_found(data: TrainingData, bends: Bends) -> None:
     logs = 0.1 * np.random.default_rng(4).standard_normal((5, 104))
     probed = replace(bends, probes=(Probe("press of 50 mm2", "flat", logs, 0.0 * logs),))
-    facts = fit.fit(data, probed, steps=20, batch=64).facts()
+    facts = fit.fit(data, probed).facts()
     assert set(facts["found_presses"]["press of 50 mm2"]) == {"flat", "devices"}
     assert "found_presses" not in facts["idle"]

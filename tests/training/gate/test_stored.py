@@ -24,7 +24,7 @@ def data(toy_data: Any) -> TrainingData:
 @pytest.fixture(scope="module")
 def folder(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> Path:
     where: Path = tmp_path_factory.mktemp("run")
-    gate_of_run(where, data, 3, bends=bends_of, steps=10)
+    gate_of_run(where, data, 3, bends=bends_of)
     return where
 
 
@@ -33,7 +33,7 @@ def no_fit(*_: object, **__: object) -> None:
 
 
 def test_a_stored_gate_comes_back_as_it_was(folder: Path, data: TrainingData, monkeypatch: pytest.MonkeyPatch) -> None:
-    fresh = fit.fit(data, bends_of(data), seed=3, steps=10)
+    fresh = fit.fit(data, bends_of(data), seed=3)
     monkeypatch.setattr(fit, "fit", no_fit)
     again = gate_of_run(folder, data, 3)
     assert again.gate.measures == fresh.measures
@@ -51,8 +51,8 @@ def test_a_stale_gate_is_noticed_and_fitted_again(what: str, folder: Path, data:
         (tmp_path / NAME).write_bytes((tmp_path / NAME).read_bytes()[:2000])
     changed = replace(data, digest="other") if what == "data" else data
     told: list[str] = []
-    gate_of_run(tmp_path, changed, 3, tell=told.append, bends=bends_of, steps=2)
+    gate_of_run(tmp_path, changed, 3, tell=told.append, bends=bends_of)
     assert "gate: fitting" in told
     told.clear()
-    gate_of_run(tmp_path, changed, 3, tell=told.append, bends=bends_of, steps=2)
+    gate_of_run(tmp_path, changed, 3, tell=told.append, bends=bends_of)
     assert told == []

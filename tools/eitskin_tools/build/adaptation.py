@@ -10,9 +10,6 @@ from eitskin_proto.skin.parts import Touches
 from eitskin_proto.skin.skin import Skin
 from eitskin_tools.build.recipe import SKIN, BuildRecipe, CardWork, Data, GateWork, TrainingStage
 
-DISCARDED_GATE_STEPS: Final = 200
-"""Of a gate that is not kept."""
-
 HARD_CONTRAST: Final = 5.0
 """From this contrast on all touches that raise conductance answer much alike: the usual ones teach more of them."""
 
@@ -67,7 +64,7 @@ def adapted(
     if smaller is None:
         return found
     other, again = replace(data, seed=data.seed + 1), replace(stage, start_from=None)
-    gate = GateWork(0, DISCARDED_GATE_STEPS)  # the pair has the larger one's
+    gate = GateWork(0)  # the pair has the larger one's
     small = replace(found, name=f"{name}, small", network=smaller, training=(again,), gate=gate)
     return replace(found, networks={SMALL: replace(small, data={"touches": other})})
 

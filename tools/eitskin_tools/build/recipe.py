@@ -16,7 +16,7 @@
     start_from = "free"            stage start_from: a shipped bundle, or a file beside this one
     network = "free"               of a stage before the last: a larger network, which the next one begins narrowed from
 
-    [gate]                         untouched sheets that are solved for it (0: the data's own), and steps of its fit
+    [gate]                         untouched sheets that are solved for it (0: the data's own)
     [card]                         how much is tried for the card: deformations, each, draws
     [missing_electrodes]           teaches it in the end to go on without electrodes: fitting_steps, steps, seed
 """
@@ -94,7 +94,6 @@ class GateWork:
 
     untouched: int = 900
     """Untouched sheets that are solved for it; 0 for those of the data alone."""
-    steps: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

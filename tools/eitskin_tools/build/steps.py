@@ -118,8 +118,7 @@ def train_stages(
         sources = tuple(str(one.resolve()) for one in where)
         chosen = fitted_to(recipe, stage, data.skin)
         train.train(data, chosen, run, seed=stage.seed, resume=True, start=start, sources=sources, progress=epoch)
-    bends, steps = _gate(recipe)
-    gate_of_run(run, data, recipe.training[-1].seed, tell=tell, bends=bends, steps=steps)
+    gate_of_run(run, data, recipe.training[-1].seed, tell=tell, bends=_bends_of(recipe))
     if recipe.missing_electrodes is None:
         return run
     return learn_missing_electrodes(recipe.missing_electrodes, folder, run, tell)
@@ -135,8 +134,7 @@ def export_run(recipe: BuildRecipe, folder: Path, run: Path, tell: Tell) -> tupl
     if (known := _exported_before(out, said)) is not None:
         return out, known
     found = trained(run)
-    bends, gate_steps = _gate(recipe)
-    result = package.export(found, data_of(found), out, tell=tell, bends=bends, gate_steps=gate_steps)
+    result = package.export(found, data_of(found), out, tell=tell, bends=_bends_of(recipe))
     members, facts, skin = read(out)
     result["bundle"] = write(out, members, {**facts, "build": recipe.as_dict()}, skin)
     keep(said, result)
@@ -225,8 +223,8 @@ def fitted_to(recipe: BuildRecipe, stage: TrainingStage, skin: Any) -> Any:
     return fitted(_network(recipe, stage), skin)
 
 
-def _gate(recipe: BuildRecipe) -> tuple[Callable[[Any], Any], int | None]:
-    """Return what gives the gate's untouched sheets, and the steps of its fit."""
+def _bends_of(recipe: BuildRecipe) -> Callable[[Any], Any]:
+    """Return what gives the gate's untouched sheets."""
     from eitskin_training.gate import untouched
 
     def bends(data: Any) -> Any:
@@ -234,7 +232,7 @@ def _gate(recipe: BuildRecipe) -> tuple[Callable[[Any], Any], int | None]:
             return untouched.bends_of(data)
         return untouched.solved_bends(data, recipe.gate.untouched)
 
-    return bends, recipe.gate.steps
+    return bends
 
 
 def processes(workers: int | None) -> int:

@@ -1,4 +1,4 @@
-"""The gate of random devices in closed form: matched filters, relative to the rest of a frame.
+"""The gate in closed form: matched filters, relative to the rest of a frame.
 
 Untouched moments of random devices fill their directions by very different amounts: a stretched reference, or a bent
 sheet with a gauge factor, moves all of them far, and most moments hardly any. With w the whitened logarithms, without
@@ -7,7 +7,7 @@ and unknown strength is then a matched filter over that scale, here its mean abs
 
     f_j = s_j . w / |s_j|        touched: max over j of f_j > c (mean |w| + a)
 
-c is set at a false-alarm rate, a excludes the noise of frames that show nothing. It is the gate's usual network: the
+c is set at a false-alarm rate, a excludes the noise of frames that show nothing. It is written as a network: the
 first layer has w, -w and the filters, the second f_j - c (mean |w| + a), and what is left above 0 is added up. A bound
 on w alone, learned or not, is determined by the few extreme moments, and the others' presses are below it.
 """
@@ -17,7 +17,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.arrays import Array
 
 Arrays = dict[str, npt.NDArray[np.generic]]
@@ -105,21 +104,21 @@ def in_form(mean: Array, w1: Array, b1: Array, w2: Array, b2: Array, w3: Array, 
     return {name: np.asarray(value, dtype=np.float32) for name, value in arrays.items()}
 
 
-def without_common(rows: int = N_ROWS) -> Array:
+def without_common(rows: int) -> Array:
     """Return (r, r - 1) orthonormal directions that a factor common to all rows does not move."""
     basis, _ = np.linalg.qr(np.column_stack([np.ones(rows), np.eye(rows)[:, : rows - 1]]))
     return np.asarray(basis[:, 1:])
 
 
-def whitening_of(logarithms: Array, directions: Array | None = None) -> tuple[Array, Array]:
-    """Return the (r,) mean and the (r, k) matrix that gives logarithms of untouched sheets unit covariance.
+def whitening_of(logarithms: Array) -> tuple[Array, Array]:
+    """Return the (r,) mean and the (r, r - 1) matrix that gives logarithms of untouched sheets unit covariance.
+
+    A factor common to all rows is not looked at.
 
     Args:
         logarithms: (n, r).
-        directions: (r, k) orthonormal ones, outside which nothing is looked at; None looks at all.
     """
-    seen = logarithms if directions is None else logarithms @ directions
-    values, own = np.linalg.eigh(np.cov(seen.T))
+    directions = without_common(logarithms.shape[1])
+    values, own = np.linalg.eigh(np.cov((logarithms @ directions).T))
     # Without the addend a direction in which no noise reaches would be blown up; 1e-4 in log V is below any mesh's.
-    whitening = own / np.sqrt(values + 1e-8)
-    return logarithms.mean(axis=0), whitening if directions is None else directions @ whitening
+    return logarithms.mean(axis=0), directions @ (own / np.sqrt(values + 1e-8))

@@ -1,21 +1,13 @@
-"""The touch gate: a very small network that detects untouched frames before the large one runs.
+"""The touch gate: matched filters that detect untouched frames before the network runs.
 
 A bent sheet moves every voltage although nothing touches it, so a threshold on |dV| cannot distinguish touch from bend,
 but the pattern can. Untouched sheets of all bends fill few of the 104 directions of log(V / V0), and a touch, however
-small, leaves them. But those directions are the ones of least variance, a thousandth of the largest, and a network on
-standardised rows does not find them (it missed four of five 10 mm touches at 1 % false alarms). So the logarithms are
-whitened by the covariance of noisy untouched sheets first ::
+small, leaves them. But those directions are the ones of least variance, a thousandth of the largest. So the factor
+common to all rows is removed from the logarithms, and what is left is whitened by the covariance of noisy untouched
+sheets; the filters work on that (:mod:`eitskin_training.gate.filters`).
 
-    log(max(1 + dV, floor)) (104) -> - mean, whiten -> 96 -> ReLU -> 32 -> ReLU -> 1 = logit
-    touched: logit > threshold
-
-For random devices, the factor common to all rows is removed from the logarithms before whitening, so that no drift
-turns a frame into a touched one. The network then consists of matched filters and is not trained
-(:mod:`eitskin_training.gate.filters`).
-
-Whitening is folded into the first weights, so it costs nothing. The threshold is set at a stated false-alarm rate on
-bends of families A and B that were not learned from; half of those choose it and half measure it. A second, smaller
-gate judges the rows of the few drives that an idle device scans.
+The threshold is set at a stated false-alarm rate on bends of families A and B that were not learned from; half of those
+choose it and half measure it. A second, smaller gate judges the rows of the few drives that an idle device scans.
 """
 
 from dataclasses import dataclass
@@ -23,8 +15,6 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from torch import nn
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.arrays import pack_arrays
@@ -37,12 +27,6 @@ from eitskin_training.gate.material import Material
 from eitskin_training.gate.rates import found_presses, measured, threshold_at, untouched_frames
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.samples.batches import TrainingData
-
-HIDDEN: Final = (96, 32)
-"""Widths of the gate's hidden layers."""
-
-IDLE_HIDDEN: Final = (64, 32)
-"""Those of the gate for scans of a few drives."""
 
 FALSE_ALARM_RATE: Final = 0.003
 """Share of untouched frames that may trip the gate. A false alarm costs one inference, and a miss hides a touch."""
@@ -57,18 +41,12 @@ COVARIANCES: Final = 4
 BANKS: Final = 6
 """Draws of untouched frames, and of filters with the covariance of each, of which the best are taken."""
 
-TRAINING_STEPS: Final = 5500
-"""Steps of AdamW; the idle gate takes half as many."""
-
-RATE: Final = 3e-3
-"""The largest learning rate."""
-
 Arrays = dict[str, npt.NDArray[np.generic]]
 
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """A trained gate and what was measured of it on bends it never saw.
+    """A gate and what was measured of it on bends it never saw.
 
     Args:
         arrays: floor, mean and scale (208,), w1 (208, h), b1 (h,), w2 (h, g), b2 (g,), w3 (g,), b3, threshold; the same
@@ -115,15 +93,13 @@ def logits(arrays: Arrays, dv: npt.NDArray[np.floating], prefix: str = "") -> Ar
 _FIELDS: Final = ("floor", "mean", "scale", "w1", "b1", "w2", "b2", "w3", "b3")
 
 
-def fit(data: TrainingData, bends: Bends, *, seed: int = 0, steps: int = TRAINING_STEPS, batch: int = 512) -> Gate:
-    """Train both gates and measure them.
+def fit(data: TrainingData, bends: Bends, *, seed: int = 0) -> Gate:
+    """Fit both gates and measure them.
 
     Args:
         data: A data set: its training samples are touched ones to learn from, its held-out ones measure what is missed.
         bends: Untouched sheets, and small touches.
-        seed: Of weights, draws and noise.
-        steps: Steps of AdamW.
-        batch: Samples a step, half of them untouched.
+        seed: Of draws and noise.
 
     Raises:
         SkinError: No bends are held out.
@@ -138,15 +114,11 @@ def fit(data: TrainingData, bends: Bends, *, seed: int = 0, steps: int = TRAININ
     found: Arrays = {}
     measures: dict[str, Any] = {}
     drives = idle_choice(material, rng)
-    for prefix, rows, hidden, count, rate in (
-        ("", np.arange(N_ROWS), HIDDEN, steps, FALSE_ALARM_RATE),
-        ("idle_", table_rows(False, drives), IDLE_HIDDEN, steps // 2, IDLE_FALSE_ALARM_RATE),
+    for prefix, rows, rate in (
+        ("", np.arange(N_ROWS), FALSE_ALARM_RATE),
+        ("idle_", table_rows(False, drives), IDLE_FALSE_ALARM_RATE),
     ):
-        torch.manual_seed(seed)
-        if bends.devices is None:
-            arrays = _trained(material, rows, hidden, count, batch, rng)
-        else:
-            arrays = _matched(material, rows, rate, bends, data, rng)
+        arrays = _matched(material, rows, rate, bends, data, rng)
 
         def judge(dv: Array, arrays: Arrays = arrays, rows: npt.NDArray[np.intp] = rows) -> Array:
             return logits(arrays, dv[:, rows])
@@ -160,35 +132,6 @@ def fit(data: TrainingData, bends: Bends, *, seed: int = 0, steps: int = TRAININ
     found["idle_drives"] = np.asarray(drives, dtype=np.uint16)
     idle = {"drives": drives_to_list(drives), **measures["idle_"]}
     return Gate(found, {**measures[""], "idle": idle})
-
-
-def _trained(
-    material: Material,
-    rows: npt.NDArray[np.intp],
-    hidden: tuple[int, int],
-    steps: int,
-    batch: int,
-    rng: np.random.Generator,
-) -> Arrays:
-    """Return a gate's arrays but for its threshold, in the runtime's form."""
-    mean, whitening = filters.whitening_of(_logarithms(material.draw(FRAMES, rng, touched=0.0)[0], rows))
-    layers = [nn.Linear(len(rows), hidden[0]), nn.Linear(hidden[0], hidden[1]), nn.Linear(hidden[1], 1)]
-    network = nn.Sequential(layers[0], nn.ReLU(), layers[1], nn.ReLU(), layers[2])
-    optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=1e-3)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=max(steps, 2))
-    for _ in range(steps):
-        dv, touched = material.draw(batch, rng)
-        x = torch.from_numpy(((_logarithms(dv, rows) - mean) @ whitening).astype(np.float32))
-        loss = nn.functional.binary_cross_entropy_with_logits(network(x)[:, 0], torch.from_numpy(touched))
-        optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimiser.step()
-        schedule.step()
-    weights = [layer.weight.detach().numpy().T for layer in layers]
-    biases = [layer.bias.detach().numpy() for layer in layers]
-    return filters.in_form(
-        mean, whitening @ weights[0], biases[0], weights[1], biases[1], weights[2][:, 0], biases[2][0]
-    )
 
 
 def _matched(
@@ -210,9 +153,7 @@ def _matched(
     touched = _logarithms(material.touched(small, FRAMES, rng), rows)
     best, found = -1.0, Arrays()
     for _ in range(COVARIANCES):
-        mean, whitening = filters.whitening_of(
-            _logarithms(material.draw(FRAMES, rng, touched=0.0)[0], rows), filters.without_common(len(rows))
-        )
+        mean, whitening = filters.whitening_of(_logarithms(material.noisy_untouched(FRAMES, rng), rows))
         still, pressed = ((logarithms - mean) @ whitening for logarithms in (untouched, touched))
         for _ in range(BANKS):
             bank = filters.bank(filters.patterns(material.touches[:, rows], len(bends.touches), rng) @ whitening, rng)

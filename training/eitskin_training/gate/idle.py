@@ -52,7 +52,7 @@ def covariance_of(dv: Array) -> Array:
 
 def idle_choice(material: Material, rng: np.random.Generator) -> int:
     """Return the drives that an idle device scans, 16 bits."""
-    covariance = covariance_of(material.draw(FRAMES, rng, touched=0.0)[0])
+    covariance = covariance_of(material.noisy_untouched(FRAMES, rng))
     weakest = np.argsort(np.abs(material.touches).mean(axis=1))[: max(len(material.touches) // 2, 1)]
     touches = material.touches[rng.choice(weakest, size=min(TOUCHES, len(weakest)), replace=False)]
     masks = [drives_from_list(list(drives)) for drives in combinations(range(N_ELECTRODES), DRIVES)]

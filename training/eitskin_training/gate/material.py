@@ -2,7 +2,7 @@
 
 A drawn bend is a solved one, or is between two of them or between one and flat: the voltages of a partial bend are
 close to a mean of logarithms. A drawn touch is put on it by adding its own logarithm log(V touched / V untouched),
-which hardly depends on the bend; weak touches are drawn most. Bend and touch are each shown in any of the skin's mirror
+which hardly depends on the bend. Bend and touch are each shown in any of the skin's mirror
 images, since the image of a sheet is a sheet. If devices drift, each frame also has its own common factor.
 """
 
@@ -20,12 +20,6 @@ from eitskin_sim.measurement.noise import NOISES, Kind, add_noise
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.network.mirror import mirrors
 from eitskin_training.samples.batches import TrainingData
-
-WEAK_MEAN_LOG: Final = 0.03
-"""Mean |log(V touched / V untouched)| up to which a touch is drawn with full weight; a 10 mm touch has about this."""
-
-MIN_MEAN_LOG: Final = 1e-3
-"""Below it a touch is beneath any noise and is not learned from."""
 
 MAX_TOUCHES: Final = 20_000
 """How many of a data set's samples are learned from."""
@@ -49,7 +43,6 @@ class Material:
         reference: (104,) V of the flat sheet.
         bends: (n, 104) log(V / V0) untouched.
         touches: (t, 104) log(V touched / V untouched).
-        upto: (t,) ascending chances that a drawn touch is this one or one before it.
         images: (i, 104) rows of the skin's mirror images.
         devices: By whose law every frame drifts; None of the nominal device, which does not.
     """
@@ -57,7 +50,6 @@ class Material:
     reference: Array
     bends: Array
     touches: Array
-    upto: Array
     images: npt.NDArray[np.intp]
     devices: Skin | None = None
 
@@ -71,31 +63,11 @@ class Material:
             ratio = ratio / data.drift[rows, None]
         usable = ((ratio > 1e-4) & (ratio < 1e4)).all(axis=1)
         touches = np.concatenate([np.log(ratio[usable]), bends.touches])
-        strength = np.abs(touches).mean(axis=1)
-        weights = np.sqrt(np.minimum(1.0, WEAK_MEAN_LOG / np.maximum(strength, MIN_MEAN_LOG))) * (
-            strength > MIN_MEAN_LOG
-        )
-        # What was solved for the gate counts as much as all samples of the data set together.
-        own = np.arange(len(touches)) >= usable.sum()
-        if own.any() and not own.all():
-            weights[own] *= weights[~own].sum() / weights[own].sum()
-        upto = np.cumsum(weights) / weights.sum()
-        return cls(data.reference, bends.train, touches, upto, images_of(data.skin), bends.devices)
+        return cls(data.reference, bends.train, touches, images_of(data.skin), bends.devices)
 
-    def draw(self, count: int, rng: np.random.Generator, touched: float = 0.5) -> tuple[Array, npt.NDArray[np.float32]]:
-        """Return (count, 104) noisy dV and (count,) 1 where touched.
-
-        Args:
-            count: How many frames.
-            rng: Draws them.
-            touched: Share of touched ones.
-        """
-        first = round(count * touched)
-        logs = self.untouched(count, rng)
-        chosen = np.minimum(np.searchsorted(self.upto, rng.random(first)), len(self.touches) - 1)
-        logs[:first] += self._image(self.touches[chosen], rng)
-        labels = np.repeat(np.array([1, 0], dtype=np.float32), [first, count - first])
-        return noisy_change(logs, self.reference, rng), labels
+    def noisy_untouched(self, count: int, rng: np.random.Generator) -> Array:
+        """Return (count, 104) noisy dV of untouched sheets."""
+        return noisy_change(self.untouched(count, rng), self.reference, rng)
 
     def touched(self, touches: Array, count: int, rng: np.random.Generator) -> Array:
         """Return (count, 104) noisy dV of some of (t, 104) log(V touched / V untouched), each as likely."""

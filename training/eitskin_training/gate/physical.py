@@ -104,7 +104,7 @@ def physical_gate(
             f"no touch changes rows by {filters.MIN_TOUCH_MEAN_LOG:.1%} or more, so there is nothing to find; give the "
             "skin larger touches, or contrasts further from 1"
         )
-    mean, whitening = filters.whitening_of(_frames(untouched.learn, reference, skin, rng), filters.without_common())
+    mean, whitening = filters.whitening_of(_frames(untouched.learn, reference, skin, rng))
     mean[:] = 0.0  # the flat sheet is the usual one
     bank = filters.bank(seen @ whitening, rng)
     choose, measure = (

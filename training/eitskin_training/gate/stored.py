@@ -29,7 +29,7 @@ NAME: Final = "gate.npz"
 LARGEST_FILE: Final = 256 << 20
 """Bytes of a stored gate with its sheets."""
 
-VERSION: Final = 4
+VERSION: Final = 5
 """Raised whenever a newly fitted gate would differ."""
 
 _GATE, _SHEETS = "gate_", "untouched_"
@@ -71,7 +71,6 @@ def gate_of_run(
     *,
     tell: Callable[[str], None] = lambda _: None,
     bends: GiveBends | None = None,
-    steps: int | None = None,
 ) -> RunGate:
     """Return a run's gate: the stored one, or one that is fitted now and stored.
 
@@ -81,7 +80,6 @@ def gate_of_run(
         seed: Its seed.
         tell: Called with each step, if there is one.
         bends: Gives the untouched sheets; None solves hundreds (:func:`eitskin_training.gate.untouched.solved_bends`).
-        steps: Steps that it is fitted for; None takes ``fit.TRAINING_STEPS``.
 
     Raises:
         SkinError: No bends are held out.
@@ -93,7 +91,7 @@ def gate_of_run(
     tell("gate: solving untouched sheets")
     sheets = (bends or untouched.solved_bends)(data)
     tell("gate: fitting")
-    gate = fit.fit(data, sheets, seed=seed, steps=fit.TRAINING_STEPS if steps is None else steps)
+    gate = fit.fit(data, sheets, seed=seed)
     found = RunGate(gate, Bends(sheets.train, sheets.choose, sheets.measure))
     try:
         _write(folder / NAME, found, expected)
