@@ -16,5 +16,9 @@ def study(name):
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # its dataclasses look for it
-    spec.loader.exec_module(module)
+    sys.path.insert(0, str(FOLDER))  # studies import those beside them
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(FOLDER))
     return module

@@ -18,8 +18,12 @@ def test_a_study_says_what_it_takes(name, capsys):
     assert "--json" in capsys.readouterr().out
 
 
-def test_a_wrong_option_is_one_line_and_bad_usage(capsys):
-    module = study("skins")
-    assert program(module.__doc__, module.add_arguments, module.run, ["--counts=x"]) == 2
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [("skins", "--counts=x"), ("taught_shapes", "--presses=5")],
+)
+def test_a_wrong_option_is_one_line_and_bad_usage(name, wrong, capsys):
+    module = study(name)
+    assert program(module.__doc__, module.add_arguments, module.run, [wrong]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "--counts" in line
+    assert wrong.partition("=")[0] in line
