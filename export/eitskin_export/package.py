@@ -37,29 +37,30 @@ from eitskin_sim.solvers.tikhonov import tikhonov_matrix, weighed
 from eitskin_training.network.model import VD2T
 from eitskin_training.score import score
 
+MOST_SCORED: Final = 2000
+"""Samples of each entry of a card, at most."""
 
-def card(model: VD2T, data: TrainingData, *, most: int = 2000) -> dict[str, Any]:
+
+def card(model: VD2T, data: TrainingData) -> dict[str, Any]:
     """Return scores on the held-out bends: {family: {noise: {loss, cc, worst_bend_cc, untouched_peak, samples}}}.
 
     Args:
         model: A trained network.
         data: Its data set.
-        most: Most samples for each entry.
     """
     return {
-        family: {kind: _entry(model, data, rows, kind, most) for kind in NOISES}
-        for family, rows in data.held_out.items()
+        family: {kind: _entry(model, data, rows, kind) for kind in NOISES} for family, rows in data.held_out.items()
     }
 
 
-def _entry(model: VD2T, data: TrainingData, rows: Any, kind: Kind, most: int) -> dict[str, float | int]:
-    found = score(model, data, rows, (kind,), most=most)
+def _entry(model: VD2T, data: TrainingData, rows: Any, kind: Kind) -> dict[str, float | int]:
+    found = score(model, data, rows, (kind,), most=MOST_SCORED)
     return {
         "loss": round(found.loss, 6),
         "cc": round(found.cc, 5),
         "worst_bend_cc": round(found.worst_bend_cc, 5),
         "untouched_peak": round(found.untouched_peak, 4),
-        "samples": min(most, len(rows)),
+        "samples": min(MOST_SCORED, len(rows)),
     }
 
 
@@ -100,17 +101,15 @@ def int8_head(graph: bytes) -> bytes:
 MIN_STRONG_TOUCH_MM2: Final = 100.0
 """10 mm square: the least that counts as a strong touch, however quiet the network is."""
 
+AUDITED_FRAMES: Final = 400
+"""With the cloud of the flat sheet and no prediction."""
+
 GHOST_MARGIN: Final = 2
 """Times the largest ghost."""
 
 
 def audit_pixels(
-    geometry: bytes,
-    head: bytes,
-    bends: npt.NDArray[np.float64],
-    reference: npt.NDArray[np.float64],
-    grid: Grid,
-    frames: int = 400,
+    geometry: bytes, head: bytes, bends: npt.NDArray[np.float64], reference: npt.NDArray[np.float64], grid: Grid
 ) -> int:
     """Return how many pixels above one half make a strong touch.
 
@@ -120,11 +119,10 @@ def audit_pixels(
         bends: (n, 104) log(V / V0) of untouched sheets that nothing learned from.
         reference: (104,) V0.
         grid: Of the map.
-        frames: How many are looked at, with the cloud of the flat sheet and no prediction.
     """
     rng = np.random.default_rng(0xA0D17)
-    dv = material.noisy_change(bends[rng.integers(len(bends), size=frames)], reference, rng).astype(np.float32)
-    flat = np.repeat(network_input(grid.flat_cloud_mm(), grid)[np.newaxis], frames, axis=0)
+    dv = material.noisy_change(bends[rng.integers(len(bends), size=AUDITED_FRAMES)], reference, rng).astype(np.float32)
+    flat = np.repeat(network_input(grid.flat_cloud_mm(), grid)[np.newaxis], AUDITED_FRAMES, axis=0)
     maps = parity.run_graphs(geometry, head, dv, flat, np.zeros_like(dv))["map"]
     largest = int(np.count_nonzero(maps > STRONG_VALUE, axis=1).max())
     return min(max(round(MIN_STRONG_TOUCH_MM2 / grid.pixel_mm2), 1, GHOST_MARGIN * largest), grid.n_pixels)

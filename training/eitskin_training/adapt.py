@@ -28,28 +28,24 @@ from eitskin_training.network.filling import WIDTH, Filling, Missing
 from eitskin_training.network.mirror import mirrors
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
+from eitskin_training.resident import lose_rows
 from eitskin_training.run import decayed
 from eitskin_training.run_files import write_file
-from eitskin_training.samples.batches import TrainingData, assemble, consistency_of, lose_rows, noisy_change
+from eitskin_training.samples.batches import TrainingData, assemble, consistency_of, noisy_change
 from eitskin_training.score import correlations, training_loss, truth_of
 
+SCORED: Final = 600
+"""Held-out samples, with N2 noise."""
 
-def held_out(
-    model: VD2T, filling: Filling, data: TrainingData, *, most: int = 600, sets: int = 6, seed: int = 0
-) -> dict[str, float]:
-    """Return the mean CC of maps on bends never trained on: whole, and without one, two and three electrodes.
+SCORED_SETS: Final = 6
+"""Of two and of three lost electrodes; of one, all 16."""
 
-    Args:
-        model: The network.
-        filling: Fills missing rows in.
-        data: The data set.
-        most: Samples, with N2 noise.
-        sets: Of two and of three electrodes; of one, all 16.
-        seed: Of the draws.
-    """
-    rng = np.random.default_rng([seed, 0x0FF])
+
+def held_out(model: VD2T, filling: Filling, data: TrainingData) -> dict[str, float]:
+    """Return the mean CC of maps on bends never trained on: whole, and without one, two and three electrodes."""
+    rng = np.random.default_rng([0, 0x0FF])
     rows = data.apart
-    rows = np.sort(rng.choice(rows, size=min(most, len(rows)), replace=False))
+    rows = np.sort(rng.choice(rows, size=min(SCORED, len(rows)), replace=False))
     change = noisy_change(data, rows, ("N2",), 50.0, rng)
     batch = assemble(data, rows, change, data.log_predicted[data.deformation[rows]])
     truth = truth_of(batch.labels.numpy(), data)
@@ -70,7 +66,7 @@ def held_out(
         single = [cc((electrode,)) for electrode in range(N_ELECTRODES)]
         found |= {"one_lost": float(np.mean(single)), "worst_lost": min(single)}
         for name, count in (("two_lost", 2), ("three_lost", 3)):
-            drawn = [tuple(sorted(rng.choice(N_ELECTRODES, count, replace=False).tolist())) for _ in range(sets)]
+            drawn = [tuple(sorted(rng.choice(N_ELECTRODES, count, replace=False).tolist())) for _ in range(SCORED_SETS)]
             found[name] = float(np.mean([cc(electrodes) for electrodes in drawn]))
     return {name: round(value, 5) for name, value in found.items()}
 
@@ -198,9 +194,8 @@ def _draw(data: TrainingData, recipe: Recipe, size: int, share: float, rng: np.r
     number = int(rng.integers(len(mirrors(data.skin)))) if recipe.flips else 0
     change = noisy_change(data, rows, recipe.noises, recipe.snr_db, rng)
     incomplete = max(GROUPS, int(share * size))
-    whole = change[incomplete:]
-    lose_rows(whole, recipe, rng)
-    change[incomplete:] = whole
+    whole = torch.from_numpy(change[incomplete:])
+    change[incomplete:] = lose_rows(whole, recipe.lost_rows, torch.default_generator).numpy()
     predicted = data.log_predicted[data.deformation[rows]]
     predicted[rng.random(size) < recipe.predicted_dropout] = 0.0
     image = mirrors(data.skin)[number].rows

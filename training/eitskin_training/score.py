@@ -100,10 +100,9 @@ def score(
     kinds: tuple[Kind, ...],
     *,
     snr_db: float | tuple[float, float] = 50.0,
-    seed: int = 0,
     most: int = 6000,
 ) -> Score:
-    """Return the score over rows of a data set, with noise that the seed fixes.
+    """Return the score over rows of a data set, with noise that is always the same.
 
     Args:
         model: A network; it is used in evaluation mode.
@@ -111,7 +110,6 @@ def score(
         rows: Which samples.
         kinds: Noises, one drawn a sample.
         snr_db: Signal-to-noise ratio.
-        seed: Of the noise and of the choice of samples.
         most: Most samples, chosen at random.
 
     Raises:
@@ -119,7 +117,7 @@ def score(
     """
     if len(rows) == 0:
         raise ValueError("no samples to score; expected at least one row of the data set")
-    rng = np.random.default_rng([seed, len(rows)])
+    rng = np.random.default_rng([0, len(rows)])
     chosen = np.sort(rng.choice(rows, size=min(most, len(rows)), replace=False))
     device = next(model.parameters()).device
     was_training = model.training
@@ -150,26 +148,3 @@ def score(
     return Score(
         loss_sum / len(chosen), float(all_cc.mean()), float(per_bend[np.unique(all_bends)].min()), untouched_peak
     )
-
-
-def maps_of(
-    model: VD2T, data: TrainingData, rows: npt.NDArray[np.intp], *, snr_db: float = 50.0, seed: int = 0
-) -> npt.NDArray[np.float32]:
-    """Return the (n, n_pixels) maps of a few rows of a data set, under N2.
-
-    Args:
-        model: A network.
-        data: The data set.
-        rows: Which samples.
-        snr_db: Signal-to-noise ratio.
-        seed: Of the noise.
-    """
-    was_training = model.training
-    model.eval()
-    with torch.inference_mode():
-        dv = noisy_change(data, rows, ("N2",), snr_db, np.random.default_rng([seed, len(rows)]))
-        batch = assemble(data, rows, dv, data.log_predicted[data.deformation[rows]])
-        batch = batch.to(next(model.parameters()).device)
-        maps = model.maps(model(batch.dv, batch.clouds, batch.which, batch.log_predicted)).cpu().numpy()
-    model.train(was_training)
-    return np.asarray(maps)

@@ -104,18 +104,17 @@ def fits(start: Start, recipe: Recipe) -> bool:
     return bool(narrower) and replace(recipe.architecture, ranks=()) == start.architecture
 
 
-def narrowed(start: Start, recipe: Recipe, data: TrainingData, seed: int = 0) -> Start:
+def narrowed(start: Start, recipe: Recipe, data: TrainingData) -> Start:
     """Return a start for a recipe's network, whose layers are narrower than those of ``start``.
 
     Args:
         start: Weights of the larger network.
         recipe: Of the smaller one; :func:`fits` tells whether it is one.
         data: Whose features decide what of a layer is kept.
-        seed: Of the choice of samples, and of their noise.
     """
     whole, found = VD2T(start.architecture, start.skin), VD2T(recipe.architecture, start.skin)
     whole.load_state_dict(start.weights)
-    moments = _moments(whole.eval(), recipe, data, seed)
+    moments = _moments(whole.eval(), recipe, data)
     weights = {name: value for name, value in start.weights.items() if name in found.state_dict()}
     found.load_state_dict(weights, strict=False)
     for (name, layer), (_, narrow) in zip(_layers(whole), _layers(found), strict=True):
@@ -136,9 +135,9 @@ def _layers(model: VD2T) -> list[tuple[str, nn.Module]]:
     return [*found, ("fusion", model.fusion_voltage), ("out", model.out)]
 
 
-def _moments(model: VD2T, recipe: Recipe, data: TrainingData, seed: int) -> dict[str, Tensor]:
+def _moments(model: VD2T, recipe: Recipe, data: TrainingData) -> dict[str, Tensor]:
     """Return (n, inputs, inputs) second moments of each layer's features, summed over samples."""
-    rng = np.random.default_rng([seed, 0x7A])
+    rng = np.random.default_rng([0, 0x7A])
     rows = np.sort(rng.choice(data.train, size=min(FEATURE_SAMPLES, len(data.train)), replace=False))
     found: dict[str, Tensor] = {}
 

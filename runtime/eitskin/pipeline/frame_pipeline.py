@@ -309,7 +309,6 @@ class Pipeline:
         skip_unchanged: Whether a touched frame keeps the map of an earlier one if they differ only by noise.
         health: Monitors electrodes and drift; None if the bundle cannot.
         idle_gate: Judges frames of a few drives; without one they are withheld.
-        decisions: Filled in before each frame where frames are computed again as a recording says; None decides now.
         skin: The one in use, if it is known better than when the bundle was made; None for the bundle's.
 
     Raises:
@@ -328,7 +327,6 @@ class Pipeline:
         skip_unchanged: bool = False,
         health: Health | None = None,
         idle_gate: IdleGate | None = None,
-        decisions: FrameDecisions | None = None,
         skin: SkinDescription | None = None,
     ) -> None:
         self.skin = bundle.skin if skin is None else skin
@@ -341,8 +339,8 @@ class Pipeline:
         self.audit = GateAudit(audit_pixels(arrays, grid.n_pixels), grid.n_pixels)
         self.health = health
         self.idle_gate = idle_gate
-        self.decisions = FrameDecisions() if decisions is None else decisions
-        """Of the frame to come, as far as they are given."""
+        self.decisions = FrameDecisions()
+        """Filled in before each frame where frames are computed again as a recording says."""
         self.buffers = Buffers(bundle, None if self.gate is None else self.gate.change)
         self._prediction = GeometryInUse(self.buffers, self.field, fills=health is not None)
         self._change = self.buffers.change[0]

@@ -30,8 +30,8 @@ _STAMPS: Final = struct.Struct(f"={READY + 1}q")
 class Statistics:
     """Counts and stamps of one run."""
 
-    def __init__(self, capacity: int = RING) -> None:
-        self._stamps = np.empty((capacity, READY + 1), dtype=np.int64)
+    def __init__(self) -> None:
+        self._stamps = np.empty((RING, READY + 1), dtype=np.int64)
         self._stamps[:] = 0  # written now, so that the kernel gives the pages now and not frame by frame
         self._memory = self._stamps.data.cast("B")
         self.frames = 0

@@ -6,7 +6,7 @@ import pytest
 
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_training.recipes import recipe
-from eitskin_training.samples.batches import assemble, in_order, lose_rows, noisy_change
+from eitskin_training.samples.batches import assemble, in_order, noisy_change
 
 
 def test_a_batch_holds_each_cloud_once_and_the_right_one_for_each_sample(toy_data: Any) -> None:
@@ -46,11 +46,3 @@ def test_noise_has_the_level_that_its_definition_states(kind: Any, toy_data: Any
     }[kind]
     # 200,000 draws: the rms of a normal variable is known to 0.2 %; 1 % leaves room for nothing else.
     assert np.sqrt(np.mean((error / level) ** 2)) == pytest.approx(0.01, rel=0.01)
-
-
-def test_lost_rows_are_zero_and_as_frequent_as_the_recipe_says() -> None:
-    dv = np.ones((4000, 104), dtype=np.float32)
-    lose_rows(dv, replace(recipe("tiny"), lost_rows=0.2, lost_electrode=0.0), np.random.default_rng(0))
-    lost = (dv == 0).sum(axis=1)
-    assert lost.max() == 4
-    assert np.mean(lost > 0) == pytest.approx(0.2, abs=0.02)

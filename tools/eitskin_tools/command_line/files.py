@@ -147,20 +147,16 @@ def writable(path: str | Path, written: kinds.FileKind | None) -> Path:
     return found
 
 
-def picture(path: str | Path, endings: tuple[str, ...] = PICTURES) -> Path:
-    """Return the path of a picture that is to be drawn, before the work that it shows.
-
-    Args:
-        path: Of the file.
-        endings: The formats that can be drawn; a name without an end is a PNG.
+def picture(path: str | Path) -> Path:
+    """Return the path of a picture that is to be drawn, before the work that it shows; without an end it is a PNG.
 
     Raises:
         MissingFileError: See :func:`writable`.
         FileError: See there; or its name ends in no format that can be drawn.
     """
     found = writable(path, kinds.PICTURE)
-    if found.suffix and found.suffix.lower() not in endings:
-        raise FileError(f"{path} ends in {found.suffix!r}, expected one of {', '.join(endings)}")
+    if found.suffix and found.suffix.lower() not in PICTURES:
+        raise FileError(f"{path} ends in {found.suffix!r}, expected one of {', '.join(PICTURES)}")
     return found
 
 

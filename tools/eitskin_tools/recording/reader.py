@@ -178,21 +178,17 @@ class Recording:
                 "the release that made it"
             )
 
-    def entries(
-        self, topics: Collection[str] | None = None, from_ns: int | None = None, to_ns: int | None = None
-    ) -> Iterator[Entry]:
+    def entries(self, topics: Collection[str] | None = None, to_ns: int = LATEST_NS) -> Iterator[Entry]:
         """Yield messages in the order in which they came.
 
         Args:
             topics: Of these channels only; None for all.
-            from_ns: Leave chunks out that end before this, on the wall clock.
-            to_ns: Leave chunks out that begin after this.
+            to_ns: Leave chunks out that begin after this, on the wall clock.
 
         Raises:
             OSError: The file cannot be read.
         """
-        first, last = 0 if from_ns is None else from_ns, LATEST_NS if to_ns is None else to_ns
-        for number in self.between(first, last):
+        for number in self.between(0, to_ns):
             yield from (entry for entry in self.read(number) if topics is None or entry.topic in topics)
 
     def between(self, begin_ns: int, end_ns: int) -> list[int]:

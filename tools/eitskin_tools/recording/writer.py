@@ -39,26 +39,25 @@ class Reserve:
 
     Args:
         folder: On the disk in question.
-        size: Bytes.
 
     Raises:
         RecordingError: The disk has less space.
         OSError: The space cannot be reserved.
     """
 
-    def __init__(self, folder: Path, size: int = RESERVE_BYTES) -> None:
+    def __init__(self, folder: Path) -> None:
         self._file: IO[bytes] | None = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 -- kept open
         try:
-            os.posix_fallocate(self._file.fileno(), 0, size)
+            os.posix_fallocate(self._file.fileno(), 0, RESERVE_BYTES)
         except OSError as error:
             self.release()
             if error.errno == errno.EFBIG:
                 raise RecordingError(
-                    f"this user may not write files of {size >> 20} MB; allow larger ones with 'ulimit -f'"
+                    f"this user may not write files of {RESERVE_BYTES >> 20} MB; allow larger ones with 'ulimit -f'"
                 ) from error
             if error.errno in DISK_FULL_ERRNOS:
                 raise RecordingError(
-                    f"{folder} has less than {size >> 20} MB left; free some, or name another place"
+                    f"{folder} has less than {RESERVE_BYTES >> 20} MB left; free some, or name another place"
                 ) from error
             raise
 

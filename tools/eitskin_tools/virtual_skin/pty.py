@@ -35,14 +35,9 @@ class PtyPort:
     restart_s = 0.0
     """How long the device is gone from the line when it restarts: a converter chip keeps this port."""
 
-    def __init__(self, folder: Path | None = None) -> None:
-        """Create the port and plug it in.
-
-        Args:
-            folder: Where the link goes; by default a private temporary folder, removed by :meth:`close`.
-        """
-        self._own_folder = folder is None
-        self._folder = Path(tempfile.mkdtemp(prefix="eitskin-")) if folder is None else folder
+    def __init__(self) -> None:
+        """Create the port in a private folder and plug it in."""
+        self._folder = Path(tempfile.mkdtemp(prefix="eitskin-"))
         self.path = self._folder / PORT_NAME
         self.overruns = 0
         self._rest = b""
@@ -149,8 +144,7 @@ class PtyPort:
     def close(self) -> None:
         """Unplug for good and remove the link."""
         self.unplug()
-        if self._own_folder:
-            shutil.rmtree(self._folder, ignore_errors=True)
+        shutil.rmtree(self._folder, ignore_errors=True)
 
     def __enter__(self) -> Self:
         return self

@@ -44,14 +44,13 @@ MAX_STRETCH_SD: Final = 2.0
 """Stretches of references are solved up to this many standard deviations."""
 
 
-def moments(bends: Sequence[Bend], skin: Skin, seed: int, together: int = 2) -> Array:
-    """Return (n, 104) log(V / V0) of untouched devices, one at each bend, all of them solved.
+def moments(bends: Sequence[Bend], skin: Skin, seed: int) -> Array:
+    """Return (n, 104) log(V / V0) of untouched devices, one at each bend and two of a device, all of them solved.
 
     Args:
         bends: Where.
         skin: What devices are drawn from.
         seed: Of the draws.
-        together: Bends that share a device, and so a reference.
 
     Raises:
         ValueError: The skin's electronics hardly ever read every row by the sign that it has.
@@ -59,11 +58,11 @@ def moments(bends: Sequence[Bend], skin: Skin, seed: int, together: int = 2) -> 
     rng = np.random.default_rng([seed, SEED])
     nominal = readings(ideal(skin), sheet_differences(ideal(skin), Bend(), COARSE_MM))
     found = np.empty((len(bends), N_ROWS))
-    for start in range(0, len(bends), together):
+    for start in range(0, len(bends), 2):
         drawn = draw_device(skin, rng)
         before = sheet_differences(drawn.device, drawn.reference_bend, COARSE_MM)
         drawn, own = _usable(drawn, before, nominal, skin, rng)
-        for number in range(start, min(start + together, len(bends))):
+        for number in range(start, min(start + 2, len(bends))):
             device = drawn.device.since(draw_moment(skin, rng).late)
             solved = sheet_differences(device, true_bend(drawn, bends[number]), COARSE_MM)
             found[number] = log_of_ratio(readings(device, solved), own)

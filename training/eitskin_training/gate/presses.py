@@ -58,7 +58,7 @@ def drawn_presses(count: int, rng: np.random.Generator, skin: Skin) -> list[Arra
     return sets
 
 
-def probe_presses(seed: int, skin: Skin, each: int = 20) -> dict[str, list[Array]]:
+def probe_presses(seed: int, skin: Skin) -> dict[str, list[Array]]:
     """Return touch sets by name: presses of the strength asked for and of contrasts, anywhere on the sheet."""
     rng = np.random.default_rng(seed)
     wanted = {
@@ -70,6 +70,6 @@ def probe_presses(seed: int, skin: Skin, each: int = 20) -> dict[str, list[Array
     half = DIAMETER_MM / 2
     found = {}
     for name, contrast in wanted.items():
-        at = rng.uniform((half, half), np.array(skin.outline.size_mm) - half, (each, 2))
+        at = rng.uniform((half, half), np.array(skin.outline.size_mm) - half, (20, 2))
         found[name] = [press(float(x), float(y), DIAMETER_MM, contrast) for x, y in at]
     return found

@@ -149,12 +149,12 @@ def found_presses(
 
 
 def missed_probes(
-    judge: Judge, threshold: float, bends: Bends, reference: Array, rng: np.random.Generator, draws: int = 10
+    judge: Judge, threshold: float, bends: Bends, reference: Array, rng: np.random.Generator
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return the share of frames missed: by touch, then family of bends, then noise."""
     missed: dict[str, dict[str, dict[str, float]]] = {}
     for probe in bends.probes:
-        logs = np.repeat(probe.logs, draws, axis=0)
+        logs = np.repeat(probe.logs, 10, axis=0)
         missed.setdefault(probe.name, {})[probe.family] = {
             kind: float(np.mean(judge(noisy_change(logs, reference, rng, kind)) <= threshold)) for kind in NOISES
         }

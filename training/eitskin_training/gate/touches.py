@@ -75,22 +75,24 @@ class Probe:
     before: Array
 
 
+TOUCHES_PER_BEND: Final = 400
+
+
 @lru_cache(maxsize=CACHED_RESULTS)
-def small_touches(bends: int, skin: Skin, each: int = 400, kind: TouchKind = "raise") -> Array:
+def small_touches(bends: int, skin: Skin, kind: TouchKind = "raise") -> Array:
     """Return (n, 104) log(V touched / V untouched) of touches of 5 to 12 mm, at the flat sheet and other bends.
 
     Args:
         bends: How many.
         skin: Of the sheet.
-        each: Touches at each.
         kind: "lower" for faint presses instead, "both" for every second one.
     """
     rng = np.random.default_rng(TOUCH_SEED)
     members = [Bend(), *wide_bends(bends - 1, TOUCH_SEED, skin)]
-    hard = {"raise": each, "lower": 0, "both": each // 2}[kind]
+    hard = {"raise": TOUCHES_PER_BEND, "lower": 0, "both": TOUCHES_PER_BEND // 2}[kind]
     found = []
     for bend in members:
-        sets = [_drawn_touches(hard, rng, skin), drawn_presses(each - hard, rng, skin)]
+        sets = [_drawn_touches(hard, rng, skin), drawn_presses(TOUCHES_PER_BEND - hard, rng, skin)]
         found += [touch_logs(bend, some, skin) for some in sets if some]
     return np.concatenate(found)
 
@@ -135,7 +137,7 @@ def squares(centres_mm: Iterable[tuple[float, float]], side_mm: float, contrast:
     return [np.array([[RECTANGLE, x, y, side_mm, side_mm, 0.0, contrast]]) for x, y in centres_mm]
 
 
-def probe_sets(seed: int, skin: Skin, each: int = 20) -> dict[str, list[Array]]:
+def probe_sets(seed: int, skin: Skin) -> dict[str, list[Array]]:
     """Return touch sets by name, of the weakest contrast: squares in the middle of the sheet, and anywhere on it."""
     rng = np.random.default_rng(seed)
     length, width = skin.outline.size_mm
@@ -145,7 +147,7 @@ def probe_sets(seed: int, skin: Skin, each: int = 20) -> dict[str, list[Array]]:
     for side in (10.0, 7.0, 5.0):
         anywhere = [
             (float(x), float(y))
-            for x, y in rng.uniform((side / 2, side / 2), (length - side / 2, width - side / 2), (each, 2))
+            for x, y in rng.uniform((side / 2, side / 2), (length - side / 2, width - side / 2), (20, 2))
         ]
         found[f"{side:g} mm, middle"] = squares(middle, side, contrast)
         found[f"{side:g} mm, anywhere"] = squares(anywhere, side, contrast)

@@ -43,6 +43,15 @@ CHOOSING_DEVICES: Final = 300
 MOMENTS_PER_DEVICE: Final = 8
 """Random devices that are learned from and that choose a threshold, and the moments of each."""
 
+APART: Final = 100
+"""Bends solved of A, and as many of B, half of which choose and half measure; of devices, all measure."""
+
+TOUCHED_BENDS: Final = 8
+"""At which small touches are solved for learning."""
+
+PROBED_BENDS: Final = 3
+"""Of A, and as many of B, at which touches measure what is missed."""
+
 CACHED_RESULTS: Final = 4
 """Results that are kept while the process runs, of each kind: of a few skins."""
 
@@ -78,24 +87,19 @@ def bends_of(data: "TrainingData") -> Bends:
     return Bends(train, logs[apart[::2]], logs[apart[1::2]], devices=None if data.drift is None else data.skin)
 
 
-def solved_bends(
-    data: "TrainingData", train: int = 900, held_out: int = 100, touched_bends: int = 8, probed_bends: int = 3
-) -> Bends:
+def solved_bends(data: "TrainingData", train: int = 900) -> Bends:
     """Return a data set's bends and many more, and touches.
 
     Args:
         data: The data set; its bends kept apart are left to other measurements.
         train: Bends of the wider family to solve for learning; half as many for random devices.
-        held_out: Bends to solve of A, and as many of B, half of which choose and half measure; of devices, all measure.
-        touched_bends: Bends at which small touches are solved for learning.
-        probed_bends: Bends of A, and as many of B, at which touches measure what is missed.
     """
-    found = solved(train, held_out, data.skin) if data.drift is None else devices(train // 2, held_out, data.skin)
+    found = solved(train, APART, data.skin) if data.drift is None else devices(train // 2, APART, data.skin)
     return replace(
         found,
         train=np.concatenate([bends_of(data).train, found.train]),
-        touches=small_touches(touched_bends, data.skin, kind=data.touch_kind),
-        probes=probes(probed_bends, PROBE_SEED, data.skin, data.touch_kind),
+        touches=small_touches(TOUCHED_BENDS, data.skin, kind=data.touch_kind),
+        probes=probes(PROBED_BENDS, PROBE_SEED, data.skin, data.touch_kind),
     )
 
 

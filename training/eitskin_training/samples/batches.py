@@ -17,7 +17,6 @@ from eitskin_proto.errors import MismatchError
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.row_gaussian import RowGaussian
-from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
@@ -194,12 +193,6 @@ def assemble(
         torch.from_numpy(np.ascontiguousarray(predicted[:, mirror.rows])),
         torch.from_numpy(labels),
     )
-
-
-def lose_rows(dv: npt.NDArray[np.float32], recipe: Recipe, rng: np.random.Generator) -> None:
-    """Set to 0, in place, the few single rows that some samples of (B, 104) lose."""
-    for sample in np.flatnonzero(rng.random(len(dv)) < recipe.lost_rows):
-        dv[sample, rng.choice(N_ROWS, size=int(rng.integers(1, MAX_LOST_ROWS + 1)), replace=False)] = 0.0
 
 
 def consistency_of(data: TrainingData, recipe: Recipe) -> RowGaussian:
