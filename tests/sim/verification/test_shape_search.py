@@ -6,7 +6,7 @@ from itertools import count
 
 import numpy as np
 import pytest
-from tests.sim.verification.frames import NOTHING, SQUARE, Array, noisy, shares_of
+from tests.sim.verification.frames import NOTHING, OTHER, SQUARE, Array, noisy, shares_of
 
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.parts import Deformations
@@ -80,6 +80,13 @@ def test_a_flat_sheet_is_explained_as_with_the_flat_cloud() -> None:
     guessed, told = (verifier(is_guess=guess).verify(frame, shares, 10.0) for guess in (True, False))
     assert np.array_equal(guessed.pieces, told.pieces)
     assert guessed.p_value == told.p_value
+
+
+@pytest.mark.parametrize("bend", [Bend(), BEND], ids=["flat", "bent"])
+def test_drift_that_the_network_takes_for_a_touch_is_none(bend: Bend) -> None:
+    drift = np.array([[0, 37.5, 50.0, 70.0, 90.0, 0.0, 0.96, 0.0]])
+    found = verifier().verify(0.95 * read(bend, drift, 3), shares_of(OTHER), 10.0)
+    assert (found.flagged, found.touches) == (False, ())
 
 
 def test_a_frame_of_no_shape_is_flagged() -> None:

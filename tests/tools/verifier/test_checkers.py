@@ -117,15 +117,19 @@ def test_a_sheet_seen_at_rest_is_known_and_one_that_is_not_its_scans_is_said(mod
         assert "send its cloud" in checker.learn_baseline(BaselineLetter(1, 50, off + 2.0 * np.abs(off)))
 
 
-def test_a_guessed_cloud_gives_way_to_the_shape_that_a_frame_shows(model):
+@pytest.mark.parametrize("kind", ["is_certain", "is_guess", "scan"])
+def test_a_cloud_gives_way_to_the_shape_that_a_frame_shows_unless_it_is_certain(model, kind):
     bent = touched_sheet(bend_metric(Bend(twist_deg=20.0, stretch_along=1.12), nominal_sheet(PAPER)), PAPER)
     change = bent.solve(PIECE).voltages_V / model.flat_V - 1.0
     change += NOISE * (1.0 + change) * np.random.default_rng(2).standard_normal(104)
     image = map_of(PIECE).astype("f4").ravel()
-    for is_guess in (False, True):
-        setup = dataclasses.replace(setup_of(PAPER, "area", 1e-3 * model.flat_V), is_guess=is_guess)
-        (*_, flagged), touches, _ = Checker(setup).check(letter(change.astype("f4"), image))
-        assert flagged is not is_guess
+    setup = dataclasses.replace(setup_of(PAPER, "area", 1e-3 * model.flat_V), budget_s=5.0)
+    setup = dataclasses.replace(setup, **({} if kind == "scan" else {kind: True}))
+    (*_, flagged), touches, why = Checker(setup).check(letter(change.astype("f4"), image))
+    if kind == "is_certain":
+        assert flagged
+        return
+    assert (flagged, why) == (False, "fitted")
     assert touches[0].centre_mm == pytest.approx(PIECE[0, 1:3], abs=1.0)
 
 

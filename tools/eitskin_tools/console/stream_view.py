@@ -11,7 +11,7 @@ from typing import Any, Final, TextIO
 
 import numpy as np
 
-from eitskin.messaging.streams.verified import CONTESTED, DENTED, TIME, UNEXPLAINED
+from eitskin.messaging.streams.verified import CONTESTED, DENTED, FITTED, TIME, UNEXPLAINED
 from eitskin.touches.force import ForceTable
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
@@ -126,7 +126,8 @@ def describe_verdict(found: Any, table: ForceTable | None = None) -> list[str]:
     """
     if not found.verified:
         return [f"{found.sequence} not verified: {state_text(found.state, found.why)}"]
-    said = FLAGGED.get(found.why, "FLAGGED") if found.flagged else "verified"
+    fitted = " on a shape fitted to frames" if found.why == FITTED else ""
+    said = FLAGGED.get(found.why, "FLAGGED") if found.flagged else f"verified{fitted}"
     behind_ms = (found.host_ns["end"] - found.host_ns["publish"]) * 1e-6
     head = (
         f"{found.sequence} {said}, p {found.p_value:.3g}, chi-squared {found.chi_squared:.1f} for "

@@ -129,7 +129,7 @@ def touches_of(measured: Measured) -> TouchKind:
 def _sheet(measured: Measured, scan: int) -> Sheet:
     unknown = np.full(measured.voltages_V.shape[1], np.nan)
     flat = measured.skin.grid.flat_cloud_mm()
-    return Sheet(flat if scan < 0 else measured.clouds_mm[scan], unknown, measured.skin)
+    return Sheet(flat if scan < 0 else measured.clouds_mm[scan], unknown, measured.skin, is_certain=scan < 0)
 
 
 def _flat_reference(measured: Measured) -> Array:

@@ -4,7 +4,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from eitskin.messaging.streams.verified import DENTED, TIME, UNEXPLAINED, VerifiedTouch
+from eitskin.messaging.streams.verified import DENTED, FITTED, TIME, UNEXPLAINED, VerifiedTouch
 from eitskin.touches.surface import Surface
 from eitskin_proto.sensor.normalise import inverse_reference
 from eitskin_proto.skin.toml import parse
@@ -19,10 +19,14 @@ SCAN_MISMATCH: Final = (
     "the untouched sheet does not match its cloud and reference: send its cloud, or capture a new reference"
 )
 
+SHAPE_UNKNOWN: Final = (
+    "the untouched sheet has no shape that its skin's [deformations] allow: send its cloud, or capture a new reference"
+)
+
 Three = tuple[float, float, float]
 
 Verdict = tuple[tuple[float, int, float, bool], tuple[VerifiedTouch, ...], str]
-"""chi-squared, degrees of freedom, p-value, flagged; the touches; and why it is flagged, or nothing."""
+"""chi-squared, degrees of freedom, p-value, flagged; the touches; and what is to be said of it, or nothing."""
 
 
 class CannotVerifyError(Exception):
@@ -48,7 +52,8 @@ class Checker:
         touches: TouchKind = setup.touches  # type: ignore[assignment]  # of a bundle, which was checked
         noise = noise_shown(reference_V, setup.spread_V, setup.shared_V)
         self._verifier = MapVerifier(self._reference_V, noise, setup.labels, touches, skin)
-        self._verifier.shapes.deform(cloud_mm, is_guess=setup.is_guess)
+        self._is_guess = setup.is_guess
+        self._verifier.shapes.deform(cloud_mm, is_guess=setup.is_guess, is_certain=setup.is_certain)
 
     def check(self, frame: FrameLetter) -> Verdict:
         """Return what explains a frame best.
@@ -64,14 +69,17 @@ class Checker:
         verdict = self._verifier.verify(volts, image, self._budget_s, rows, frame.fused)
         touches = tuple(self._message_of(one) for one in verdict.touches)
         told = verdict.chi_squared, verdict.degrees_of_freedom, verdict.p_value, verdict.flagged
-        return told, touches, reason_of(verdict)
+        return told, touches, reason_of(verdict) or (FITTED if self._verifier.shapes.is_fitted else "")
 
     def learn_baseline(self, letter: BaselineLetter) -> str:
         """Learn from what the untouched sheet reads; return what is wrong with it, nothing where nothing is."""
         if not self._usable.all():
             return ""  # a sheet is known by all its rows
-        known = self._verifier.shapes.use_untouched(self._reference_V * (1.0 + letter.change), letter.frames)
-        return "" if known else SCAN_MISMATCH
+        shapes = self._verifier.shapes
+        known = shapes.use_untouched(self._reference_V * (1.0 + letter.change), letter.frames)
+        if self._is_guess:
+            return "" if known else SHAPE_UNKNOWN
+        return "" if known and not shapes.is_fitted else SCAN_MISMATCH
 
     def _message_of(self, one: UnitTouch | ShapeTouch) -> VerifiedTouch:
         if isinstance(one, UnitTouch):

@@ -22,7 +22,7 @@ Rows = npt.NDArray[np.bool_]
 STATE, VERDICT = range(2)
 """Kinds of answers: the first item of each."""
 
-BUDGET_S: Final = 0.2
+BUDGET_S: Final = 0.5
 """What a frame may take by default."""
 
 LARGEST_PACKET: Final = 1 << 18
@@ -51,7 +51,9 @@ class Setup:
     budget_s: float
     """What a frame may take."""
     is_guess: bool = False
-    """Whether nothing measured the cloud: frames may show another shape."""
+    """Whether nothing measured the cloud."""
+    is_certain: bool = False
+    """Whether frames never show another shape."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,7 +32,7 @@ def add_arguments(parser: Any) -> None:
         help="check frames against the forward model: off, always (each change) or idle (at rest, on an idle core)",
     )
     parser.add_argument(
-        "--verify-budget-ms", type=positive(MOST_MS), metavar="B", help="time limit for a frame in ms (default 200)"
+        "--verify-budget-ms", type=positive(MOST_MS), metavar="B", help="time limit for a frame in ms (default 500)"
     )
     parser.add_argument(
         "--cloud",

@@ -95,7 +95,9 @@ class Sheet:
     skin: Skin = PAPER
     """Whose model explains it."""
     is_guess: bool = False
-    """Whether nothing measured the cloud: the frames may show another shape."""
+    """Whether nothing measured the cloud."""
+    is_certain: bool = False
+    """Whether frames never show another shape."""
     _operators: dict[Cells, Operators] = field(default_factory=dict)
     _matrices: dict[Cells, Array] = field(default_factory=dict)
     _predicted: Array | None = None
@@ -243,8 +245,8 @@ def evaluate_all(
                 shown, truth, clean = moved, truth_map(moved, grid), _solved(moved.scene, where)
             frames = np.tile(clean, (conditions.fused, 1))
             noisy = add_noise(frames, flat, conditions.noise, conditions.snr_db, rng).mean(axis=0)
-            cloud, is_guess = _cloud(bare, conditions.cloud, seed, skin), conditions.cloud == "fitted"
-            sheet = Sheet(cloud, _solved(bare, where), skin, is_guess)
+            cloud, kind = _cloud(bare, conditions.cloud, seed, skin), conditions.cloud
+            sheet = Sheet(cloud, _solved(bare, where), skin, kind == "fitted", kind == "flat")
             for run, kept in zip(runs, scores, strict=True):
                 held = _reference(run.reference, sheet, flat)
                 lowering = phantom.scene.touch_kind == "lower"

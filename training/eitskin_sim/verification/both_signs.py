@@ -6,6 +6,7 @@ of a frame, beside all that the fit's own touches could still explain.
 """
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from eitskin_sim.arrays import Array
 from eitskin_sim.scene.touch_table import RECTANGLE
@@ -49,7 +50,6 @@ def _responses(frame: Frame, places_mm: Array, sides_mm: Array) -> Array:
     """Return the (n, kept rows) whitened response to log conductivity at places (n, 2), each as wide as (n,)."""
     model = frame.model
     centres = model.touched.sheet.system.mesh.centres_mm
-    apart = np.sum((places_mm[:, None] - centres) ** 2, axis=-1)
-    weight = np.exp(-apart / (sides_mm[:, None] ** 2 / 6.0))
+    weight = np.exp(cdist(places_mm, centres, "sqeuclidean") / (-(sides_mm[:, None] ** 2) / 6.0))
     by = weight @ model.unseen.by_log_sigma / model.flat_V * model.ratio(frame.change)
     return np.asarray(frame.white.whiten(by))

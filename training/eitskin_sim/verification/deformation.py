@@ -29,7 +29,6 @@ class Deformation:
         self._clock = clock
         self._model: SheetModel | None = None
         self._scanned: SheetModel | None = None
-        self._first: SheetModel | None = None
         self._guess: SheetModel | None = None
         self._others: list[Callable[[Array], SheetModel | None]] = []
         self._made_again = 0
@@ -53,7 +52,7 @@ class Deformation:
         """Go on with the model of another scan; that of a guess is not made again."""
         self.spent_s = self.spent_cpu_s = 0.0
         self._make(make)
-        self._scanned = self._first = self.model
+        self._scanned = self.model
         self._guess, self._made_again = self.model if is_guess else None, 0
         self._others = [] if is_guess else [self._as_far_as_likely]
 
@@ -66,11 +65,11 @@ class Deformation:
         """Go on with a shape that a frame shows, and return what brings back the present one; None if it shows none."""
         back = self._go_on_with(make, 0)
         if back is not None:
-            self._first = self.model
+            self._others = [lambda _: self._scanned]
         return back
 
     def use_untouched(
-        self, change: Array, reference: Array, noise: Noise, found: Callable[[], SheetModel | None] | None = None
+        self, change: Array, reference: Array, noise: Noise, found: Callable[[], SheetModel | None]
     ) -> bool:
         """Learn from what the untouched sheet reads, and return whether it is the scanned one; else nothing changes.
 
@@ -85,14 +84,14 @@ class Deformation:
 
         def make() -> SheetModel:
             other, model = None, scanned.rested(change, reference, noise)
-            if found is not None and (model is None or not model.rest or model.rest.scale > c.MAX_EXCESS_OF_GUESS):
+            if model is None or (self._guess is not None and _excess(model) > c.MAX_EXCESS_OF_GUESS):
                 other = found()
             return (other and other.rested(change, reference, noise)) or model or before
 
         self._make(make)
         if self._model is before:
             return False
-        self._first, self._others = self.model, [lambda _: scanned]
+        self._others = [lambda _: scanned]
         return True
 
     @property
@@ -126,10 +125,10 @@ class Deformation:
         other = self._others.pop()
         return self._go_on_with(lambda: other(amplitudes), 0)
 
-    def start_again(self) -> Callable[[], None]:
-        """Go on with the model before any frame, and return what brings back the present one."""
-        before, made_again, first = self._model, self._made_again, self._first
-        self._model, self._made_again = first, 0
+    def start_again(self, model: SheetModel) -> Callable[[], None]:
+        """Go on with an earlier model, and return what brings back the present one."""
+        before, made_again = self._model, self._made_again
+        self._model, self._made_again = model, 0
 
         def back() -> None:
             self._model, self._made_again = before, made_again
@@ -158,3 +157,8 @@ class Deformation:
         self._model = make()
         self.spent_s += self._clock() - clock
         self.spent_cpu_s += time.process_time() - processor
+
+
+def _excess(model: SheetModel) -> float:
+    """Return how many times more was off at rest than was thought."""
+    return 1.0 if model.rest is None else model.rest.scale

@@ -61,6 +61,10 @@ class Budget:
         """Return the time spent on the frame, without models."""
         return self._clock() - self._begin - self.models_s
 
+    def begin_again(self) -> None:
+        """Count all time until now as spent on models."""
+        self.models_s += self.seconds
+
     def search_over(self) -> bool:
         """Return whether nothing new is to be tried."""
         return self.seconds >= c.SEARCH_SHARE_OF_BUDGET * self._budget_s

@@ -74,6 +74,7 @@ class ShapeSearch:
     def __init__(self, prior: TouchPrior, skin: Skin = PAPER) -> None:
         self._prior, self._skin = prior, skin
         self._mean = model_without_scan(skin)
+        _dictionary(prior, skin)
 
     def shape(
         self, change: Array, reference: Array, noise: Noise, starts: list[Array] | None, rows: Rows
@@ -207,8 +208,8 @@ def _off(model: SheetModel, amplitudes: Array) -> Array:
 
 def _alike(one: Array, other: Array) -> bool:
     """Return whether touches are as many and as near as steps bring together."""
-    if len(one) != len(other):
-        return False
+    if len(one) != len(other) or not len(one):
+        return len(one) == len(other)
     apart = np.linalg.norm(one[:, None, 1:3] - other[None, :, 1:3], axis=-1)
     return bool((apart.min(axis=1) < c.ALIKE_MM).all() and (apart.min(axis=0) < c.ALIKE_MM).all())
 

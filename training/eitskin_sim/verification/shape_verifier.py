@@ -13,7 +13,7 @@ times a deformation; the next frames of the same deformation reuse it (:mod:`eit
 
 import time
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from typing import Final, TypeVar
 
 import numpy as np
@@ -23,11 +23,13 @@ from eitskin_proto.skin.familiar_shape import largest_curvature
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.arrays import Array
+from eitskin_sim.scene.family import is_family
 from eitskin_sim.verification import alternatives, both_signs
 from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.deformation import Deformation
 from eitskin_sim.verification.fit import Budget, Fit, Frame
 from eitskin_sim.verification.gentler_contrasts import likely_touches
+from eitskin_sim.verification.metric_family import MetricFamily
 from eitskin_sim.verification.network_map import starts_of, without_cracks
 from eitskin_sim.verification.residual import Noise, Rows, change_of, check_frame
 from eitskin_sim.verification.shape_search import ShapeSearch
@@ -69,25 +71,37 @@ class ShapeVerifier:
         self._clock = clock
         self._is_dented = False
         self._skin = skin
-        self._search: ShapeSearch | None = None
+        self._may_be_other = False
+        """Whether the sheet may have another shape of its family than the cloud's."""
         self.deformation = Deformation(clock)
         """The present one, with its models and what they took."""
 
-    def deform(self, cloud_mm: npt.ArrayLike, *, is_guess: bool = False) -> None:
-        """Go on with a deformation.
+    def deform(self, cloud_mm: npt.ArrayLike, *, is_guess: bool = False, is_certain: bool = False) -> None:
+        """Go on with a deformation. A frame that its shape does not explain may show another of the skin's family.
 
         Args:
             cloud_mm: (3, rows, columns) its scan.
-            is_guess: Whether the sheet may have any other shape of its family: a frame that this one does not explain
-                shows it.
+            is_guess: Whether nothing measured the cloud.
+            is_certain: Whether the sheet has no other shape, whatever frames show.
 
         Raises:
-            ValueError: The cloud is malformed, or folds in its own plane; or another shape may be, of no family.
+            ValueError: The cloud is malformed, or folds in its own plane; or it is a guess for a skin of no family.
         """
-        self._search = ShapeSearch(self._prior, self._skin) if is_guess else None
+        if is_guess:
+            self._search  # noqa: B018  # now rather than in the first frame; and it refuses a skin of no family
+        self._may_be_other = not is_certain and is_family(self._skin.deformations)
         self.deformation.scan(lambda: model_of_cloud(cloud_mm, self._skin), is_guess=is_guess)
         curvature = largest_curvature(np.asarray(cloud_mm, dtype=np.float64), self._skin.grid)
         self._is_dented = curvature > c.MAX_CURVATURE_PER_MM2
+
+    @cached_property
+    def _search(self) -> ShapeSearch:
+        return ShapeSearch(self._prior, self._skin)
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether frames have shown another shape than the cloud's, which is in use."""
+        return isinstance(self.deformation.model.shape, MetricFamily)
 
     def use_untouched(self, voltages_V: Array, frames: int = 1) -> bool:
         """Learn from what the deformation reads while nothing touches it.
@@ -97,15 +111,17 @@ class ShapeVerifier:
             frames: How many.
 
         Returns:
-            Whether it is the scanned sheet; where it is not, nothing changes.
+            Whether it is the scanned sheet, or another of its family; where it is not, nothing changes.
 
         Raises:
             ValueError: There is no deformation yet, or no frame; a number is not finite.
         """
         check_frame(voltages_V, self._reference)
         change, noise = voltages_V / self._reference - 1.0, self._of_one.of_mean(frames)
-        search = self._search
-        found = None if search is None else partial(search.model, change, self._reference, noise, self._rows)
+
+        def found() -> SheetModel | None:
+            return self._search.model(change, self._reference, noise, self._rows) if self._may_be_other else None
+
         return self.deformation.use_untouched(change, self._reference, noise, found)
 
     def verify(
@@ -135,8 +151,6 @@ class ShapeVerifier:
         change, grid = change_of(voltages_V, self._reference, rows), self._skin.grid
         starts = starts_of(shares, self._prior, grid)
         fit = self._explained(change, rows, starts, shares, budget)
-        if self._search is not None and not fit.explains and self._time_for_model(budget):
-            fit = self._on_found_shape(self._search, fit, starts, shares, budget)
         while self.deformation.has_others and fit.p_value <= LEVEL and self._time_for_model(budget):
             back = self._counted(budget, partial(self.deformation.try_other, self._amplitudes(fit)))
             if back is None:
@@ -146,6 +160,8 @@ class ShapeVerifier:
                 fit = other
             else:
                 back()
+        if self._may_be_other and fit.p_value <= LEVEL:
+            fit = self._on_found_shape(fit, starts, shares, budget)
         unfinished = budget.search_over() and not fit.explains
         fit = alternatives.as_one_body(fit.frame, fit, shares, budget)
         likely, scatter = likely_touches(fit.frame, fit, budget), scatter_of(fit)
@@ -165,48 +181,52 @@ class ShapeVerifier:
 
     def _explained(self, change: Array, rows: Rows, starts: list[Array], shares: Array, budget: Budget) -> Fit:
         """Return the fit that explains a frame best on the present sheet."""
-        frame = self.frame(change, rows, len(starts[0]))
+        before, frame = self.deformation.model, self.frame(change, rows, len(starts[0]))
         if not frame.prior.sign:
             starts = [both_signs.signed(frame, pieces) for pieces in starts]
         fit = self._best_start(frame, starts, budget)
-        if not self.deformation.is_guess and fit.chi_squared > c.MIN_MISFIT_WITHOUT_NETWORK * len(fit.residual):
-            fit = self._one_by_one(fit, budget)
+        if not self.deformation.is_guess and _is_far(fit):
+            fit = self._one_by_one(fit, before, budget)
         if not fit.explains:
             usual = alternatives.of_usual_contrast(fit.frame, fit, budget)
             fit = self._on_its_sheet(alternatives.as_ellipses(fit.frame, usual, budget), budget)
         fit = alternatives.two_in_place_of_one(fit.frame, fit, shares, budget)
         return alternatives.without_smallest(fit.frame, fit, budget)
 
-    def _one_by_one(self, before: Fit, budget: Budget) -> Fit:
+    def _one_by_one(self, before: Fit, model: SheetModel, budget: Budget) -> Fit:
         """Return a fit that does not explain its frame, or touches of either sign that do, found without the network.
 
-        Other touches than the true ones may have led the model astray, so the search starts from the first one.
+        Other touches than the true ones may have led the model astray, so the search starts from the given one. Nor is
+        a model made again for the first touch of several.
         """
-        back = self.deformation.start_again()
+        back = self.deformation.start_again(model)
         frame = self.frame(before.frame.change, before.frame.white.rows, prior=self._either)
         fit: Fit | None = frame.at(np.zeros((0, 8)))
         while fit is not None and len(fit.pieces) < c.MAX_TOUCHES_ONE_BY_ONE and not budget.search_over():
             fit = alternatives.fitted(fit.frame, both_signs.with_another(fit), False, budget)
-            fit = None if fit is None else self._on_its_sheet(fit, budget)
-            if fit is not None and fit.p_value > LEVEL:
+            if fit is None or (len(fit.pieces) == 1 and _is_far(fit)):
+                continue
+            fit = self._on_its_sheet(fit, budget)
+            if fit.p_value > LEVEL:
                 return fit
         back()
         return before
 
-    def _on_found_shape(self, search: ShapeSearch, fit: Fit, starts: list[Array], shares: Array, budget: Budget) -> Fit:
+    def _on_found_shape(self, fit: Fit, starts: list[Array], shares: Array, budget: Budget) -> Fit:
         """Return the fit on the shape that its frame shows, or the given one if that explains the frame as well."""
         change, rows, found = fit.frame.change, fit.frame.white.rows, list[Array]()
 
         def make() -> SheetModel | None:
-            shape = search.shape(change, self._reference, self._noise, starts, rows)
+            shape = self._search.shape(change, self._reference, self._noise, starts, rows)
             found.append(np.zeros((0, 8)) if shape is None else shape.pieces)
             return None if shape is None else shape.model
 
         back = self._counted(budget, partial(self.deformation.go_on_with, make))
         if back is None:
             return fit
+        budget.begin_again()
         other = self._explained(change, rows, found, shares, budget)
-        if other.cost < c.MAX_COST_RATIO_OF_MODEL_MADE_AGAIN * fit.cost:
+        if not _is_far(other) and other.cost < c.MAX_COST_RATIO_OF_MODEL_MADE_AGAIN * fit.cost:
             return other
         back()
         return fit
@@ -273,3 +293,8 @@ class ShapeVerifier:
         made = make()
         budget.models_s += self.deformation.spent_s - before
         return made
+
+
+def _is_far(fit: Fit) -> bool:
+    """Return whether a fit is so far from explaining its frame that touches are missing or the sheet is another."""
+    return fit.chi_squared > c.MIN_MISFIT_WITHOUT_NETWORK * len(fit.residual)

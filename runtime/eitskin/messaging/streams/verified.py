@@ -41,6 +41,10 @@ UNEXPLAINED, CONTESTED, TIME, DENTED = FLAGS = ("unexplained", "contested", "tim
 is smaller than touches of the skin are; time ended the search before it had explained the frame or confirmed its
 touches."""
 
+FITTED: Final = "fitted"
+"""Said of a verdict that is not flagged: its shape was fitted to frames, because no cloud came or it did not explain
+them. Places and normals are still those of the cloud, or of the flat sheet."""
+
 COUNTS: Final = ("checked", "flagged", "skipped")
 """Totals of the run: frames that were verified; those of them that are flagged; changed frames that were not."""
 
@@ -186,7 +190,7 @@ def pack_verdict(
         device_us: Of the frame.
         cloud: Revision of the cloud that it was verified on.
         state: One of ``STATES``.
-        why: The problem, for people; for a flagged verdict one of ``FLAGS``; empty without a problem.
+        why: The problem, for people; for a flagged verdict one of ``FLAGS``, for another ``FITTED`` or nothing.
         host_ns: In the order of ``STAMPS``.
         verdict: chi-squared, degrees of freedom, p-value, flagged; None where the frame was not verified.
         touches: That explain the frame best.
@@ -208,8 +212,8 @@ class VerifiedFrame:
     Attributes:
         sequence: ``sequence`` of the frame; without a verdict, of the newest frame.
         state: ``ready`` while frames are verified; else ``starting``, ``preparing``, ``waiting`` or ``failed``.
-        why: The problem; empty if there is none. For a flagged verdict ``unexplained``, ``contested`` or ``time``;
-            empty from an older runtime.
+        why: The problem; empty if there is none. For a flagged verdict ``unexplained``, ``dented`` or ``time``; for one
+            that is not flagged ``fitted`` if its shape was fitted to frames.
         touches: The touches that explain the frame best; None without a verdict.
         chi_squared: The remaining misfit of these touches; None without a verdict.
         degrees_of_freedom: The average ``chi_squared`` of correct touches; None without a verdict.

@@ -198,7 +198,8 @@ class VerifiedNetwork:
             verifier = MapVerifier(
                 case.flat_reference, self._noise, self._labels, self._touches, self._skin, time.process_time
             )
-            verifier.shapes.deform(case.sheet.cloud_mm, is_guess=case.sheet.is_guess)
+            sheet = case.sheet
+            verifier.shapes.deform(sheet.cloud_mm, is_guess=sheet.is_guess, is_certain=sheet.is_certain)
             if self._at_rest:
                 self.use_untouched(untouched_mean(case, self._noise, self._at_rest), self._at_rest)
             self._shape = key, verifier
