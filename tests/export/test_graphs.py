@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import onnx
 import pytest
@@ -35,49 +37,30 @@ def trained_looking(architecture: Architecture, skin: Skin = PAPER) -> VD2T:
     return model.eval()
 
 
+PLAIN = Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48)
+SHARPENED = replace(PLAIN, log_predicted=True, activation="silu", sharpening=(8, 8))
+SYMMETRIC = replace(PLAIN, widths=(40, 40), hidden=32, symmetric=True)
+
 ARCHITECTURES = {
-    "paper": Architecture(
+    "paper": replace(
+        PLAIN,
         voltage_channel="paper",
         log_ratio=False,
         widths=(64, 64, 48),
         convolutions=(4, 8, 4),
-        cloud_channels=(4, 4),
         hidden=64,
         dropout=0.1,
     ),
-    "residual": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, dropout=0.1),
-    "units": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, outputs="units"),
-    "predicted": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, log_predicted=True),
-    "sharpened": Architecture(
-        widths=(64, 64), cloud_channels=(4, 4), hidden=48, log_predicted=True, activation="silu", sharpening=(8, 8)
-    ),
-    "no cloud": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, use_cloud=False),
-    "symmetric": Architecture(
-        widths=(40, 40),
-        cloud_channels=(4, 4),
-        hidden=32,
-        log_predicted=True,
-        activation="silu",
-        sharpening=(8, 8),
-        symmetric=True,
-    ),
-    "narrow": Architecture(
-        widths=(40, 40),
-        cloud_channels=(4, 4),
-        hidden=40,
-        log_predicted=True,
-        activation="silu",
-        sharpening=(8, 8),
-        symmetric=True,
-        ranks=(24, 6, 7, 8),
-    ),
-    "narrow units": Architecture(
-        widths=(64, 64), cloud_channels=(4, 4), hidden=48, outputs="units", ranks=(24, 20, 20, 16)
-    ),
-    "symmetric, not sharpened": Architecture(widths=(40, 40), cloud_channels=(4, 4), hidden=32, symmetric=True),
-    "symmetric units": Architecture(
-        widths=(40, 40), cloud_channels=(4, 4), hidden=32, log_predicted=True, outputs="units", symmetric=True
-    ),
+    "residual": replace(PLAIN, dropout=0.1),
+    "units": replace(PLAIN, outputs="units"),
+    "predicted": replace(PLAIN, log_predicted=True),
+    "sharpened": SHARPENED,
+    "no cloud": replace(PLAIN, use_cloud=False),
+    "symmetric": replace(SHARPENED, widths=(40, 40), hidden=32, symmetric=True),
+    "narrow": replace(SHARPENED, widths=(40, 40), hidden=40, symmetric=True, ranks=(24, 6, 7, 8)),
+    "narrow units": replace(PLAIN, outputs="units", ranks=(24, 20, 20, 16)),
+    "symmetric, not sharpened": SYMMETRIC,
+    "symmetric units": replace(SYMMETRIC, log_predicted=True, outputs="units"),
 }
 
 

@@ -133,3 +133,15 @@ def running():
 @pytest.fixture
 def endpoints(tmp_path):
     return ["--publish", f"ipc://{tmp_path}/frames", "--control", f"ipc://{tmp_path}/control"]
+
+
+@pytest.fixture
+def streaming(virtual_skin, tiny_path):
+    """Return a skin whose touches have begun."""
+    with (
+        virtual_skin(touches=[[0.1, 60, 0.3]], touches_wait=True, rate_hz=100.0) as port,
+        Skin(port, bundle=tiny_path) as skin,
+    ):
+        skin.capture_reference(5)
+        begin_touches(port)
+        yield skin

@@ -8,9 +8,6 @@ from eitskin.messaging.frame import unpack_frame
 from eitskin.messaging.streams.envelope import FIRST_BYTE, opened
 from eitskin.messaging.streams.measured import WireFrame
 from eitskin.messaging.streams.publisher import StreamPublisher
-from eitskin.skin import Skin
-
-from .made_up_skin import begin_touches
 
 
 class Taker:
@@ -25,17 +22,6 @@ class Taker:
 
     def send(self, message):
         self.got.append((bytes(message), self.skin.statistics.frames))
-
-
-@pytest.fixture
-def streaming(virtual_skin, tiny_path):
-    with (
-        virtual_skin(touches=[[0.1, 60, 0.3]], touches_wait=True, rate_hz=100.0) as port,
-        Skin(port, bundle=tiny_path) as skin,
-    ):
-        skin.capture_reference(5)
-        begin_touches(port)
-        yield skin
 
 
 def test_a_frame_is_handed_over_before_it_is_counted_and_counted_before_it_is_told(streaming):

@@ -6,21 +6,7 @@ import numpy as np
 import pytest
 
 from eitskin.errors import FrameError
-from eitskin.skin import Skin
 from eitskin_proto.skin.skin import PAPER
-
-from .made_up_skin import begin_touches
-
-
-@pytest.fixture
-def streaming(virtual_skin, tiny_path):
-    with (
-        virtual_skin(touches=[[0.1, 60, 0.3]], touches_wait=True, rate_hz=100.0) as port,
-        Skin(port, bundle=tiny_path) as skin,
-    ):
-        skin.capture_reference(5)
-        begin_touches(port)
-        yield skin
 
 
 def test_frames_have_touches_where_they_are_asked_for_and_only_there(streaming):
