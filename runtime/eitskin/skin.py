@@ -59,7 +59,7 @@ class CloudChange:
         self._pipeline = pipeline
         self._graph = GeometryGraph(pipeline.bundle)
         self._lock = threading.Lock()
-        self._revision = 0
+        self._revision, self._is_sent = 0, False
         pipeline.start_with(self._graph.geometry(None, None, 0))
         self._graph.close_sessions()
 
@@ -69,6 +69,8 @@ class CloudChange:
         predicted: npt.ArrayLike | None,
         predicted_flat: npt.ArrayLike | None,
         reference: Reference | None,
+        *,
+        is_fitted: bool = False,
     ) -> tuple[int, tuple[str, ...]]:
         """Use a surface from the next frame on, and return its revision and warnings; from any thread.
 
@@ -77,6 +79,7 @@ class CloudChange:
             predicted: (104,) V of this surface untouched; None for no prediction.
             predicted_flat: (104,) V of the flat sheet by the same model; None takes the reference.
             reference: The reference of the frames.
+            is_fitted: Whether physics found it in frames: then a cloud that was sent stays in use.
 
         Raises:
             ValueError: The cloud or the voltages are malformed, or cannot be of this sheet; with value and bound.
@@ -94,9 +97,12 @@ class CloudChange:
             fills = self._pipeline.health is not None
             ratio = prediction_against(predicted, predicted_flat, reference, fills=fills)
         with self._lock:
+            if is_fitted and self._is_sent:
+                return self._revision, ()
             geometry = self._graph.geometry(cloud, ratio, self._revision + 1)
             self._revision += 1
-            given = _given(cloud, predicted, predicted_flat)
+            self._is_sent = cloud is not None and not is_fitted
+            given = replace(_given(cloud, predicted, predicted_flat), is_fitted=is_fitted)
             self._pipeline.use_geometry(replace(geometry, given=given, unlike=unlike))
             return geometry.revision, doubts
 
@@ -269,9 +275,11 @@ class Skin:
         cloud: npt.ArrayLike | None,
         predicted: npt.ArrayLike | None = None,
         predicted_flat: npt.ArrayLike | None = None,
+        *,
+        is_fitted: bool = False,
     ) -> tuple[int, tuple[str, ...]]:
-        """Use a measured surface as :meth:`set_cloud` does; return its revision and warnings."""
-        return self._clouds.use(cloud, predicted, predicted_flat, self.reference)
+        """Use a surface as :meth:`set_cloud` does, or a fitted one if none was sent; return revision and warnings."""
+        return self._clouds.use(cloud, predicted, predicted_flat, self.reference, is_fitted=is_fitted)
 
     def exclude(self, electrodes: tuple[int, ...]) -> None:
         """Exclude these electrodes from the next frame on, from any thread.

@@ -83,7 +83,7 @@ def again(bundle, items, frames):
                 made.use_reference(captured.parsed(references[found.reference], "it", "none"))
             if now is None or found.cloud != now.cloud:
                 cloud = clouds[found.cloud]
-                given = cloud.cloud if cloud.why == "given" else None
+                given = cloud.cloud if cloud.why in ("given", "fitted") else None
                 made.start_with(graph.geometry(given, cloud.log_predicted, cloud.revision))
             if health is not None and health.use_recorded(found.drift, found.electrodes):
                 made.maps.change_projection(health.projection)
@@ -135,6 +135,8 @@ def test_every_published_map_is_made_again_bit_by_bit(virtual_skin, running, tin
         items += some(streams, lambda item: isinstance(item, Conditions) and item.cloud == 1)
         runtime.skin.set_cloud(None)
         items += some(streams, lambda item: isinstance(item, Conditions) and item.cloud == 2)
+        runtime.skin.use_cloud(CLOUD, RATIO * reference, reference, is_fitted=True)
+        items += some(streams, lambda item: isinstance(item, Conditions) and item.cloud == 3)
         digest = items[-1].reference if isinstance(items[-1], Conditions) else ""
         runtime.skin.recapture(5, force=True)
         items += until(streams, lambda item: isinstance(item, SkinState) and item.reference_sha256 != digest)
@@ -146,6 +148,7 @@ def test_every_published_map_is_made_again_bit_by_bit(virtual_skin, running, tin
     assert given.cloud.tobytes() == CLOUD.astype("<f4").tobytes()
     assert given.predicted.tobytes() == (RATIO * reference).tobytes()
     assert given.predicted_flat.tobytes() == reference.tobytes()
+    assert [item.why for item in items if isinstance(item, CloudInUse)][-1] == "fitted"
     assert given.why == "given"
     first = next(item for item in items if isinstance(item, WireFrame) and item.seq == given.seq)
     before = next(item for item in items if isinstance(item, WireFrame) and item.seq == given.seq - 1)

@@ -23,7 +23,7 @@ GEOMETRY_FILE: Final = "geometry.onnx"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GivenCloud:
-    """A surface as it was sent."""
+    """A surface as it was sent, or found."""
 
     cloud: npt.NDArray[np.float32] | None
     """(3, rows, columns) mm; None for the flat sheet."""
@@ -35,6 +35,8 @@ class GivenCloud:
     """On ``perf_counter_ns``."""
     utc_ns: int
     """Wall clock."""
+    is_fitted: bool = False
+    """Whether physics found it in frames, since nothing scanned the sheet."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +57,13 @@ class Geometry:
     """The surface; None for the flat sheet with which a runtime starts."""
     unlike: tuple[str, ...] = ()
     """In which ways it is unlike the surfaces of the training (:mod:`eitskin_proto.skin.familiar_shape`)."""
+
+    @property
+    def why(self) -> str:
+        """``start``, ``flat``, ``given`` or ``fitted``, as the stream of clouds says it."""
+        if self.given is None or self.given.cloud is None:
+            return "start" if self.given is None else "flat"
+        return "fitted" if self.given.is_fitted else "given"
 
 
 class GeometryGraph:

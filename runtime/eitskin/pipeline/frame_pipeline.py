@@ -628,6 +628,8 @@ class Pipeline:
         self.start_with(geometry)
         self.record.cloud_sequence = self.record.sequence
         self.record.events += ("cloud", *(f"cloud:unlike_training:{mode}" for mode in geometry.unlike))
+        if geometry.why == "fitted":
+            self.record.events += ("cloud:fitted",)
         return True
 
     def _infers_untouched(self) -> bool:

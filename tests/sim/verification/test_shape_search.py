@@ -17,6 +17,8 @@ from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_sheet
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.shapes.sheet import TouchedSheet
+from eitskin_sim.surface.measured_cloud import measured_cloud
+from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_sim.verification.metric_family import metric_family
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.shape_verifier import ShapeVerifier
@@ -75,6 +77,20 @@ def test_an_untouched_frame_tells_the_shape_for_the_touches_after_it() -> None:
     assert own.deformation.model is known
 
 
+def test_the_cloud_of_a_shape_that_was_found_predicts_what_the_scan_does() -> None:
+    """Up to a common factor, which may be drift as well; V_pred of the flat cloud is off by 25 % rms."""
+    scanned = predict(measured_cloud(BEND))
+    assert np.std(np.log(np.abs(flat_voltages() / scanned))) > 0.2
+    touched, rested = verifier(), verifier()
+    assert not touched.verify(read(BEND, SQUARE, 3), shares_of(SQUARE), 10.0).flagged
+    assert rested.use_untouched(np.mean([read(BEND, NOTHING, seed) for seed in range(20)], axis=0), 20)
+    for own in (touched, rested):
+        cloud = own.another_cloud()
+        assert cloud is not None
+        assert own.another_cloud() is None, "it is as before"
+        assert np.std(np.log(np.abs(predict(cloud) / scanned))) < 0.025
+
+
 def test_a_flat_sheet_is_explained_as_with_the_flat_cloud() -> None:
     frame, shares = read(Bend(), SQUARE, 3), shares_of(SQUARE)
     guessed, told = (verifier(is_guess=guess).verify(frame, shares, 10.0) for guess in (True, False))
@@ -89,9 +105,10 @@ def test_drift_that_the_network_takes_for_a_touch_is_none(bend: Bend) -> None:
     assert (found.flagged, found.touches) == (False, ())
 
 
-def test_a_frame_of_no_shape_is_flagged() -> None:
-    odd = read(BEND, SQUARE, 3) * (1.0 + 0.03 * (-1.0) ** np.arange(104))
-    assert verifier().verify(odd, shares_of(SQUARE), 10.0).flagged
+def test_a_frame_of_no_shape_is_flagged_and_has_no_cloud() -> None:
+    own, odd = verifier(), read(BEND, SQUARE, 3) * (1.0 + 0.03 * (-1.0) ** np.arange(104))
+    assert own.verify(odd, shares_of(SQUARE), 10.0).flagged
+    assert own.another_cloud() is None
 
 
 def test_modes_answer_as_sheets_with_them_do() -> None:

@@ -1,5 +1,6 @@
 """``evaluate --solver verified``: what a report gains, what is refused, and a phantom that is mended."""
 
+import json
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ def test_bad_options_of_the_benchmark_are_one_line(
     ("arguments", "status", "says"),
     [
         (["--single", "10", "--at-rest", "5"], 1, "--at-rest needs --solver verified"),
-        (["--single", "10", "--cloud", "fitted"], 1, "--cloud fitted needs --solver verified"),
+        (["--single", "10", "--cloud", "fitted", "--solver", "tikhonov"], 1, "--cloud fitted needs --solver verified"),
         (["--devices", "lab", "--solver", "verified", "--at-rest", "5"], 2, "--at-rest"),
     ],
 )
@@ -76,6 +77,18 @@ def test_sheets_are_seen_at_rest_by_physics_alone(
 ) -> None:
     assert main(["evaluate", *arguments]) == status
     assert says in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.heavy
+def test_a_network_with_the_shape_that_physics_finds_is_nearer_than_with_a_flat_cloud(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    drawn, rms = ["--single", "10", "--deformations", "3", "--each", "2", "--seed", "5", "--json"], []
+    for cloud in ("fitted", "flat"):
+        assert main(["evaluate", *drawn, "--cloud", cloud]) == 0
+        rms.append(json.loads(capsys.readouterr().out)["localisation_rms_mm"])
+    assert rms[0] < 0.8 * rms[1]
 
 
 @pytest.mark.slow

@@ -2,8 +2,8 @@
 
 ``die``: it ends at once. ``bad_model``: no model can be made. ``hold``: it waits in a frame until that file is gone.
 ``hang``: it never comes back from a frame. ``cannot``: nothing can be said of frames. ``slipped``: untouched, the sheet
-is not that of its scan. Each frame that is taken is written down in ``taken``, and what the untouched sheet reads in
-``rested``.
+is not that of its scan. ``shape.npy``: frames show this cloud, told once. Each frame that is taken is written down in
+``taken``, what the untouched sheet reads in ``rested``, and each surface's number in ``setups``.
 """
 
 import os
@@ -21,13 +21,23 @@ class Checker:
     def __init__(self, setup):
         if (FOLDER / "bad_model").exists():
             raise ValueError("the cloud folds in its own plane")
+        self._flat_V = setup.reference_V
         ratio = setup.spread_V / np.abs(setup.reference_V)
+        with (FOLDER / "setups").open("a") as file:
+            print(setup.number, file=file)
         (FOLDER / "spread").write_text(str(np.median(ratio)))
 
     def learn_baseline(self, letter):
         with (FOLDER / "rested").open("a") as file:
             print(letter.frames, float(abs(letter.change).max()), file=file)
         return "it has slipped" if (FOLDER / "slipped").exists() else ""
+
+    def another_shape(self):
+        if not (FOLDER / "shape.npy").exists():
+            return None
+        cloud_mm = np.load(FOLDER / "shape.npy")
+        (FOLDER / "shape.npy").unlink()
+        return cloud_mm, self._flat_V, self._flat_V
 
     def check(self, frame):
         with (FOLDER / "taken").open("a") as file:

@@ -125,7 +125,13 @@ def test_a_cloud_gives_way_to_the_shape_that_a_frame_shows_unless_it_is_certain(
     image = map_of(PIECE).astype("f4").ravel()
     setup = dataclasses.replace(setup_of(PAPER, "area", 1e-3 * model.flat_V), budget_s=5.0)
     setup = dataclasses.replace(setup, **({} if kind == "scan" else {kind: True}))
-    (*_, flagged), touches, why = Checker(setup).check(letter(change.astype("f4"), image))
+    checker = Checker(setup)
+    (*_, flagged), touches, why = checker.check(letter(change.astype("f4"), image))
+    shown = checker.another_shape()
+    assert (shown is not None) is (kind == "is_guess")
+    if shown is not None:
+        bends = np.log(np.abs(bent.untouched_V / model.flat_V))
+        assert np.std(np.log(np.abs(shown[1] / shown[2])) - bends) < 0.03
     if kind == "is_certain":
         assert flagged
         return

@@ -135,6 +135,25 @@ def test_what_the_sheet_reads_at_rest_is_told_once_for_each_surface(streaming):
             until(lambda: len(rested.read_text().splitlines()) == 2)
 
 
+def test_the_network_uses_the_shape_that_frames_show_until_a_cloud_is_sent(streaming):
+    with streaming(touches=MOVING) as stream, stream.subscribed() as verdicts:
+        first(verdicts, lambda one: one.verified)
+        found, skin = np.asarray(stream.skin.description.grid.flat_cloud_mm(), dtype="f4"), stream.skin
+        found[2] = 2e-3 * (found[0] - 75.0) ** 2
+        np.save(stream.script / "partial.npy", found)
+        with eitskin.subscribe(stream.publisher.endpoint, "all") as frames:
+            (stream.script / "partial.npy").rename(stream.script / "shape.npy")
+            shown = first(frames, lambda frame: "cloud:fitted" in frame.events)
+        assert (shown.cloud, skin.status()["cloud"], skin.status()["cloud_why"]) == (1, 1, "fitted")
+        assert np.array_equal(skin.pipeline.buffers.geometry.given.cloud, found)
+        assert first(verdicts, lambda one: one.verified and one.cloud == 1).cloud == 1
+        assert len((stream.script / "setups").read_text().split()) == 1, "the verifier holds the shape that it found"
+        assert skin.set_cloud(found + 5.0) == 2
+        first(verdicts, lambda one: one.verified and one.cloud == 2)
+        assert skin.use_cloud(found, is_fitted=True) == (2, ())
+        assert skin.status()["cloud_why"] == "given"
+
+
 def test_a_verifier_that_dies_is_started_again_and_the_stream_goes_on(streaming):
     with (
         streaming(touches=MOVING) as stream,
@@ -155,7 +174,8 @@ def test_a_verifier_that_dies_is_started_again_and_the_stream_goes_on(streaming)
 
 
 @pytest.mark.slow  # it computes for two seconds, and another comes
-def test_a_computation_that_hangs_is_said_and_ended_and_the_stream_goes_on(streaming):
+def test_a_computation_that_hangs_is_said_and_ended_and_the_stream_goes_on(streaming, monkeypatch):
+    monkeypatch.setattr("eitskin_tools.verifier.feed.LATE_NS", 1_000_000_000)  # before it is ended
     with streaming(touches=MOVING) as stream, stream.subscribed() as verdicts:
         first(verdicts, lambda one: one.verified)
         stream.tell("hang")

@@ -83,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
         log.ready(publisher.endpoint, control.endpoint)
         if arguments.wait:
             _wait(skin, publisher)
-        with verifier.verifying(skin, publisher, arguments) as behind:
+        with verifier.verifying(skin, publisher, arguments, is_replay=True) as behind:
             serve(skin, publisher, behind=behind)
         found = {**skin.summary(), "sent": player.line.sent, "rounds": player.line.rounds}
     if script.recording.damaged:

@@ -27,6 +27,7 @@ EVENTS: Final = {
     "idle": "idle, scans a few drives",
     "awake": "scans all drives again",
     "gate_overruled": "the map shows a touch that the gate missed",
+    "cloud:fitted": "the network uses the shape that physics found",
     "cloud:unlike_training:stretch": "the surface is stretched beyond what the network learned: add --verify idle",
     "cloud:unlike_training:bend": "the surface is bent beyond what the network learned: add --verify idle",
     "cloud:unlike_training:dent": "the surface has a dent or bump, unlike what the network learned: add --verify idle",

@@ -121,8 +121,9 @@ def named(
     """
     if request.reference is not None and request.reference not in REFERENCES:
         raise ValueError(f"reference {request.reference!r} is unknown; expected one of {', '.join(REFERENCES)}")
-    if conditions is not None and conditions.cloud == "fitted" and request.name != VERIFIED:
-        raise ValueError("--cloud fitted needs --solver verified: physics fits the shape")
+    is_fitted = conditions is not None and conditions.cloud == "fitted"
+    if is_fitted and request.name in SOLVERS:
+        raise ValueError("--cloud fitted needs --solver verified or a network: classical solvers take no fitted shape")
     if request.at_rest and request.name != VERIFIED:
         raise ValueError("--at-rest needs --solver verified")
     if request.name in SOLVERS and not is_deployed(request):
@@ -131,6 +132,10 @@ def named(
         return _verified(request, labels, skin, touches, conditions or Conditions(), noise)
     if request.name not in (*NETWORKS, *SOLVERS):
         raise ValueError(f"solver {request.name!r} is unknown; expected one of {', '.join(NAMES)}")
+    if is_fitted:
+        found = _verified(request, labels, skin, touches, conditions or Conditions(), noise)
+        assert found.verified is not None
+        return replace(found, run=replace(found.run, solver=found.verified.on_found_shape), verified=None)
     return _network(request, labels, skin, touches)
 
 
@@ -234,7 +239,8 @@ def _verified(
     from eitskin_sim.verification.residual import Noise
     from eitskin_tools.evaluation.verified.solver import VerifiedNetwork
 
-    network = _network(replace(request, name=usual_solver(request.bundle)), labels, skin, touches)
+    name = usual_solver(request.bundle) if request.name == VERIFIED else request.name
+    network = _network(replace(request, name=name), labels, skin, touches)
     assumed = Noise(conditions.noise, conditions.snr_db) if noise is None else noise
     verified = VerifiedNetwork(network.run, assumed, labels, touches, skin, at_rest=request.at_rest)
     return replace(network, run=verified.run, verified=verified)

@@ -182,7 +182,7 @@ class Rerun:
             if cloud.cloud.shape != (expected := self._bundle.skin.grid.cloud_shape):
                 hint = "name a bundle of the skin that was recorded"
                 raise MismatchError("cloud: shape", found=cloud.cloud.shape, expected=expected, hint=hint)
-            given = cloud.cloud if cloud.why == "given" else None
+            given = cloud.cloud if cloud.why in ("given", "fitted") else None
             pipeline.start_with(self._graph.geometry(given, cloud.log_predicted, cloud.revision))
         if (conditions := step.conditions) is not None:
             pipeline.normaliser.use_scale(conditions.volts_per_count)

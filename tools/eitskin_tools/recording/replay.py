@@ -324,13 +324,11 @@ class Player:
                 self._warn(f"a reference of the recording is left out: {error}")
         self._use_conditions(step.conditions)
         if step.cloud is not None and not (step.cloud.why == "start" and self.skin.pipeline.record.cloud == 0):
-            given = step.cloud.why == "given"
+            one = step.cloud
+            is_flat = one.why in ("start", "flat")
+            surface = (None,) * 3 if is_flat else (one.cloud, one.predicted, one.predicted_flat)
             try:
-                self.skin.set_cloud(
-                    step.cloud.cloud if given else None,
-                    step.cloud.predicted if given else None,
-                    step.cloud.predicted_flat if given else None,
-                )
+                self.skin.use_cloud(*surface, is_fitted=one.why == "fitted")
             except (SkinError, ValueError) as error:
                 self._warn(f"cloud {step.cloud.revision} of the recording is left out: {error}")
 

@@ -9,11 +9,12 @@ from eitskin.touches.surface import Surface
 from eitskin_proto.sensor.normalise import inverse_reference
 from eitskin_proto.skin.toml import parse
 from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_sim.verification.shape_verdict import ShapeTouch
 from eitskin_sim.verification.snapped_units import UnitTouch
 from eitskin_sim.verification.verdict import Verdict as Found
 from eitskin_tools.evaluation.verified.solver import MapVerifier, noise_shown
-from eitskin_tools.verifier.letters import Array, BaselineLetter, FrameLetter, Setup
+from eitskin_tools.verifier.letters import Array, BaselineLetter, FrameLetter, Setup, Shape
 
 SCAN_MISMATCH: Final = (
     "the untouched sheet does not match its cloud and reference: send its cloud, or capture a new reference"
@@ -45,7 +46,7 @@ class Checker:
 
     def __init__(self, setup: Setup) -> None:
         skin, cloud_mm, reference_V = parse(setup.skin), setup.cloud_mm.astype(float), setup.reference_V
-        self._grid, self._budget_s = skin.grid, setup.budget_s
+        self._skin, self._grid, self._budget_s = skin, skin.grid, setup.budget_s
         self._usable = inverse_reference(reference_V) != 0.0
         self._reference_V: Array = np.where(self._usable, reference_V, 0.0)
         self._surface = Surface(cloud_mm, skin.grid)
@@ -80,6 +81,13 @@ class Checker:
         if self._is_guess:
             return "" if known else SHAPE_UNKNOWN
         return "" if known and not shapes.is_fitted else SCAN_MISMATCH
+
+    def another_shape(self) -> Shape | None:
+        """Return the shape that frames show, on which later touches are placed; None if it is as before."""
+        if (cloud_mm := self._verifier.shapes.another_cloud()) is None:
+            return None
+        self._surface = Surface(cloud_mm, self._grid)
+        return cloud_mm, predict(cloud_mm, self._skin), flat_voltages(self._skin)
 
     def _message_of(self, one: UnitTouch | ShapeTouch) -> VerifiedTouch:
         if isinstance(one, UnitTouch):

@@ -10,10 +10,13 @@ counted. The verifier's answers go to the subscribers. ::
 import math
 import socket
 from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any, Final
 
 import numpy as np
 
+from eitskin.errors import SkinError
 from eitskin.frame_record import PUBLISH, READ, FrameRecord
 from eitskin.messaging.publish import Publisher
 from eitskin.messaging.streams.verified import FAILED, PREPARING, READY, STARTING, WAITING, pack_head, pack_verdict
@@ -26,7 +29,9 @@ from eitskin_tools.verifier.child import VerifierProcess
 from eitskin_tools.verifier.letters import (
     BUDGET_S,
     LARGEST_PACKET,
+    SHAPE,
     STATE,
+    Array,
     BaselineLetter,
     FrameLetter,
     Rows,
@@ -61,6 +66,7 @@ class VerifierFeed:
         mode: "always" or "idle".
         budget_s: What a frame may take.
         cloud: "scan", where none came that of the frames; "fitted", always that of the frames; or "flat".
+        gives_shapes: Whether the skin's network gets the shapes that are found in frames.
     """
 
     def __init__(
@@ -71,6 +77,8 @@ class VerifierFeed:
         mode: str,
         budget_s: float = BUDGET_S,
         cloud: str = "flat",
+        *,
+        gives_shapes: bool = True,
     ) -> None:
         self._skin, self._publisher, self._process, self._cloud = skin, publisher, process, cloud
         self.mode, self._budget_s = mode, budget_s
@@ -78,6 +86,7 @@ class VerifierFeed:
         self._nothing_missing = np.zeros(len(skin.pipeline.buffers.change[0]), dtype=np.bool_)
         self._stillness = Stillness()
         self._baseline = UntouchedBaseline()
+        self._giver = ThreadPoolExecutor(1, "eitskin-shape") if gives_shapes else None
         self._candidate: bytes | None = None
         self._is_due = False
         """Whether the candidate is to be verified as soon as the verifier has no other."""
@@ -118,7 +127,9 @@ class VerifierFeed:
             self._line, self._verifier, self._receive_ns = process.line, (STARTING, ""), 0
             self._is_busy, self._setup_for = False, (None, None)
             self._stillness.reset()
-        if buffers.geometry is not self._setup_for[0] or self._skin.reference is not self._setup_for[1]:
+        geometry, (last, reference) = buffers.geometry, self._setup_for
+        is_known = geometry is last or (geometry is not None and geometry.why == "fitted")
+        if not is_known or self._skin.reference is not reference:
             self._send_setup()
             self._report(record)  # before the answer, which may be quick
         if self._publisher.verified != self._is_wanted:
@@ -207,7 +218,7 @@ class VerifierFeed:
         flat, step_V = reference.flat(), pipeline.step_V
         given = None if pipeline.buffers.geometry is None else pipeline.buffers.geometry.given
         skin = pipeline.skin
-        cloud = None if given is None or self._cloud != "scan" else given.cloud
+        cloud = None if given is None or given.is_fitted or self._cloud != "scan" else given.cloud
         self._setup += 1
         self._setup_packet = packed(
             Setup(
@@ -243,6 +254,10 @@ class VerifierFeed:
                 self._verifier = state, why
                 self._setup_ms = setup_ms or self._setup_ms
             return
+        if kind == SHAPE:
+            if items[0] == self._setup and self._giver is not None:
+                self._giver.submit(self._give, *items[1:])
+            return
         message, flagged, spent_ms = items
         self._is_busy = False
         if flagged is None:
@@ -252,6 +267,11 @@ class VerifierFeed:
             self.counts["flagged"] += flagged
             self._spent_ms.append(spent_ms)
         self._publish(message)
+
+    def _give(self, *shape: Array) -> None:
+        """Have the network use a shape, in a thread of its own; one that it refuses leaves it the shape that it has."""
+        with suppress(SkinError, ValueError):
+            self._skin.use_cloud(*shape, is_fitted=True)
 
     def _report(self, record: FrameRecord, was: tuple[str, str] | None = None) -> None:
         """Publish the verifier's state: on changes, for new subscribers, and every second."""

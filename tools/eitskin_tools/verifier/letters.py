@@ -4,6 +4,7 @@
 
     runtime  -> Setup | FrameLetter | BaselineLetter
     verifier -> STATE, state, setup, why, setup_ms | VERDICT, message, flagged, spent_ms
+                | SHAPE, setup, cloud_mm, predicted_V, predicted_flat_V
 
 A frame is sent only while the verifier has none, so the newest is verified and nothing queues up.
 """
@@ -19,7 +20,7 @@ Array = npt.NDArray[np.float64]
 Values = npt.NDArray[np.float32]
 Rows = npt.NDArray[np.bool_]
 
-STATE, VERDICT = range(2)
+STATE, VERDICT, SHAPE = range(3)
 """Kinds of answers: the first item of each."""
 
 BUDGET_S: Final = 0.5
@@ -89,6 +90,9 @@ class BaselineLetter:
     """(104,) dV."""
 
 
+Shape = tuple[Array, Array, Array]
+"""(3, rows, columns) mm of a surface, and (104,) V_pred of it and of the flat sheet."""
+
 Letter = Setup | FrameLetter | BaselineLetter
 
 LETTERS: Final = (Setup, FrameLetter, BaselineLetter)
@@ -139,3 +143,8 @@ def verdict_answer(message: bytes, flagged: bool | None, spent_ms: float) -> byt
         spent_ms: What it took.
     """
     return _pack(VERDICT, message, flagged, spent_ms)
+
+
+def shape_answer(setup: int, shape: Shape) -> bytes:
+    """Return the shape that a verifier found in frames."""
+    return _pack(SHAPE, setup, *shape)

@@ -92,7 +92,7 @@ def cpus(arguments: argparse.Namespace, available: set[int]) -> tuple[int, ...]:
 
 @contextmanager
 def verifying(
-    skin: Any, publisher: Any, arguments: argparse.Namespace
+    skin: Any, publisher: Any, arguments: argparse.Namespace, *, is_replay: bool = False
 ) -> "Iterator[Callable[[FrameRecord], None] | None]":
     """Run a verifier while a skin is served, and give what to call after each frame; None with ``--verify off``.
 
@@ -100,6 +100,7 @@ def verifying(
         skin: Open.
         publisher: Bound.
         arguments: Of the command line, checked.
+        is_replay: Whether its clouds are those of a recording alone.
 
     Raises:
         UsageError: The skin is a disc.
@@ -123,6 +124,6 @@ def verifying(
     place = Placement(nice, arguments.verify_cpus, idle=arguments.verify == "idle")
     with VerifierProcess(place) as process:
         budget_s = BUDGET_S if arguments.verify_budget_ms is None else arguments.verify_budget_ms * 1e-3
-        feed = VerifierFeed(skin, publisher, process, arguments.verify, budget_s, cloud)
+        feed = VerifierFeed(skin, publisher, process, arguments.verify, budget_s, cloud, gives_shapes=not is_replay)
         skin.loop.verifier_status = feed.status
         yield feed.after_frame

@@ -86,6 +86,7 @@ class Worker:
                     self._learn_baseline(letter)
                 else:
                     self._verify(letter)
+                self._tell_shape()
 
     def _prepare(self, setup: Any) -> None:
         from eitskin.messaging.streams.verified import FAILED, PREPARING, READY
@@ -135,6 +136,14 @@ class Worker:
         told = pack_verdict(frame.seq, frame.device_us, frame.cloud, READY, why, stamps, verdict, touches)
         flagged = None if verdict is None else verdict[3]
         self._line.send(verdict_answer(told, flagged, 1e-6 * (end - begin)))
+
+    def _tell_shape(self) -> None:
+        """Tell the shape that frames show, if it is another one; an error leaves the network the shape that it has."""
+        from eitskin_tools.verifier.letters import shape_answer
+
+        with suppress(Exception), within(MODEL_S):
+            if self._checker is not None and (shape := self._checker.another_shape()) is not None:
+                self._line.send(shape_answer(self._setup, shape))
 
 
 def reason(error: Exception) -> str:

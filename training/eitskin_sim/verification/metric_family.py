@@ -5,7 +5,8 @@ give its principal modes, each of one standard deviation ::
 
     log g(x, y) = mean(x, y) + sum of z_k mode_k(x, y)      z_k about N(0, 1)
 
-Every z is a metric that is positive, so a fit may go anywhere.
+Every z is a metric that is positive, so a fit may go anywhere; :mod:`eitskin_sim.verification.likely_bend` goes back
+to a deformation.
 """
 
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from eitskin_sim.fem.mesh import Metric
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.family import NO_FAMILY, draw, is_family
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_sheet
+from eitskin_sim.scene.parts import Bend
 
 DRAWS: Final = 120
 """Deformations that the modes are made of; their mirror images come on top."""
@@ -53,16 +55,28 @@ class MetricFamily:
     """(k, 3, q)"""
     stretch: Array
     """(k, k) root mean square of the stretch, half of log g, that each brings."""
-    size_mm: tuple[float, float]
+    skin: Skin
+    bends: tuple[Bend, ...]
+    """Some deformations of the family."""
+    drawn: Array
+    """(n, k) their amplitudes."""
+    middle: Array
+    """(p, 3) log g at ``PLACES`` where all amplitudes are 0."""
+    projection: Array
+    """(k, 3 p) amplitudes by log g less that."""
+
+    def amplitudes(self, bend: Bend) -> Array:
+        """Return the (k,) amplitudes of a deformation."""
+        return np.asarray(self.projection @ (_at_places(bend, self.skin) - self.middle).ravel())
 
     def metric(self, amplitudes: Array) -> Metric:
         """Return the metric at (k,) amplitudes."""
         found = self.mean + np.tensordot(amplitudes, self.modes, 1)
-        return lambda xy_mm: _exponential(_basis(xy_mm, self.size_mm) @ found.T)
+        return lambda xy_mm: _exponential(_basis(xy_mm, self.skin.outline.size_mm) @ found.T)
 
     def rates(self, amplitudes: Array, metric: Metric, xy_mm: Array) -> tuple[Array, Array]:
         """Return the (3, n, k) derivatives of E, F and G by amplitudes at flat points (n, 2), and nothing else."""
-        basis = _basis(xy_mm, self.size_mm)
+        basis = _basis(xy_mm, self.skin.outline.size_mm)
         here = basis @ (self.mean + np.tensordot(amplitudes, self.modes, 1)).T
         step = DIFFERENCE * np.moveaxis(self.modes @ basis.T, 1, 2)  # (k, n, 3)
         change = (_exponential(here + step) - _exponential(here - step)) / (2.0 * DIFFERENCE)
@@ -82,14 +96,9 @@ def metric_family(skin: Skin = PAPER) -> MetricFamily:
     """
     if not is_family(skin.deformations):
         raise ValueError(NO_FAMILY)
-    size_mm = skin.outline.size_mm
-    x, y = (np.linspace(0.01, 0.99, n) * extent for n, extent in zip(PLACES, size_mm, strict=True))
-    at = np.stack([one.ravel() for one in np.meshgrid(x, y)], axis=-1)
-    E, _, G = flat_metric_of(skin)(at[:1])[0]
-    scale = np.array([E, np.sqrt(E * G), G])
-    sheet, fields = nominal_sheet(skin), []
-    for bend in draw("A", DRAWS, SEED, skin):
-        log = _logarithm(scale * bend_metric(bend, sheet)(at)).reshape(*PLACES[::-1], 3)
+    fields, bends = [], draw("A", DRAWS, SEED, skin)
+    for bend in bends:
+        log = _at_places(bend, skin).reshape(*PLACES[::-1], 3)
         for mirrors in ((), (0,), (1,), (0, 1)):
             turned = np.flip(log, axis=mirrors) * [1.0, (-1.0) ** len(mirrors), 1.0]
             fields.append(turned.reshape(-1, 3))
@@ -97,10 +106,26 @@ def metric_family(skin: Skin = PAPER) -> MetricFamily:
     mean = drawn.mean(axis=0)
     _, values, ways = np.linalg.svd((drawn - mean).reshape(len(drawn), -1), full_matrices=False)
     sizes = SPREAD * values[:MODES] / np.sqrt(len(drawn))
-    to_coefficients = np.linalg.pinv(_basis(at, size_mm))
+    at = _places(skin)
+    to_coefficients = np.linalg.pinv(_basis(at, skin.outline.size_mm))
     modes = np.array([to_coefficients @ way.reshape(-1, 3) * one for one, way in zip(sizes, ways, strict=False)])
     rms = sizes / np.sqrt(len(at)) / 2.0
-    return MetricFamily((to_coefficients @ mean).T, np.swapaxes(modes, 1, 2), np.diag(rms), size_mm)
+    projection = ways[: len(sizes)] / sizes[:, None]
+    own = (drawn[::4] - mean).reshape(len(bends), -1) @ projection.T
+    about = (to_coefficients @ mean).T
+    return MetricFamily(about, np.swapaxes(modes, 1, 2), np.diag(rms), skin, bends, own, mean, projection)
+
+
+def _places(skin: Skin) -> Array:
+    x, y = (np.linspace(0.01, 0.99, n) * extent for n, extent in zip(PLACES, skin.outline.size_mm, strict=True))
+    return np.stack([one.ravel() for one in np.meshgrid(x, y)], axis=-1)
+
+
+def _at_places(bend: Bend, skin: Skin) -> Array:
+    """Return the (p, 3) logarithm of a deformation's metric."""
+    at = _places(skin)
+    E, _, G = flat_metric_of(skin)(at[:1])[0]
+    return _logarithm(np.array([E, np.sqrt(E * G), G]) * bend_metric(bend, nominal_sheet(skin))(at))
 
 
 def _basis(xy_mm: Array, size_mm: tuple[float, float]) -> Array:

@@ -13,6 +13,7 @@ times a deformation; the next frames of the same deformation reuse it (:mod:`eit
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Final, TypeVar
 
@@ -24,11 +25,15 @@ from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.arrays import Array
 from eitskin_sim.scene.family import is_family
+from eitskin_sim.scene.nominal import flat_metric_of, nominal_sheet
+from eitskin_sim.scene.parts import Bend
+from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.verification import alternatives, both_signs
 from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.deformation import Deformation
 from eitskin_sim.verification.fit import Budget, Fit, Frame
 from eitskin_sim.verification.gentler_contrasts import likely_touches
+from eitskin_sim.verification.likely_bend import likely_bend
 from eitskin_sim.verification.metric_family import MetricFamily
 from eitskin_sim.verification.network_map import starts_of, without_cracks
 from eitskin_sim.verification.residual import Noise, Rows, change_of, check_frame
@@ -73,6 +78,11 @@ class ShapeVerifier:
         self._skin = skin
         self._may_be_other = False
         """Whether the sheet may have another shape of its family than the cloud's."""
+        self._is_guess = False
+        self._explanation: Fit | None = None
+        """Of the last frame; None if nothing explained it."""
+        self._told: SheetModel | None = None
+        """On which a frame was explained when another cloud was asked for."""
         self.deformation = Deformation(clock)
         """The present one, with its models and what they took."""
 
@@ -90,6 +100,7 @@ class ShapeVerifier:
         if is_guess:
             self._search  # noqa: B018  # now rather than in the first frame; and it refuses a skin of no family
         self._may_be_other = not is_certain and is_family(self._skin.deformations)
+        self._is_guess, self._explanation = is_guess, None
         self.deformation.scan(lambda: model_of_cloud(cloud_mm, self._skin), is_guess=is_guess)
         curvature = largest_curvature(np.asarray(cloud_mm, dtype=np.float64), self._skin.grid)
         self._is_dented = curvature > c.MAX_CURVATURE_PER_MM2
@@ -122,7 +133,27 @@ class ShapeVerifier:
         def found() -> SheetModel | None:
             return self._search.model(change, self._reference, noise, self._rows) if self._may_be_other else None
 
-        return self.deformation.use_untouched(change, self._reference, noise, found)
+        if not self.deformation.use_untouched(change, self._reference, noise, found):
+            return False
+        self._noise = noise
+        self._explanation = self.frame(change).at(np.zeros((0, 8)))
+        return True
+
+    def another_cloud(self) -> Array | None:
+        """Return the (3, rows, columns) mm cloud of the shape that the last frame shows.
+
+        It is the flat sheet's where that explains the frame, and where no deformation of the skin has the shape. None
+        is returned if nothing explains the frame, the sheet was scanned, or the shape is that of the last call.
+        """
+        fit = self._explanation
+        if fit is None or not self._is_guess or fit.frame.model is self._told:
+            return None
+        self._told = fit.frame.model
+        bend = likely_bend(fit, self._reference, self._noise) if self.is_fitted else None
+        E, _, G = flat_metric_of(self._skin)(np.zeros((1, 2)))[0]
+        sheet, (along, across) = nominal_sheet(self._skin), self._skin.outline.size_mm
+        true = replace(sheet, size_mm=(along * float(np.sqrt(E)), across * float(np.sqrt(G))))
+        return measured_cloud(bend or Bend(), skin=self._skin, sheet=true).astype(np.float64)
 
     def verify(
         self,
@@ -164,6 +195,7 @@ class ShapeVerifier:
             fit = self._on_found_shape(fit, starts, shares, budget)
         unfinished = budget.search_over() and not fit.explains
         fit = alternatives.as_one_body(fit.frame, fit, shares, budget)
+        self._explanation = fit if fit.p_value > LEVEL else None
         likely, scatter = likely_touches(fit.frame, fit, budget), scatter_of(fit)
         return ShapeVerdict(
             touches_of(fit, scatter, [pieces for _, pieces in likely[1:]]),

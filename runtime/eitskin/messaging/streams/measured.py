@@ -121,7 +121,8 @@ class CloudInUse(Received):
         predicted: (104,) V that a model predicts for this surface untouched; None without a prediction.
         predicted_flat: (104,) V of the same model's flat sheet; None without.
         taken_ns: ``perf_counter_ns`` of the runtime's machine when it accepted the cloud.
-        why: ``start``: no cloud was sent yet; ``given``: one was sent; ``flat``: the flat sheet was requested.
+        why: ``start``: no cloud was sent yet; ``given``: one was sent; ``fitted``: physics found it in frames;
+            ``flat``: the flat sheet was requested.
         log_predicted: (rows,) float32, the solvers' input from the prediction; zeros without.
         seq: ``seq`` of the first frame computed with it; None if that was before the stream began.
         utc_ns: Wall clock when the runtime accepted the cloud.

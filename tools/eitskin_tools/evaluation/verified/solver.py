@@ -25,7 +25,7 @@ from eitskin_proto.sensor.normalise import inverse_reference
 from eitskin_proto.skin.familiar_shape import unlike_family
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.evaluation.harness import Case, Results, Run
+from eitskin_sim.evaluation.harness import Case, Results, Run, Sheet
 from eitskin_sim.evaluation.metrics import TOUCHED, Score
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.scene.parts import Phantom
@@ -152,6 +152,8 @@ class VerifiedNetwork:
         """Verdicts in the order of the cases."""
         self._shape: tuple[bytes, MapVerifier] | None = None
         self._untouched: tuple[Array, int] | None = None
+        self._found: Sheet | None = None
+        """The shape in use as physics found it."""
 
     @property
     def run(self) -> Run:
@@ -191,6 +193,14 @@ class VerifiedNetwork:
         share = 0.0 if unlike else NETWORK_SHARE
         return (1.0 - share) * verdict.map(grid) + share * np.clip(image, 0.0, 1.0)
 
+    def on_found_shape(self, case: Case) -> Array:
+        """Return the network's map with the shape that physics finds in this frame, or found in one before it."""
+        verifier, _ = self._verifier(case)
+        self.solve(case)
+        if (cloud_mm := verifier.shapes.another_cloud()) is not None:
+            self._found = Sheet(cloud_mm, case.sheet.untouched, case.sheet.skin)
+        return self._network.solver(replace(case, sheet=self._found or case.sheet))
+
     def _verifier(self, case: Case) -> tuple[MapVerifier, float]:
         """Return the verifier of a case's shape, and CPU seconds that its models took: 0 for the shape in use."""
         key, spent_s = shape_of(case) + case.flat_reference.tobytes(), 0.0
@@ -202,7 +212,7 @@ class VerifiedNetwork:
             verifier.shapes.deform(sheet.cloud_mm, is_guess=sheet.is_guess, is_certain=sheet.is_certain)
             if self._at_rest:
                 self.use_untouched(untouched_mean(case, self._noise, self._at_rest), self._at_rest)
-            self._shape = key, verifier
+            self._shape, self._found = (key, verifier), None
         else:
             verifier = self._shape[1]
             spent_s = verifier.shapes.deformation.spent_cpu_s
