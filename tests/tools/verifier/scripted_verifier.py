@@ -18,6 +18,8 @@ FOLDER = Path(os.environ["VERIFIER_SCRIPT"])
 
 
 class Checker:
+    why = ""
+
     def __init__(self, setup):
         if (FOLDER / "bad_model").exists():
             raise ValueError("the cloud folds in its own plane")

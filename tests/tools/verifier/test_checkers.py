@@ -139,6 +139,20 @@ def test_a_cloud_gives_way_to_the_shape_that_a_frame_shows_unless_it_is_certain(
     assert touches[0].centre_mm == pytest.approx(PIECE[0, 1:3], abs=1.0)
 
 
+def test_a_cloud_that_no_model_can_have_gives_way_to_the_shape_of_frames(model):
+    setup = setup_of(PAPER, "area", 1e-3 * model.flat_V)
+    folded = setup.cloud_mm.copy()
+    folded[0] = 75.0 - np.abs(folded[0] - 75.0)
+    checker = Checker(dataclasses.replace(setup, cloud_mm=folded, budget_s=5.0))
+    assert "the shape is fitted to frames: send another cloud" in checker.why
+    change = model.touched.solve(PIECE).voltages_V / model.flat_V - 1.0
+    (*_, flagged), touches, _ = checker.check(letter(change.astype("f4"), map_of(PIECE).astype("f4").ravel()))
+    assert not flagged
+    assert touches[0].centre_mm == pytest.approx(PIECE[0, 1:3], abs=1.0)
+    with pytest.raises(ValueError, match="stiffness"):
+        Checker(dataclasses.replace(setup, cloud_mm=folded, is_certain=True))
+
+
 @pytest.mark.process
 def test_the_process_refuses_what_is_no_skin_and_answers_frames_of_the_next(units):
     setup, change, values = units

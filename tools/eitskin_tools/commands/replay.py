@@ -80,10 +80,10 @@ def run(arguments: argparse.Namespace) -> int:
             signal.signal(number, lambda *_: skin.stop())
         for line in player.line.report():
             log.say(line)
-        log.ready(publisher.endpoint, control.endpoint)
-        if arguments.wait:
-            _wait(skin, publisher)
         with verifier.verifying(skin, publisher, arguments, is_replay=True) as behind:
+            log.ready(publisher.endpoint, control.endpoint)
+            if arguments.wait:
+                _wait(skin, publisher)
             serve(skin, publisher, behind=behind)
         found = {**skin.summary(), "sent": player.line.sent, "rounds": player.line.rounds}
     if script.recording.damaged:

@@ -231,16 +231,14 @@ def _serve(
             raise
     for line in skin.reference.report():
         log.say(line)
-    log.ready(publisher.endpoint, control.endpoint)
-    supervisor.ready()
-    supervisor.status(f"publishing on {publisher.endpoint}")
-    until_ns = None if arguments.seconds is None else time.perf_counter_ns() + int(arguments.seconds * 1e9)
     unread = arguments.quiet and not supervisor.listens
-    with (
-        verifier.verifying(skin, publisher, arguments) as behind,
-        contextlib.nullcontext() if unread else RunStatus(skin.status, log, tell=supervisor.status),
-    ):
-        serve(skin, publisher, frames=arguments.frames, until_ns=until_ns, behind=behind)
+    with verifier.verifying(skin, publisher, arguments) as behind:
+        log.ready(publisher.endpoint, control.endpoint)
+        supervisor.ready()
+        supervisor.status(f"publishing on {publisher.endpoint}")
+        until_ns = None if arguments.seconds is None else time.perf_counter_ns() + int(arguments.seconds * 1e9)
+        with contextlib.nullcontext() if unread else RunStatus(skin.status, log, tell=supervisor.status):
+            serve(skin, publisher, frames=arguments.frames, until_ns=until_ns, behind=behind)
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -9,6 +9,7 @@ from eitskin.touches.surface import Surface
 from eitskin_proto.sensor.normalise import inverse_reference
 from eitskin_proto.skin.toml import parse
 from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.scene.family import is_family
 from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_sim.verification.shape_verdict import ShapeTouch
 from eitskin_sim.verification.snapped_units import UnitTouch
@@ -23,6 +24,8 @@ SCAN_MISMATCH: Final = (
 SHAPE_UNKNOWN: Final = (
     "the untouched sheet has no shape that its skin's [deformations] allow: send its cloud, or capture a new reference"
 )
+
+NOT_FLAT: Final = "the untouched sheet is not flat: start without --cloud flat, or capture a new reference"
 
 Three = tuple[float, float, float]
 
@@ -53,8 +56,20 @@ class Checker:
         touches: TouchKind = setup.touches  # type: ignore[assignment]  # of a bundle, which was checked
         noise = noise_shown(reference_V, setup.spread_V, setup.shared_V)
         self._verifier = MapVerifier(self._reference_V, noise, setup.labels, touches, skin)
-        self._is_guess = setup.is_guess
-        self._verifier.shapes.deform(cloud_mm, is_guess=setup.is_guess, is_certain=setup.is_certain)
+        self._is_guess, self.why = setup.is_guess, ""
+        """The latter: what is wrong with the cloud."""
+        shapes = self._verifier.shapes
+        try:
+            shapes.deform(cloud_mm, is_guess=setup.is_guess, is_certain=setup.is_certain)
+        except ValueError as error:
+            if setup.is_certain or not is_family(skin.deformations):
+                raise
+            self._is_guess, self.why = (
+                True,
+                f"no model of the cloud ({error}), so the shape is fitted to frames: send another cloud",
+            )
+            shapes.deform(skin.grid.flat_cloud_mm().astype(float), is_guess=True)
+        self._mismatch = NOT_FLAT if setup.is_certain else SHAPE_UNKNOWN if self._is_guess else SCAN_MISMATCH
 
     def check(self, frame: FrameLetter) -> Verdict:
         """Return what explains a frame best.
@@ -78,9 +93,7 @@ class Checker:
             return ""  # a sheet is known by all its rows
         shapes = self._verifier.shapes
         known = shapes.use_untouched(self._reference_V * (1.0 + letter.change), letter.frames)
-        if self._is_guess:
-            return "" if known else SHAPE_UNKNOWN
-        return "" if known and not shapes.is_fitted else SCAN_MISMATCH
+        return self.why if known and (self._is_guess or not shapes.is_fitted) else self._mismatch
 
     def another_shape(self) -> Shape | None:
         """Return the shape that frames show, on which later touches are placed; None if it is as before."""

@@ -24,6 +24,7 @@ from eitskin.model.stillness import Stillness
 from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
 from eitskin_proto.skin.toml import to_toml
+from eitskin_sim.scene.family import is_family
 from eitskin_tools.evaluation.verified.untouched_baseline import BASELINE_FRAMES, UntouchedBaseline
 from eitskin_tools.verifier.child import VerifierProcess
 from eitskin_tools.verifier.letters import (
@@ -65,7 +66,7 @@ class VerifierFeed:
         process: The verifier's.
         mode: "always" or "idle".
         budget_s: What a frame may take.
-        cloud: "scan", where none came that of the frames; "fitted", always that of the frames; or "flat".
+        cloud: "scan", where none came or it explains no frame that of the frames; "fitted", always that; or "flat".
         gives_shapes: Whether the skin's network gets the shapes that are found in frames.
     """
 
@@ -226,7 +227,7 @@ class VerifierFeed:
                 np.asarray(skin.grid.flat_cloud_mm() if cloud is None else cloud, dtype=np.float32), flat.voltages_V,
                 np.hypot(flat.spread_V, step_V / math.sqrt(12.0)),
                 np.zeros((len(flat.voltages_V), 0)) if flat.shared_V is None else flat.shared_V, self._budget_s,
-                cloud is None and self._cloud != "flat", self._cloud == "flat",
+                cloud is None and self._cloud != "flat" and is_family(skin.deformations), self._cloud == "flat",
             )
         )  # fmt: skip
         noise = flat.voltages_V, flat.spread_V, flat.frames, step_V, flat.shared_V

@@ -116,10 +116,8 @@ def verifying(
     from eitskin_tools.verifier.letters import BUDGET_S
 
     cloud = arguments.cloud or "scan"
-    if not is_family(skin.pipeline.skin.deformations):
-        if cloud == "fitted":
-            raise UsageError(f"--cloud fitted: {NO_FAMILY}")
-        cloud = "flat" if arguments.cloud is None else cloud
+    if cloud == "fitted" and not is_family(skin.pipeline.skin.deformations):
+        raise UsageError(f"--cloud fitted: {NO_FAMILY}")
     nice = NICE if arguments.verify_nice is None else arguments.verify_nice
     place = Placement(nice, arguments.verify_cpus, idle=arguments.verify == "idle")
     with VerifierProcess(place) as process:

@@ -103,7 +103,8 @@ class Worker:
         except Exception as error:  # of any cloud or skin: the stream goes on, and says why
             self._line.send(state_answer(FAILED, number, reason(error)))
             return
-        self._line.send(state_answer(READY, number, setup_ms=1e3 * (time.perf_counter() - begin)))
+        setup_ms = 1e3 * (time.perf_counter() - begin)
+        self._line.send(state_answer(READY, number, self._checker.why, setup_ms))
 
     def _learn_baseline(self, rest: Any) -> None:
         from eitskin.messaging.streams.verified import READY
