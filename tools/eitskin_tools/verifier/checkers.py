@@ -64,10 +64,8 @@ class Checker:
         except ValueError as error:
             if setup.is_certain or not is_family(skin.deformations):
                 raise
-            self._is_guess, self.why = (
-                True,
-                f"no model of the cloud ({error}), so the shape is fitted to frames: send another cloud",
-            )
+            self.why = f"no model of the cloud ({error}), so the shape is fitted to frames: send another cloud"
+            self._is_guess = True
             shapes.deform(skin.grid.flat_cloud_mm().astype(float), is_guess=True)
         self._mismatch = NOT_FLAT if setup.is_certain else SHAPE_UNKNOWN if self._is_guess else SCAN_MISMATCH
 

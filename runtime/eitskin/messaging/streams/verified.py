@@ -43,7 +43,7 @@ touches."""
 
 FITTED: Final = "fitted"
 """Said of a verdict that is not flagged: its shape was fitted to frames, because no cloud came or it did not explain
-them. Places and normals are still those of the cloud, or of the flat sheet."""
+them. Places and normals are then not those of the true surface."""
 
 COUNTS: Final = ("checked", "flagged", "skipped")
 """Totals of the run: frames that were verified; those of them that are flagged; changed frames that were not."""
