@@ -44,8 +44,8 @@ SEED: Final = 7041
 """Of the noise of untouched frames."""
 
 NETWORK_SHARE: Final = 0.3
-"""Of a verified map; none on a shape unlike those of the training. Without it presses on lab devices lose 0.008 of CC,
-and touches of contrast 2 0.009."""
+"""Of a verified map; none on a shape unlike those of the training, or where the scan was wrong. Without it presses on
+lab devices lose 0.008 of CC, and touches of contrast 2 0.009."""
 
 SPREADS: Final = (1e-5, 0.01)
 """Of a row's voltage: what noise a reference is believed to have shown, as in :mod:`eitskin.model.stillness`."""
@@ -184,21 +184,26 @@ class VerifiedNetwork:
         self.checked.append(MapVerdict(verdict, 1e3 * verdict.seconds, 1e3 * cpu_s, 1e3 * (setup_s + made_s)))
         if verdict.flagged:
             return image
+        if (cloud_mm := verifier.shapes.another_cloud()) is not None:
+            self._found = Sheet(cloud_mm, case.sheet.untouched, case.sheet.skin)
         grid = self._skin.grid
         if isinstance(verdict, UnitVerdict):
             touched = np.zeros(grid.n_units)
             touched[[one.unit for one in verdict.touches]] = 1.0
             return np.asarray(grid.map_from_units(touched), dtype=np.float64)
+        if self._found is not None:
+            image = self._on_found_shape(case)
         unlike = unlike_family(np.asarray(case.sheet.cloud_mm, dtype=np.float64), self._skin)
-        share = 0.0 if unlike else NETWORK_SHARE
+        is_wrong_scan = verifier.shapes.is_fitted and self._found is None
+        share = 0.0 if unlike or is_wrong_scan else NETWORK_SHARE
         return (1.0 - share) * verdict.map(grid) + share * np.clip(image, 0.0, 1.0)
 
     def on_found_shape(self, case: Case) -> Array:
         """Return the network's map with the shape that physics finds in this frame, or found in one before it."""
-        verifier, _ = self._verifier(case)
         self.solve(case)
-        if (cloud_mm := verifier.shapes.another_cloud()) is not None:
-            self._found = Sheet(cloud_mm, case.sheet.untouched, case.sheet.skin)
+        return self._on_found_shape(case)
+
+    def _on_found_shape(self, case: Case) -> Array:
         return self._network.solver(replace(case, sheet=self._found or case.sheet))
 
     def _verifier(self, case: Case) -> tuple[MapVerifier, float]:
