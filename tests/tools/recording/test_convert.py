@@ -199,7 +199,7 @@ def test_touches_of_a_taught_bundle_are_those_that_were_published(tmp_path: Path
     found = table_of(script, None, None, RecordedFrames(script, bundle)).touches
     assert found is not None
     assert len(found) == 20
-    for name in ("centre_mm", "error_mm", "amplitude", "log_likelihood_ratio"):
+    for name in ("centre_mm", "error_mm", "amplitude", "log_likelihood_ratio", "velocity_mm_s", "sign"):
         np.testing.assert_allclose(found[name], published(items, name), rtol=1e-5)
     assert reinfer(script, bundle).fields()["equal"] == 60
     late = [item for item in items if not isinstance(item, WireFrame) or item.seq is None or item.seq >= 120]

@@ -79,7 +79,7 @@ TOUCH: Final = np.dtype([
     ("id", "<u4"), ("parent", "<u4"), ("age_s", "<f4"), ("centre_mm", "<f4", 2), ("axes_mm", "<f4", 2),
     ("angle_rad", "<f4"), ("area_mm2", "<f4"), ("peak", "<f4"), ("strength", "<f4"), ("confidence", "<f4"),
     ("place_mm", "<f4", 3), ("normal", "<f4", 3), ("surface_mm2", "<f4"), ("error_mm", "<f4", 2), ("amplitude", "<f4"),
-    ("log_likelihood_ratio", "<f4"), ("sign", "<f4"),
+    ("log_likelihood_ratio", "<f4"), ("sign", "<f4"), ("velocity_mm_s", "<f4", 2),
 ])  # fmt: skip
 """The fields of :class:`eitskin.Touch`, in their order."""
 
@@ -396,7 +396,7 @@ FLOAT32, UINT32 = 7, 6
 """``sensor_msgs/PointField``"""
 
 POINT: Final = ("x", "y", "z", "nx", "ny", "nz", "area", "strength", "id", "confidence", "peak", "error_x", "error_y",
-                "amplitude", "log_likelihood_ratio")  # fmt: skip
+                "amplitude", "log_likelihood_ratio", "sign", "velocity_x", "velocity_y")  # fmt: skip
 """Fields of a touch, in metres, as the node of tools/ros2 publishes them: floats, but for ``id``."""
 
 KINDS: Final = {
@@ -527,7 +527,8 @@ class _Messages:
         for k in range(3):
             points[POINT[k]], points[POINT[3 + k]] = 1e-3 * found["place_mm"][:, k], found["normal"][:, k]
         points["area"], points["error_x"], points["error_y"] = 1e-6 * found["area_mm2"], *(1e-3 * found["error_mm"].T)
-        for name in ("strength", "id", "confidence", "peak", "amplitude", "log_likelihood_ratio"):
+        points["velocity_x"], points["velocity_y"] = 1e-3 * found["velocity_mm_s"].T
+        for name in ("strength", "id", "confidence", "peak", "amplitude", "log_likelihood_ratio", "sign"):
             points[name] = found[name]
         return self._points(points, POINT, wall_ns)
 

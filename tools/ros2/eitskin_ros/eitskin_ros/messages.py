@@ -10,7 +10,8 @@ from eitskin_ros.stream import Cloud, Frame
 
 TOUCH = {
     "x": 1e-3, "y": 1e-3, "z": 1e-3, "nx": 1, "ny": 1, "nz": 1, "area": 1e-6, "strength": 1, "id": 1, "confidence": 1,
-    "peak": 1, "error_x": 1e-3, "error_y": 1e-3, "amplitude": 1, "log_likelihood_ratio": 1,
+    "peak": 1, "error_x": 1e-3, "error_y": 1e-3, "amplitude": 1, "log_likelihood_ratio": 1, "sign": 1,
+    "velocity_x": 1e-3, "velocity_y": 1e-3,
 }  # fmt: skip
 """Fields of a touch, as ``eitskin convert`` writes them, and the m or m2 in their units. Unknown ones are NaN."""
 
@@ -30,7 +31,7 @@ def _points(header: Header, names: tuple[str, ...], data: bytes) -> PointCloud2:
 def touches_message(header: Header, frame: Frame) -> PointCloud2:
     """Return one point a touch; none while nothing touches."""
     rows = ([touch[name] * scale for name, scale in TOUCH.items()] for touch in frame.touches)
-    return _points(header, tuple(TOUCH), b"".join(pack("<8fI6f", *row) for row in rows))
+    return _points(header, tuple(TOUCH), b"".join(pack("<8fI9f", *row) for row in rows))
 
 
 def map_message(header: Header, frame: Frame) -> Image:
