@@ -1,4 +1,4 @@
-"""A robot that acts only on verified touches, and waits while a frame is flagged or nothing verifies frames.
+"""A robot that acts only on verified touches whose places in space are known, and else waits.
 
     python docs/examples/verified.py [ENDPOINT]
 
@@ -35,6 +35,8 @@ def main(endpoint: list[str]) -> None:
                     wait(f"{found.state} {found.why}".strip())
             elif found.flagged:
                 wait(f"frame {found.sequence} is flagged: {found.why}, p {found.p_value:.2g}")
+            elif found.why == "fitted":
+                wait(f"frame {found.sequence}: places in space are unknown; send the sheet's cloud")
             else:
                 for touch in found.touches:
                     act(touch.place_mm, touch.strength_mm2)

@@ -71,8 +71,9 @@ def test_a_robot_acts_on_verified_touches_alone(example, tmp_path):
         ("ready", None, (), "wait: ready it is late"),
         ("ready", (101.0, 104, 0.5, False), (touch,), "act at 80.0 50.0 7.5 mm, strength 430 mm2"),
         ("waiting", None, (), "wait: waiting it ended"),
+        ("ready", (101.0, 104, 0.5, False), (touch,), "wait: frame 6: places in space are unknown"),
     ]
-    whys = {2: "unexplained", 3: "it is late", 5: "it ended"}
+    whys = {2: "unexplained", 3: "it is late", 5: "it ended", 6: "fitted"}
     publisher = Publisher(f"ipc://{tmp_path}/frames")
     try:
         with example("verified.py", publisher.endpoint) as robot:
