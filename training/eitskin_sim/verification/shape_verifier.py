@@ -191,7 +191,8 @@ class ShapeVerifier:
                 fit = other
             else:
                 back()
-        if self._may_be_other and fit.p_value <= LEVEL:
+        is_explained = fit.explains if self._is_guess else fit.p_value > LEVEL
+        if self._may_be_other and not is_explained:
             fit = self._on_found_shape(fit, starts, shares, budget)
         unfinished = budget.search_over() and not fit.explains
         fit = alternatives.as_one_body(fit.frame, fit, shares, budget)
