@@ -28,7 +28,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]
     with pytest.MonkeyPatch.context() as patch:
         # The gate's hundreds of solved bends have their own test; here they would take most of the time.
         patch.setattr(untouched, "solved_bends", untouched.bends_of)
-        patch.setattr(fit, "TRAINING_STEPS", 100)
         assert main(["train", *_train(where), "--epochs", "2", "--threads", "1"]) == 0
         assert (where / "run" / stored.NAME).exists()
         patch.setattr(fit, "fit", None)  # the gate is the run's: nothing is fitted any more
