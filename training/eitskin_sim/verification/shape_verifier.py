@@ -229,18 +229,15 @@ class ShapeVerifier:
     def _one_by_one(self, before: Fit, model: SheetModel, budget: Budget) -> Fit:
         """Return a fit that does not explain its frame, or touches of either sign that do, found without the network.
 
-        Other touches than the true ones may have led the model astray, so the search starts from the given one. Nor is
-        a model made again for the first touch of several.
+        Other touches than the true ones may have led the model astray, so the search starts from the given one.
         """
         back = self.deformation.start_again(model)
         frame = self.frame(before.frame.change, before.frame.white.rows, prior=self._either)
         fit: Fit | None = frame.at(np.zeros((0, 8)))
         while fit is not None and len(fit.pieces) < c.MAX_TOUCHES_ONE_BY_ONE and not budget.search_over():
             fit = alternatives.fitted(fit.frame, both_signs.with_another(fit), False, budget)
-            if fit is None or (len(fit.pieces) == 1 and _is_far(fit)):
-                continue
-            fit = self._on_its_sheet(fit, budget)
-            if fit.p_value > LEVEL:
+            fit = None if fit is None else self._on_its_sheet(fit, budget)
+            if fit is not None and fit.p_value > LEVEL:
                 return fit
         back()
         return before
