@@ -196,7 +196,7 @@ class ShapeVerifier:
             fit = self._on_found_shape(fit, starts, shares, budget)
         unfinished = budget.search_over() and not fit.explains
         fit = alternatives.as_one_body(fit.frame, fit, shares, budget)
-        self._explanation = fit if fit.p_value > LEVEL else None
+        self._explanation = fit if fit.p_value > LEVEL and not unfinished else None
         likely, scatter = likely_touches(fit.frame, fit, budget), scatter_of(fit)
         return ShapeVerdict(
             touches_of(fit, scatter, [pieces for _, pieces in likely[1:]]),

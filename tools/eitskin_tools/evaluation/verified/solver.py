@@ -171,40 +171,39 @@ class VerifiedNetwork:
 
     def solve(self, case: Case) -> Array:
         """Return the map as physics leaves it; rows whose flat reference is 0 V are left out."""
+        return self._solved(case)[0]
+
+    def on_found_shape(self, case: Case) -> Array:
+        """Return the network's map with the shape that physics finds in this frame, or found in one before it."""
+        return self._solved(case)[1]
+
+    def _solved(self, case: Case) -> tuple[Array, Array]:
+        """Return the map as physics leaves it, and the network's."""
         image = self._network.solver(case)
         verifier, setup_s = self._verifier(case)
         if why := verifier.refused(image):
             self.checked.append(MapVerdict(unverified(), 0.0, 0.0, 1e3 * setup_s, why))
-            return image
+            return image, image
         made_s, start = verifier.shapes.deformation.spent_cpu_s, time.process_time()
         rows = case.flat_reference != 0.0
         verdict = verifier.verify(case.voltages, image, BUDGET_S, rows, case.fused)
         made_s = verifier.shapes.deformation.spent_cpu_s - made_s
         cpu_s = time.process_time() - start - made_s
         self.checked.append(MapVerdict(verdict, 1e3 * verdict.seconds, 1e3 * cpu_s, 1e3 * (setup_s + made_s)))
-        if verdict.flagged:
-            return image
         if (cloud_mm := verifier.shapes.another_cloud()) is not None:
             self._found = Sheet(cloud_mm, case.sheet.untouched, case.sheet.skin)
+        shown = image if self._found is None else self._network.solver(replace(case, sheet=self._found))
+        if verdict.flagged:
+            return shown, shown
         grid = self._skin.grid
         if isinstance(verdict, UnitVerdict):
             touched = np.zeros(grid.n_units)
             touched[[one.unit for one in verdict.touches]] = 1.0
-            return np.asarray(grid.map_from_units(touched), dtype=np.float64)
-        if self._found is not None:
-            image = self._on_found_shape(case)
+            return np.asarray(grid.map_from_units(touched), dtype=np.float64), shown
         unlike = unlike_family(np.asarray(case.sheet.cloud_mm, dtype=np.float64), self._skin)
         is_wrong_scan = verifier.shapes.is_fitted and self._found is None
         share = 0.0 if unlike or is_wrong_scan else NETWORK_SHARE
-        return (1.0 - share) * verdict.map(grid) + share * np.clip(image, 0.0, 1.0)
-
-    def on_found_shape(self, case: Case) -> Array:
-        """Return the network's map with the shape that physics finds in this frame, or found in one before it."""
-        self.solve(case)
-        return self._on_found_shape(case)
-
-    def _on_found_shape(self, case: Case) -> Array:
-        return self._network.solver(replace(case, sheet=self._found or case.sheet))
+        return (1.0 - share) * verdict.map(grid) + share * np.clip(shown, 0.0, 1.0), shown
 
     def _verifier(self, case: Case) -> tuple[MapVerifier, float]:
         """Return the verifier of a case's shape, and CPU seconds that its models took: 0 for the shape in use."""
