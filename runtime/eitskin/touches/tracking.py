@@ -63,7 +63,7 @@ SETTLE_FRAMES: Final = 16
 """Frames after the end of a mean by which a velocity is known to 6 mm/s."""
 
 LONGEST_S: Final = 0.1
-"""Time between frames after which nothing is expected."""
+"""Time between frames after which nothing is expected, so a touch is where the frame shows it."""
 
 
 @dataclass(slots=True)
@@ -177,8 +177,11 @@ class Tracker:
             fused: Frames that it is the mean of.
         """
         passed_s = 1e-6 * (device_us - self._device_us)
-        for track in self._tracks if 0.0 < passed_s <= LONGEST_S else ():
-            track.expect(passed_s)
+        for track in self._tracks:
+            if 0.0 < passed_s <= LONGEST_S:
+                track.expect(passed_s)
+            else:
+                track.place_var = GATE_MM**2
         if device_us < self._device_us:  # a restarted device counts from 0; ages continue
             for track in self._tracks:
                 track.born_us += device_us - self._device_us

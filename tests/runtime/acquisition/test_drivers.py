@@ -179,6 +179,14 @@ def test_a_program_that_feeds_late_loses_no_scan(tiny):
         assert skin.feed(own_rows(at_rest(61)), 1_005_000) is not None
 
 
+def test_a_time_may_be_a_float_and_nan_is_refused_where_it_is_put_in():
+    feed = eitskin.Feed()
+    feed.put(np.ones(104), 1e6 + 5000.0)
+    assert next(feed.scans()).device_us == 1_005_000
+    with pytest.raises(ValueError, match="NaN"):
+        feed.put(np.ones(104), float("nan"))
+
+
 def test_an_iterable_ends_with_its_last_scan(tiny):
     def stream():
         for number in range(40):

@@ -160,6 +160,16 @@ def test_a_touch_that_turns_round_is_followed_within_a_few_frames(film):
     assert apart[112:].mean() < 0.3
 
 
+@pytest.mark.parametrize("period_us", [0, 200_000])
+def test_a_touch_is_where_frames_show_it_if_frames_are_rare_or_the_clock_stands_still(period_us):
+    watch = TouchWatch(GRID)
+    for frame, x in enumerate(np.arange(30.0, 100.0)):
+        image = square(x, 50.0).astype(np.float32).ravel()
+        packed = watch.update(image, frame, FLAT, period_us * frame)
+        (touch,) = unpack_touches(packed[0], LAYOUT.size, *packed[1:]).touches
+        assert touch.centre_mm[0] == pytest.approx(x, abs=0.5)
+
+
 def test_a_clock_that_jumps_moves_no_touch(film):
     moved(film, np.full(50, 0.25), 0.1)
     watch, image = film.watch, square(42.5, 50.0).astype(np.float32).ravel()

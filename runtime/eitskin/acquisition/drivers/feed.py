@@ -71,7 +71,7 @@ class Feed:
             device_us: When it was made, in microseconds of the device's clock; None if unknown.
 
         Raises:
-            ValueError: It has another number of rows.
+            ValueError: It has another number of rows, or NaN for a time.
         """
         found = np.asarray(voltages)
         if found.shape != (self.table.rows,) or found.dtype.kind not in "fiuc":
@@ -79,7 +79,7 @@ class Feed:
         with self._lock:
             if len(self._waiting) == MOST_WAITING:
                 self._lost += 1 + self._waiting.popleft().lost
-            self._waiting.append(Scan(found, device_us, self._lost))
+            self._waiting.append(Scan(found, None if device_us is None else int(device_us), self._lost))
             self._lost = 0
             self._tell()
 
