@@ -5,7 +5,8 @@ network that learned one kind shows the other where V / V_pred is replaced by it
 values have a sign, is largest with the sign of the touch, as far as V_pred is known. Once a second ::
 
     own, other = touched pixels of the frame's map and of its reciprocal's
-    turned      other > 2 own + OTHER_PIXELS, or the projection's largest value < OTHER_SHARE of that of the other sign
+    turned      the projection's largest value < OTHER_SHARE of that of the other sign, or
+                other > 2 own + OTHER_PIXELS, unless the other sign's largest value < OTHER_SHARE of that of its own
     doubtful    turned, or own has nothing that is listed as a touch
 
 Nearly all touches of the other kind are turned on a flat sheet, and most on a bent one without a cloud; of the bundle's
@@ -83,15 +84,16 @@ class TouchDoubts:
             ratio = np.maximum(1.0 + change, 1e-2) * np.exp(-predicted)
             change[:] = np.exp(predicted) / ratio - 1.0
             infer()
-            turned = bool(np.count_nonzero(values >= HALF) > 2 * own + OTHER_PIXELS) or self._is_turned(ratio[0] - 1.0)
+            shows_more = bool(np.count_nonzero(values >= HALF) > 2 * own + OTHER_PIXELS)
+            turned = self._is_turned(ratio[0] - 1.0, shows_more)
         change[:], values[:] = self._change, self._map
         return turned or largest < BIRTH, turned
 
-    def _is_turned(self, change: npt.NDArray[np.float32]) -> bool:
-        """Return whether the projection of (rows,) dV against V_pred is largest with the other sign."""
+    def _is_turned(self, change: npt.NDArray[np.float32], shows_more: bool) -> bool:
+        """Return whether (rows,) dV against V_pred is of the other kind, of which the map shows more or does not."""
         if self._projection is None:
-            return False
+            return shows_more
         values = self._projection @ change
         raised, lowered = float(values.max()), -float(values.min())
         own, other = (raised, lowered) if self._other == "lower" else (lowered, raised)
-        return own < OTHER_SHARE * other
+        return own < OTHER_SHARE * other or (shows_more and OTHER_SHARE * own < other)

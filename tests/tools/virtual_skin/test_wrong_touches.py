@@ -7,7 +7,7 @@ import eitskin
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.parts import Bend
-from eitskin_sim.scene.touch_table import DISC, gather
+from eitskin_sim.scene.touch_table import DISC, RECTANGLE, gather
 from eitskin_tools.console.words import event_words
 
 
@@ -16,12 +16,22 @@ def sheet():
     return inverted_sheet(Bend())
 
 
+SMALL = (RECTANGLE, 56.0, 46.0, 12.0, 12.0)
+LARGE = (DISC, 60.0, 45.0, 24.0, 24.0)
+
+
 @pytest.mark.parametrize(
-    ("touches", "contrast", "doubt"),
-    [("raise", 0.4, "lower"), ("lower", 3.0, "raise"), ("raise", 3.0, ""), ("lower", 0.4, "")],
+    ("touches", "shape", "contrast", "doubt"),
+    [
+        ("raise", LARGE, 0.4, "lower"),
+        ("lower", LARGE, 3.0, "raise"),
+        ("raise", LARGE, 3.0, ""),
+        ("raise", SMALL, 50.0, ""),
+        ("lower", LARGE, 0.4, ""),
+    ],
 )
-def test_touches_of_the_other_kind_are_an_event_that_names_the_remedy(sheet, touches, contrast, doubt):
-    pressed = set_voltages([sheet], gather([np.array([[DISC, 60.0, 45.0, 24.0, 24.0, 0.0, contrast, 0.0]])]))[0, 0]
+def test_touches_of_the_other_kind_are_an_event_that_names_the_remedy(sheet, touches, shape, contrast, doubt):
+    pressed = set_voltages([sheet], gather([np.array([[*shape, 0.0, contrast, 0.0]])]))[0, 0]
     rng, flat = np.random.default_rng(0), 1e-3 * sheet.untouched_V
 
     def noisy(volts, count):
