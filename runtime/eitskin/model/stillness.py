@@ -4,11 +4,11 @@ The captured reference says how rows of a resting sheet vary from frame to frame
 covariance C of that noise, the difference of the means of n and m frames of an unchanged scene has a known size::
 
     d = (mean of n - mean of m) / sqrt(1 / n + 1 / m)
-    still, if d C^-1 d <= rows (1 + 3 sqrt(2 / rows))
+    still, if d C^-1 d <= rows (1 + 4 sqrt(2 / rows))
 
 (A spread of few frames is itself uncertain: with nu = frames - 1, a squared value follows Fisher's F(1, nu), of which
 mean and variance are used. A row of which the converter shows only a few steps may rest on one and then flip between
-two, so no spread is less than half a step.) About one in 700 frames of a resting scene ends its mean needlessly. A
+two, so no spread is less than half a step.) About one in 3500 frames of a resting scene ends its mean needlessly. A
 spread above ``LARGEST_SPREAD`` is not used, because with such a reference hardly anything would count as a change.
 
 Two means serve, and they have no frame in common. The *mean* is that of which a map was computed. Each frame is held
@@ -19,7 +19,7 @@ against it, and a frame that is not still begins another one at once. Still fram
     still, and few frames       block and mean together are the mean: of 2, 4, 8 ... frames
     still, and as many as may   after ``REFRESH_FRAMES`` the block is the mean, else it begins anew
 
-So a change of 0.9 of a frame's own noise (rms over the rows) can stay unseen in one frame, and of 0.3 in 8 to 16
+So a change of a frame's own noise (rms over the rows) can stay unseen in one frame, and of 0.4 of it in 8 to 16
 frames. At the latest after ``REFRESH_FRAMES`` a map is computed again.
 """
 
@@ -51,7 +51,7 @@ LARGEST_SPREAD: Final = 0.01
 FEWEST: Final = 4
 """Degrees of freedom up to which F(1, nu) has no variance."""
 
-SIGMAS: Final = 3.0
+SIGMAS: Final = 4.0
 """By how many standard deviations of the mean square a resting scene may exceed 1."""
 
 

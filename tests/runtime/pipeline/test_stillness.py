@@ -35,8 +35,8 @@ def test_noise_alone_is_still_and_is_taken_for_a_change_as_rarely_as_stated(stil
     for index, start in enumerate(kept):
         stillness.keep(start)
         wrong += sum(not stillness.still(frame) for frame in frames[50 * index : 50 * (index + 1)])
-    # 1 in 741 for independent pairs; a kept frame is shared by 50 pairs, so the count scatters more than Poisson
-    assert wrong < 20_000 / 741 * 4
+    # 1 in 4000 for independent pairs; a kept frame is shared by 50 pairs, so the count scatters more than Poisson
+    assert wrong < 20_000 / 4000 * 4
 
 
 def test_a_change_of_three_sigmas_a_row_is_seen_at_once_and_one_of_a_third_is_not(stillness):
@@ -89,7 +89,7 @@ def test_noise_that_rows_share_ends_no_mean_and_hides_no_step(stillness):
     stillness.use_reference(VOLTS, np.hypot(SPREAD, together), 100_000, shared_V=together[:, None])
     frames = noise(rng, 3000) + 0.009 * rng.standard_normal((3000, 1)).astype(np.float32)
     counts = [count for _, _, count in taken(stillness, frames)]
-    assert counts.count(1) <= 3000 / 741 * 3
+    assert counts.count(1) <= 1 + 3000 / 4000 * 4
     assert counts.count(64) > 20
     step = 0.006 * np.where(rng.random(104) < 0.5, -1, 1).astype(np.float32)
     assert [count for _, _, count in taken(stillness, frames[:1] + step)] == [1]
