@@ -40,6 +40,7 @@ def test_a_recording_of_an_earlier_release_reinfers_bit_by_bit(name: str) -> Non
     assert found["equal"] == found["published"] == FRAMES[name]
 
 
+@pytest.mark.usefixtures("same_rounding")
 def test_a_recording_of_parts_of_maps_is_read_as_whole_maps_that_are_cut_to_them() -> None:
     script = Script(FOLDER / "regions.mcap")
     found = reinfer(script, bundle_of(script), keep=100)
