@@ -215,6 +215,8 @@ class Stillness:
         if whole:
             self._fill_block()
         if keeps_map:
+            if not self.frames:
+                np.copyto(self.mean, values)
             if self._gathered == self.frames:
                 self._block[:], self._gathered = 0.0, 0
             return False

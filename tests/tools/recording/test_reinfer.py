@@ -124,6 +124,15 @@ def test_one_frame_in_some_is_enough_for_a_slow_solver(file: Path) -> None:
     assert found["against_recorded"]["frames"] == 15
 
 
+def test_one_frame_in_some_of_a_touch_at_rest_is_computed_by_itself(tmp_path: Path) -> None:
+    recorded(tmp_path / "a.mcap", measured(330, skip_unchanged=True))
+    script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
+    ran = next(step.frame.solver for step in script.steps() if step.frame.touched)
+    found = reinfer(script, bundle, comparison_solver(script, bundle, None, ran), every=7).fields()
+    assert found["against_recorded"]["both_touched"] > 10
+    assert found["against_recorded"]["cc_p5"] > 0.9
+
+
 def test_a_solver_that_is_not_there_is_named_with_those_that_are(file: Path) -> None:
     script, bundle = Script(file), load_bundle(TINY)
     with pytest.raises(
