@@ -103,14 +103,12 @@ class PartialInverse:
         self._line = np.repeat(np.arange(len(self._first) - 1), np.diff(self._first))
         self._place = np.full(n, -1, dtype=np.intp)
         """(n,) where each unknown's column is; -1: nowhere yet."""
-        self._made = np.zeros(0, dtype=np.intp)
-        """(m,) unknowns that have one."""
-        self._columns = np.empty((0, n))
-        """A column a row, filled in between the lines that it is made for."""
+        self._count = 0
+        """How many have one."""
+        self._columns = np.empty((n, n))
+        """A column a row, filled in between the lines that it is made for; memory is taken as rows are written."""
         self._begin = len(self._own)
         """The first of these lines."""
-        self._between = np.empty((0, 0))
-        """(m, m) B between those unknowns."""
 
     def solve(self, right: Array) -> Array:
         """Return the (n, k) potentials under currents (n, k) A."""
@@ -121,29 +119,18 @@ class PartialInverse:
         new = dofs[self._place[dofs] < 0]
         if len(new):
             self._make(new)
-        place = self._place[dofs]
-        found: Array = self._between.reshape(-1).take(place[:, None] * len(self._between) + place)
-        return found
+        found = self._columns.reshape(-1).take(self._place[dofs][:, None] * len(self._place) + dofs)
+        return np.where(np.tri(len(dofs), dtype=np.bool_), found, found.T)
 
     def _make(self, dofs: Index) -> None:
-        """Make the columns of some unknowns, in ascending order, and what is between them and all others."""
-        before, count = len(self._made), len(self._made) + len(dofs)
-        if count > len(self._columns):
-            columns, between = np.empty((2 * count, len(self._place))), np.empty((2 * count, 2 * count))
-            columns[:before] = self._columns[:before]
-            between[:before, :before] = self._between[:before, :before]
-            self._columns, self._between = columns, between
+        """Make the columns of some unknowns, in ascending order."""
+        before, self._count = self._count, self._count + len(dofs)
         begin = min(self._begin, int(self._line[dofs[0]]))
         for i in reversed(range(begin, self._begin) if before else ()):
             self._step(self._columns[:before], i)
         self._begin = begin
-        self._fill_columns(self._columns[before:count], dofs)
-        self._made = made = np.concatenate([self._made, dofs])
-        self._place[dofs] = np.arange(before, count)
-        below = self._line[made] > self._line[dofs][:, None]
-        found = np.where(below, self._columns[:count, dofs].T, self._columns[before:count, made])
-        self._between[before:count, :count] = found
-        self._between[:count, before:count] = found.T
+        self._fill_columns(self._columns[before : self._count], dofs)
+        self._place[dofs] = np.arange(before, self._count)
 
     def _fill_columns(self, found: Array, dofs: Index) -> None:
         """Write the (k, n) columns of some unknowns, in ascending order."""
