@@ -34,7 +34,7 @@ def errors(usual: UsualWaves, family: Family, count: int) -> tuple[Array, Array,
         even = bend_metric(replace(bend, nonuniformity=0.0), nominal_sheet(PAPER))(usual.at)
         lying = usual.under(scan)
         apart.append(np.sum((even - scan.surface.metric(usual.at)) ** 2))
-        left.append(np.sum((even - usual.waves.moved(scan.surface.metric, lying.mean)(usual.at)) ** 2))
+        left.append(np.sum((even - usual.waves.moved(scan.surface.metric)(lying.mean)(usual.at)) ** 2))
         stated.append(np.sum((lying.ways / usual.waves.sd[:, None]) ** 2))
     return np.array(apart), np.array(left), np.array(stated)
 
@@ -72,7 +72,7 @@ def test_waves_keep_the_border_and_their_rates_are_quotients(metric: Metric) -> 
     for number in (1, 5, 17, 18, 20, 29):
         step = np.zeros(len(waves.sd))
         step[number] = 1e-4
-        quotient = (waves.moved(metric, step)(at) - waves.moved(metric, -step)(at)) / 2e-4
+        quotient = (waves.moved(metric)(step)(at) - waves.moved(metric)(-step)(at)) / 2e-4
         assert np.allclose(rates[:, :, number].T, quotient, atol=2e-5)
 
 
@@ -89,7 +89,7 @@ def test_a_material_that_lies_elsewhere_has_the_metric_of_the_points_that_it_lie
     length = [
         np.einsum("kc,kc->k", metric(where), np.stack([w[:, 0] ** 2, 2.0 * w[:, 0] * w[:, 1], w[:, 1] ** 2], axis=-1))
         for metric, where, w in (
-            (waves.moved(uneven_metric, amplitudes), at, way),
+            (waves.moved(uneven_metric)(amplitudes), at, way),
             (uneven_metric, lies(at), lies(at + way) - lies(at)),
         )
     ]

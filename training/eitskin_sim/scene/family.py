@@ -83,7 +83,7 @@ def paper_bends(count: int = 10, skin: Skin = PAPER) -> tuple[Bend, ...]:
 
 
 @lru_cache(maxsize=16)
-def draw(family: Family, count: int, seed: int, skin: Skin = PAPER) -> tuple[Bend, ...]:
+def draw(family: Family, count: int, seed: int, skin: Skin = PAPER, *, apart: bool = True) -> tuple[Bend, ...]:
     """Return the first ``count`` deformations of a family's sequence; more of them begin with the same ones.
 
     Args:
@@ -91,22 +91,23 @@ def draw(family: Family, count: int, seed: int, skin: Skin = PAPER) -> tuple[Ben
         count: How many.
         seed: Names the sequence.
         skin: What is bent, and how far.
+        apart: Whether none passes through itself. Its metric is as good as others'.
 
     Raises:
         ValueError: The family is unknown.
     """
     if family not in ("A", "B"):
         raise ValueError(f"family {family!r} is unknown; expected 'A' or 'B'")
-    sequence = _sequence(family, skin, np.random.default_rng([seed, ord(family)]))
+    sequence = _sequence(family, skin, np.random.default_rng([seed, ord(family)]), apart)
     return tuple(next(sequence) for _ in range(count))
 
 
-def _sequence(family: Family, skin: Skin, generator: np.random.Generator) -> Iterator[Bend]:
+def _sequence(family: Family, skin: Skin, generator: np.random.Generator, apart: bool) -> Iterator[Bend]:
     sheet = nominal_sheet(skin)
     while True:
         bend = _draw(family, skin, generator)
         try:
-            check_bend(bend, sheet)
+            check_bend(bend, sheet, apart=apart)
         except SceneError:
             continue
         yield bend

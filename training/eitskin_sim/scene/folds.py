@@ -30,13 +30,14 @@ DIRECTIONS: Final = 64
 """How many directions of the plane are looked at."""
 
 
-def check_bend(bend: Bend, sheet: Sheet, touches: Sequence[Touch] = ()) -> None:
+def check_bend(bend: Bend, sheet: Sheet, touches: Sequence[Touch] = (), *, apart: bool = True) -> None:
     """Raise SceneError where a bend cannot be: it turns the sheet inside out, or folds the sheet through itself.
 
     Args:
         bend: The bend.
         sheet: What is bent.
         touches: Whose dents press it in.
+        apart: Whether parts that are far from each other along the sheet are compared, which takes most of the time.
     """
     least = bend.stretch_along - abs(bend.nonuniformity)
     if least <= 0.0:
@@ -48,7 +49,7 @@ def check_bend(bend: Bend, sheet: Sheet, touches: Sequence[Touch] = ()) -> None:
         return
     dents = dents_of(touches)
     frame = _check_curvature(bend, sheet, dents)
-    if bend.bumps_mm or dents or not _runs_ahead(frame):
+    if apart and (bend.bumps_mm or dents or not _runs_ahead(frame)):
         _check_apart(bend, sheet, dents)
 
 
@@ -63,7 +64,7 @@ def _samples(sheet: Sheet, pitch_mm: float) -> tuple[Array, float]:
 def _check_curvature(bend: Bend, sheet: Sheet, dents: Sequence[Touch]) -> RollFrame:
     """Return the sheet's frame, without its bumps and dents, at the points that were looked at."""
     xy, _ = _samples(sheet, min(sheet.size_mm) / 50)
-    frame = frame_at(bend, sheet, xy)
+    frame = frame_at(bend, sheet, xy, placed=False)
     first = first_form(frame, frame.d_s, frame.d_w)
     if np.any(np.linalg.det(first) <= 1e-12):
         raise SceneError(

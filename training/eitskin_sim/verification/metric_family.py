@@ -74,13 +74,13 @@ class MetricFamily:
         found = self.mean + np.tensordot(amplitudes, self.modes, 1)
         return lambda xy_mm: _exponential(_basis(xy_mm, self.skin.outline.size_mm) @ found.T)
 
-    def rates(self, amplitudes: Array, metric: Metric, xy_mm: Array) -> tuple[Array, Array]:
+    def rates(self, amplitudes: Array, metric: Metric, xy_mm: Array) -> tuple[Array, Array, Array]:
         """Return the (3, n, k) derivatives of E, F and G by amplitudes at flat points (n, 2), and nothing else."""
         basis = _basis(xy_mm, self.skin.outline.size_mm)
         here = basis @ (self.mean + np.tensordot(amplitudes, self.modes, 1)).T
         step = DIFFERENCE * np.moveaxis(self.modes @ basis.T, 1, 2)  # (k, n, 3)
         change = (_exponential(here + step) - _exponential(here - step)) / (2.0 * DIFFERENCE)
-        return np.moveaxis(change, (2, 0), (0, 2)), np.zeros((3, len(xy_mm), 0))
+        return np.moveaxis(change, (2, 0), (0, 2)), np.zeros((3, len(xy_mm), 0)), np.zeros((0, 0))
 
     def at_rest(self) -> "MetricFamily":
         """Return the same: it may be anything."""
@@ -96,7 +96,7 @@ def metric_family(skin: Skin = PAPER) -> MetricFamily:
     """
     if not is_family(skin.deformations):
         raise ValueError(NO_FAMILY)
-    fields, bends = [], draw("A", DRAWS, SEED, skin)
+    fields, bends = [], draw("A", DRAWS, SEED, skin, apart=False)
     for bend in bends:
         log = _at_places(bend, skin).reshape(*PLACES[::-1], 3)
         for mirrors in ((), (0,), (1,), (0, 1)):

@@ -45,10 +45,10 @@ class Shape(Protocol):
     def metric(self, amplitudes: Array) -> Metric:
         """Return the metric at (k,) amplitudes."""
 
-    def rates(self, amplitudes: Array, metric: Metric, xy_mm: Array) -> tuple[Array, Array]:
-        """Return the (3, n, k) derivatives of E, F and G at flat points (n, 2) by amplitudes, and (3, n, m) errors.
+    def rates(self, amplitudes: Array, metric: Metric, xy_mm: Array) -> tuple[Array, Array, Array]:
+        """Return the (3, n, k) derivatives of E, F and G at flat points (n, 2) by amplitudes, and by other errors.
 
-        These are whatever else may be off, one standard deviation each.
+        These are (3, n, e) by e parts, and their (e, m) mixtures of one standard deviation each.
         """
 
     def at_rest(self) -> "Shape":
@@ -118,12 +118,11 @@ def unseen(touched: TouchedSheet, metric: Metric, shape: Shape, amplitudes: Arra
             power[0] * (scale * ratio)[:, None] - by_log_sigma * (stretch * E)[:, None],
         ]
     )  # (3, e, 104) V by E, F and G of each element
-    own, noise = (
-        np.einsum("cer,cek->rk", by_metric, rates, optimize=True) for rates in shape.rates(amplitudes, metric, at)
-    )
+    *rates, mixed = shape.rates(amplitudes, metric, at)
+    own, noise = (np.tensordot(by_metric, one, ((0, 1), (0, 1))) for one in rates)
     fields = _layer_fields(at, first, skin)
     layer = np.array([by_log_sigma.T @ (size * one) for one, size in fields.values()]).T
-    columns = np.concatenate([own, layer, _strongest(noise)], axis=1)
+    columns = np.concatenate([own, layer, _strongest(noise @ mixed)], axis=1)
     return Unseen(tuple(fields), columns, by_log_sigma, own.shape[1])
 
 

@@ -7,6 +7,7 @@ does not show. A shape unlike the drawn ones has a larger error. Bumps show as a
 displacement's uncertainty then grows with them.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -53,11 +54,12 @@ class ScannedShape:
 
     def metric(self, amplitudes: Array) -> Metric:
         """Return the metric at (k,) amplitudes."""
-        return self.waves.moved(self.scan.surface.metric, self.material.mean + self.material.ways @ amplitudes)
+        return self.waves.moved(self.scan.surface.metric)(self.material.mean + self.material.ways @ amplitudes)
 
-    def rates(self, amplitudes: Array, metric: Metric, xy_mm: Array) -> tuple[Array, Array]:
-        """Return the derivatives of E, F and G by amplitudes, and what the scan's noise may do to them."""
-        return np.array(self.waves.rates(metric, xy_mm)) @ self.material.ways, self.scan.rates(xy_mm) @ self.scan.unsure
+    def rates(self, amplitudes: Array, metric: Metric, xy_mm: Array) -> tuple[Array, Array, Array]:
+        """Return the derivatives of E, F and G by amplitudes, and by the scan's noise, with what it may be."""
+        own = np.array(self.waves.rates(metric, xy_mm)) @ self.material.ways
+        return own, self.scan.rates(xy_mm), self.scan.unsure
 
     def at_rest(self) -> "ScannedShape":
         """Return the shape whose material is as loose as what the untouched sheet reads may tell."""
@@ -121,10 +123,11 @@ def usual_waves(skin: Skin = PAPER) -> UsualWaves:
     x, y = ((np.arange(n) + 0.5) * extent / n for n, extent in zip(c.METRIC_PLACES, skin.outline.size_mm, strict=True))
     at = np.stack([one.ravel() for one in np.meshgrid(x, y)], axis=-1)
     shown, found = [], []
-    for bend in draw("A", c.USUAL_WAVES_DRAWS, c.USUAL_WAVES_SEED, skin):
+    for bend in draw("A", c.USUAL_WAVES_DRAWS, c.USUAL_WAVES_SEED, skin, apart=False):
         scanned = fit_cloud(measured_cloud(bend, None, skin=skin), skin.grid).metric
+        moved = waves.moved(scanned)
         either = [
-            _amplitudes(waves, scanned, bend_metric(replace(bend, nonuniformity=uneven), sheet)(at), at)
+            _amplitudes(waves, moved, bend_metric(replace(bend, nonuniformity=uneven), sheet)(at), at)
             for uneven in (bend.nonuniformity, -bend.nonuniformity)  # which have the same scan
         ]
         for mirrors in ((), (0,), (1,), (0, 1)):
@@ -145,13 +148,13 @@ def usual_waves(skin: Skin = PAPER) -> UsualWaves:
     return UsualWaves(waves, at, middle, parts, scale, scores, inverse, weights, usual, left)
 
 
-def _amplitudes(waves: Waves, scanned: Metric, true: Array, at: Array) -> Array:
+def _amplitudes(waves: Waves, moved: Callable[[Array], Metric], true: Array, at: Array) -> Array:
     """Return (w,) amplitudes, over their spreads, that turn the metric of a scan into the (n, 3) of a sheet."""
     total = np.zeros(len(waves.sd))
     for _ in range(c.USUAL_WAVES_STEPS):
-        moved = waves.moved(scanned, waves.sd * total)
-        rates = np.concatenate(waves.rates(moved, at)) * waves.sd
-        left = (true - moved(at)).T.ravel()
+        metric = moved(waves.sd * total)
+        rates = np.concatenate(waves.rates(metric, at)) * waves.sd
+        left = (true - metric(at)).T.ravel()
         total = total + np.linalg.solve(rates.T @ rates + 1e-3 * np.eye(len(total)), rates.T @ left)
     return total
 

@@ -4,7 +4,9 @@ A scan without marks divides rows and columns by arc length, so it misses how st
 material may be displaced within the surface. Its border stays on the border.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
@@ -73,13 +75,13 @@ class Waves:
             signs.append((-1.0) ** (wave if own == axis else order).ravel())
         return np.concatenate(signs)
 
-    def moved(self, metric: Metric, amplitudes: Array) -> Metric:
-        """Return the metric of the displaced material, from that of the scan's points."""
+    def moved(self, metric: Metric) -> Callable[[Array], Metric]:
+        """Return the metric of the displaced material by amplitudes, from that of the scan's points."""
         x, y = (np.linspace(0.0, extent, round(extent / c.MOVED_METRIC_GRID_MM) + 1) for extent in self.size_mm)
         whole = metric(np.stack([one.ravel() for one in np.meshgrid(x, y, indexing="ij")], axis=-1))
         parts = [RectBivariateSpline(x, y, one.reshape(len(x), len(y))) for one in whole.T]
 
-        def found(xy_mm: Array) -> Array:
+        def found(amplitudes: Array, xy_mm: Array) -> Array:
             move, slope = self._displaced(xy_mm, amplitudes)
             E, F, G = (part.ev(*np.clip(xy_mm + move, 0.0, self.size_mm).T) for part in parts)
             (a, b), (c, d) = np.eye(2)[:, :, None] + slope
@@ -92,16 +94,16 @@ class Waves:
                 axis=-1,
             )
 
-        return found
+        return lambda amplitudes: partial(found, amplitudes)
 
     def rates(self, metric: Metric, at: Array) -> tuple[Array, Array, Array]:
         """Return (k, n) derivatives of E, F and G by the amplitudes, at none."""
-        E, F, G = metric(at).T[:, :, None]
+        steps = np.array([(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.5, 0.0), (0.0, -0.5)])
+        whole = metric((steps[:, None, :] + at).reshape(-1, 2)).reshape(5, -1, 3)
+        E, F, G = whole[0].T[:, :, None]
         found = []
         for axis in (0, 1):
-            step = np.zeros(2)
-            step[axis] = 0.5
-            carried = (metric(at + step) - metric(at - step)).T[:, :, None]
+            carried = (whole[1 + axis] - whole[3 + axis]).T[:, :, None]
             move, along, across = self.along(axis, at)
             if axis == 0:
                 own = 2.0 * along * E, across * E + along * F, 2.0 * across * F
