@@ -142,9 +142,9 @@ class Fit:
     def linear(self) -> Linear:
         """Return residuals and derivatives here."""
         if not self._linear:
-            residual, by_prior, fitted = self.of_prior()
-            by = -self.frame.white.whiten(self.frame.model.jacobian(self.solved, fitted).T).T
-            self._linear.append((residual, np.concatenate([by, by_prior]), fitted))
+            fitted = fitted_parameters(self.pieces, self.turning)
+            by = self.frame.model.jacobian(self.solved, fitted)
+            self._linear.append(self.with_prior(-self.frame.white.whiten(by.T).T))
         return self._linear[0]
 
     @property
@@ -152,15 +152,12 @@ class Fit:
         """Return the same; of a converged fit from one short step before, which serves for errors."""
         return self._converged if self._converged is not None and not self._linear else self.linear
 
-    def of_prior(self) -> Linear:
-        """Return all residuals, but only the prior's (p, r) derivatives."""
+    def with_prior(self, by: Array) -> Linear:
+        """Return residuals and derivatives: those of the rows (rows, r) from elsewhere, the prior's from here."""
         fitted = fitted_parameters(self.pieces, self.turning)
-        by = self.frame.prior.jacobian(self.pieces, fitted, self.frame.joints)
-        return np.concatenate([self.residual, self.unlikely]), by, fitted
-
-    def with_prior(self, by: Array) -> Array:
-        """Return (rows + p, r) derivatives: those of the rows from elsewhere, the prior's from here."""
-        return np.concatenate([by[: len(self.residual)], self.of_prior()[1]])
+        by_prior = self.frame.prior.jacobian(self.pieces, fitted, self.frame.joints)
+        residual = np.concatenate([self.residual, self.unlikely])
+        return residual, np.concatenate([by[: len(self.residual)], by_prior]), fitted
 
     @property
     def chi_squared(self) -> float:
@@ -218,10 +215,8 @@ def refine(
     for _ in range(steps):
         if not len(fit.pieces) or fit.converged or over():
             return fit
-        if by is None:
-            by, kept = fit.linear[1], False
-        residual, _, fitted = fit.of_prior()
-        by = fit.with_prior(by)
+        kept = kept and by is not None
+        residual, by, fitted = fit.linear if by is None else fit.with_prior(by)
         gradient, square = by.T @ residual, by.T @ by
         scale = np.diag(square) + 1e-9
         better, shortened = None, False
@@ -265,8 +260,7 @@ def _try(frame: Frame, fit: Fit, fitted: npt.NDArray[np.bool_], step: Array) -> 
 
 
 def _converged(fit: Fit, by: Array) -> Fit:
-    residual, _, fitted = fit.of_prior()
-    return replace(fit, _converged=(residual, fit.with_prior(by), fitted))
+    return replace(fit, _converged=fit.with_prior(by))
 
 
 def _broyden(by: Array, before: Fit, after: Fit, fitted: npt.NDArray[np.bool_], scale: Array) -> Array | None:

@@ -81,8 +81,7 @@ def _held(frame: Frame, own: Fit, before: Fit, contrast: float, budget: Budget) 
         start = at.at(scaled_to_contrast(before.pieces, log - log.mean() + np.log(contrast)), own.turning)
         scale = np.ones((len(own.pieces), N_PARAMETERS))
         scale[:, [HALF_LENGTH, HALF_WIDTH]] = own.pieces[:, 3:5] / start.pieces[:, 3:5]
-        by = start.with_prior(by * scale[fitted])
-        residual = start.of_prior()[0]
+        residual, by, _ = start.with_prior(by * scale[fitted])
         step = np.linalg.lstsq(by, residual, rcond=None)[0]
         promised = float(residual @ residual - np.sum((residual - by @ step) ** 2))
         if start.cost - promised > own.cost + c.MAX_COST_OF_GENTLER:
