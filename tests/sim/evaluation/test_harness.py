@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from eitskin_proto.skin.parts import Deformations
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import harness, trials
 from eitskin_sim.evaluation import report as reports
@@ -147,3 +148,6 @@ def test_bad_arguments_are_refused(phantoms):
         evaluate(phantoms, solver, reference="later")
     with pytest.raises(ValueError, match="'N9'"):
         evaluate(phantoms, solver, noise="N9")
+    fixed = replace(PAPER, deformations=Deformations(*((0.0, 0.0),) * 4, (1.0, 1.0), (1.0, 1.0), (0.0, 0.0)))
+    with pytest.raises(ValueError, match="no other shape can be drawn"):
+        harness.evaluate_all(phantoms, [harness.Run(solver, "pre")], harness.Conditions(cloud="other", skin=fixed))

@@ -25,7 +25,7 @@ from eitskin_sim.evaluation.metrics import Score, scaled, score
 from eitskin_sim.evaluation.truth import check_truths, truth_map
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.measurement.noise import Kind, add_noise
-from eitskin_sim.scene.family import draw
+from eitskin_sim.scene.family import draw, is_family
 from eitskin_sim.scene.parts import Bend, Phantom, Scene, SceneError
 from eitskin_sim.scene.shift import shifted
 from eitskin_sim.solvers.l1 import ITERATIONS, l1_image
@@ -287,6 +287,8 @@ def _cloud(bare: Scene, kind: CloudKind, seed: int, skin: Skin) -> Array:
     if kind in ("flat", "fitted"):
         bend = Bend()
     elif kind == "other":
+        if not is_family(skin.deformations):
+            raise ValueError("--cloud other: the skin's [deformations] are all fixed, so no other shape can be drawn")
         bend = next(other for other in draw("A", 2 + seed, CLOUD_SEED, skin)[seed:] if other != bend)
     rng, own = np.random.default_rng([CLOUD_SEED, seed]), bare.sheet if kind == "scan" else None
     return np.asarray(measured_cloud(bend, rng, skin=skin, sheet=own), dtype=np.float64)
