@@ -367,6 +367,7 @@ class Pipeline:
         self.doubts = TouchDoubts(bundle, self.maps, self.buffers, self.record)
         self.bundle = bundle
         self._is_wire = not isinstance(hello, DriverHello)
+        self._flat: Reference | None = None
         self._next_geometry: Geometry | None = None
         self._was_touched = self._suspicious = self._compared = False
         self._since_look = 0
@@ -403,13 +404,20 @@ class Pipeline:
             self.health.use_reference(
                 flat.voltages_V, spread_V, gate, frames=flat.frames, fresh=fresh, shared_V=flat.shared_V
             )
-            self.maps.change_projection(self.health.projection)
         self.maps.drop_map()
-        if self.field is None:
-            self.maps.stillness.use_reference(
-                flat.voltages_V, flat.spread_V, flat.frames, step_V, flat.shared_V, flat.steady_frames
-            )
+        self._flat = flat
+        self.leave_out_missing()
         self._prediction.use_reference(reference)
+
+    def leave_out_missing(self) -> None:
+        """Let projections and the mean of frames do without the rows that are missing now."""
+        if self.health is not None:
+            self.maps.change_projection(self.health.projection)
+        if self.field is None and (flat := self._flat) is not None:
+            known_V = flat.voltages_V if self._missing is None else np.where(self._missing, 0.0, flat.voltages_V)
+            self.maps.stillness.use_reference(
+                known_V, flat.spread_V, flat.frames, self.step_V, flat.shared_V, flat.steady_frames
+            )
 
     def _reset_gates(self) -> None:
         """Let the gates judge the next frame by itself: the reference, or the device, is another one."""
@@ -484,7 +492,7 @@ class Pipeline:
         if health is None:
             return old or bool(repeats.hanging.any())
         if health.hang(repeats.hanging):
-            self.maps.change_projection(health.projection)
+            self.leave_out_missing()
         return old or bool((repeats.hanging & ~health.electrodes.missing).any())
 
     def load_recorded(self, payload: bytes, sequence: int) -> bool:
@@ -664,7 +672,7 @@ class Pipeline:
     def check_health(self) -> None:
         """Examine electrodes and drift in the last few frames; changes act on the next one."""
         if self.health is not None and self.health.examine(self.buffers.log_predicted[0]):
-            self.maps.change_projection(self.health.projection)
+            self.leave_out_missing()
 
     @property
     def has_leisure_work(self) -> bool:

@@ -78,3 +78,11 @@ def test_what_changes_is_an_event_of_the_next_frame(watching, counts):
     assert {"electrode:5:back", "electrode:9:back"} <= set(watching.record.events)
     assert not watching.health.lacks_rows
     assert HEALTHY > 5  # by hand it does not take a second
+
+
+def test_frames_at_rest_are_averaged_by_the_rows_that_are_there(watching, counts):
+    watching.maps.keeps_unchanged = watching.decisions.touched = True
+    rng = np.random.default_rng(0)
+    for number in range(1, 41):
+        assert go(watching, np.rint(counts * (1.0 + 0.003 * rng.standard_normal(104))).astype(np.int32), number)
+    assert watching.record.fused == 32

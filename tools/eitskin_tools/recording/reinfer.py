@@ -190,7 +190,7 @@ class Rerun:
             if self._health is not None and self._health.use_recorded(
                 conditions.drift, conditions.electrodes, conditions.missing_rows
             ):
-                pipeline.maps.change_projection(self._health.projection)
+                pipeline.leave_out_missing()
             if self.as_recorded and pipeline.gate is not None and conditions.gate_threshold is not None:
                 pipeline.gate.threshold = conditions.gate_threshold
 

@@ -366,7 +366,7 @@ class Player:
         if self._health is None:
             return
         if self._health.use_recorded(conditions.drift, conditions.electrodes, conditions.missing_rows):
-            pipeline.maps.change_projection(self._health.projection)
+            pipeline.leave_out_missing()
         threshold = conditions.gate_threshold
         if pipeline.gate is not None and threshold is not None and self._health.by_hand is None:
             pipeline.gate.threshold = threshold
