@@ -79,7 +79,7 @@ class ShapeSearch:
     def shape(
         self, change: Array, reference: Array, noise: Noise, starts: list[Array] | None, rows: Rows
     ) -> FoundShape | None:
-        """Return the shape that explains a frame best; None if there is none.
+        """Return the shape that explains a frame best; None if there is none, or none near enough for touches.
 
         Args:
             change: (104,) dV.
@@ -97,7 +97,8 @@ class ShapeSearch:
                 best = found
             if best is not None and best.chi_squared < len(size) + 3.0 * np.sqrt(2.0 * len(size)):
                 break
-        return best
+        is_far = starts and best is not None and best.chi_squared > c.MIN_MISFIT_WITHOUT_NETWORK * len(size)
+        return None if is_far else best
 
     def model(self, change: Array, reference: Array, noise: Noise, rows: Rows) -> SheetModel | None:
         """Return the model of an untouched sheet; arguments as of :meth:`shape`."""
