@@ -25,7 +25,7 @@ from eitskin_sim.verification.network_map import (
 )
 
 
-def fitted(frame: Frame, pieces: Array, turning: bool, budget: Budget) -> Fit | None:
+def fitted(frame: Frame, pieces: Array, turning: bool, budget: Budget, below: float = np.inf) -> Fit | None:
     """Return touches fitted to a frame; None where the sheet cannot have them.
 
     Args:
@@ -33,15 +33,18 @@ def fitted(frame: Frame, pieces: Array, turning: bool, budget: Budget) -> Fit | 
         pieces: (n, 8) where to start.
         turning: Whether angles are fitted.
         budget: Of the frame.
+        below: The cost that is of use.
     """
     budget.fits += 1
     try:
-        return refine(frame, frame.at(pieces, turning), c.MAX_STEPS, budget.search_over)
+        return refine(frame, frame.at(pieces, turning), c.MAX_STEPS, budget.search_over, below=below)
     except IMPOSSIBLE_TOUCH_ERRORS:
         return None
 
 
-def _cheaper(fit: Fit, other: Fit | None, by: float = 0.0) -> Fit:
+def _cheaper(frame: Frame, fit: Fit, pieces: Array, budget: Budget, by: float = 0.0) -> Fit:
+    """Return the fit, or one from other touches, if that costs less by as much."""
+    other = fitted(frame, pieces, fit.turning, budget, fit.cost - by)
     return other if other is not None and other.cost < fit.cost - by else fit
 
 
@@ -51,8 +54,7 @@ def of_usual_contrast(frame: Frame, fit: Fit, budget: Budget) -> Fit:
     usual = frame.prior.usual(log)
     if budget.search_over() or not len(log) or abs(np.mean(usual - log)) < c.MIN_LOG_RATIO_TO_USUAL_CONTRAST:
         return fit
-    pieces = scaled_to_contrast(fit.pieces, usual)
-    return _cheaper(fit, fitted(frame, pieces, fit.turning, budget))
+    return _cheaper(frame, fit, scaled_to_contrast(fit.pieces, usual), budget)
 
 
 def scaled_to_contrast(pieces: Array, log_contrasts: Array) -> Array:
@@ -75,7 +77,7 @@ def as_ellipses(frame: Frame, fit: Fit, budget: Budget) -> Fit:
     pieces = fit.pieces.copy()
     pieces[:, 0] = ELLIPSE
     pieces[:, 3:5] *= ELLIPSE_SIDES_OF_RECTANGLE
-    return _cheaper(fit, fitted(frame, pieces, fit.turning, budget))
+    return _cheaper(frame, fit, pieces, budget)
 
 
 def two_in_place_of_one(frame: Frame, fit: Fit, shares: Array, budget: Budget) -> Fit:
@@ -109,8 +111,7 @@ def two_in_place_of_one(frame: Frame, fit: Fit, shares: Array, budget: Budget) -
     two[:, 3:5], two[:, 7] = side, np.minimum(two[:, 7], side - 0.01)
     over = gap_mm(np.tile(piece, (len(fit.pieces), 1)), fit.pieces) < -c.OVERLAP_MM
     over[largest] = True  # a thin one overlaps itself by less
-    other = fitted(frame, np.vstack([fit.pieces[~over], two]), fit.turning, budget)
-    return _cheaper(fit, other, 0.0 if weak else c.MIN_GAIN_OF_TWO)
+    return _cheaper(frame, fit, np.vstack([fit.pieces[~over], two]), budget, 0.0 if weak else c.MIN_GAIN_OF_TWO)
 
 
 def without_smallest(frame: Frame, fit: Fit, budget: Budget) -> Fit:
@@ -118,7 +119,7 @@ def without_smallest(frame: Frame, fit: Fit, budget: Budget) -> Fit:
     areas = areas_mm2(fit.pieces)
     if len(areas) < 2 or areas.min() > c.MAX_AREA_OF_GHOST_MM2 or budget.search_over():
         return fit
-    return _cheaper(fit, fitted(frame, np.delete(fit.pieces, np.argmin(areas), axis=0), fit.turning, budget))
+    return _cheaper(frame, fit, np.delete(fit.pieces, np.argmin(areas), axis=0), budget)
 
 
 def as_one_body(frame: Frame, fit: Fit, shares: Array, budget: Budget) -> Fit:

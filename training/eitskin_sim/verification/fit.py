@@ -199,7 +199,12 @@ class Fit:
 
 
 def refine(
-    frame: Frame, fit: Fit, steps: int, over: Callable[[], bool] = lambda: False, by: Array | None = None
+    frame: Frame,
+    fit: Fit,
+    steps: int,
+    over: Callable[[], bool] = lambda: False,
+    by: Array | None = None,
+    below: float = np.inf,
 ) -> Fit:
     """Return touches moved, resized and made to conduct so that they explain a frame better, never worse.
 
@@ -210,6 +215,7 @@ def refine(
         over: Whether time is over: asked before each derivative and each solution, so that one of each is what a frame
             may take longer.
         by: (rows + p, r) derivatives for the first step, from nearby; None takes them anew.
+        below: The cost that is of use: where derivatives promise far less, the search ends.
     """
     damping, kept = c.FIRST_DAMPING, False
     for _ in range(steps):
@@ -227,6 +233,8 @@ def refine(
             promised = float(-2.0 * (gradient @ step) - step @ square @ step)
             if promised < c.MIN_PROMISED_GAIN_PER_PARAMETER * len(step):
                 return _converged(fit, by)
+            if fit.cost - c.MAX_GAIN_OVER_PROMISED * promised > below:
+                return fit
             tried = _try(frame, fit, fitted, step)
             if tried is not None and tried.cost < fit.cost:
                 better = tried
