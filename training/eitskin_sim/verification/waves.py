@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.interpolate import RectBivariateSpline
+from scipy.interpolate import NdBSpline, make_interp_spline
 
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.arrays import Array
@@ -39,20 +39,21 @@ class Waves:
         sine, cosine, power, rise = self._factors(axis, xy_mm)
 
         def each(wave: Array, across: Array) -> Array:
-            return (wave[:, :, None] * across[:, None, :]).reshape(len(xy_mm), -1)
+            return (wave[:, None] * across).reshape(-1, len(xy_mm)).T
 
         return each(sine, power), each(cosine, power), each(sine, rise)
 
     def _factors(self, axis: int, xy_mm: Array) -> tuple[Array, Array, Array, Array]:
-        """Return (k, waves) waves and their slopes, and (k, orders) polynomials across them and their slopes."""
+        """Return (waves, k) waves and their slopes, and (orders, k) polynomials across them and their slopes."""
         along, across = self.size_mm[axis], self.size_mm[1 - axis]
-        wave = np.pi * np.arange(1, WAVES[axis] + 1) / along
+        wave = np.pi * np.arange(1, WAVES[axis] + 1)[:, None] / along
         t = 2.0 * xy_mm[:, 1 - axis] / across - 1.0
         one = np.ones_like(t)
-        power = np.stack([one, t, 1.5 * t * t - 0.5], axis=-1)
-        rise = np.stack([0.0 * one, one, 3.0 * t], axis=-1) * 2.0 / across
-        angle = wave * xy_mm[:, axis, None]
-        return np.sin(angle) / wave, np.cos(angle), power, rise
+        power = np.stack([one, t, 1.5 * t * t - 0.5])
+        rise = np.stack([0.0 * one, one, 3.0 * t]) * 2.0 / across
+        # Powers of one rotation, which are faster than sines and cosines of each wave.
+        turned = np.repeat(np.exp(1j * wave[:1] * xy_mm[:, axis]), len(wave), axis=0).cumprod(axis=0)
+        return turned.imag / wave, turned.real.copy(), power, rise
 
     def _displaced(self, xy_mm: Array, amplitudes: Array) -> tuple[Array, Array]:
         """Return (k, 2) displacements, mm, and their (2, 2, k) slopes: of which axis, along which."""
@@ -60,11 +61,11 @@ class Waves:
         parts = np.split(amplitudes, [WAVES[0] * ORDERS])
         for axis, own in enumerate(parts):
             sine, cosine, power, rise = self._factors(axis, xy_mm)
-            table = own.reshape(-1, ORDERS)
-            sines = sine @ table
-            move[:, axis] = np.einsum("ko,ko->k", sines, power)
-            slope[axis, axis] = np.einsum("ko,ko->k", cosine @ table, power)
-            slope[axis, 1 - axis] = np.einsum("ko,ko->k", sines, rise)
+            table = own.reshape(-1, ORDERS).T
+            sines = table @ sine
+            move[:, axis] = np.sum(sines * power, axis=0)
+            slope[axis, axis] = np.sum((table @ cosine) * power, axis=0)
+            slope[axis, 1 - axis] = np.sum(sines * rise, axis=0)
         return move, slope
 
     def mirrored(self, axis: int) -> Array:
@@ -79,11 +80,13 @@ class Waves:
         """Return the metric of the displaced material by amplitudes, from that of the scan's points."""
         x, y = (np.linspace(0.0, extent, round(extent / c.MOVED_METRIC_GRID_MM) + 1) for extent in self.size_mm)
         whole = metric(np.stack([one.ravel() for one in np.meshgrid(x, y, indexing="ij")], axis=-1))
-        parts = [RectBivariateSpline(x, y, one.reshape(len(x), len(y))) for one in whole.T]
+        along = make_interp_spline(x, whole.reshape(len(x), len(y), 3))
+        across = make_interp_spline(y, np.swapaxes(along.c, 0, 1))
+        spline = NdBSpline((along.t, across.t), np.swapaxes(across.c, 0, 1), 3)
 
         def found(amplitudes: Array, xy_mm: Array) -> Array:
             move, slope = self._displaced(xy_mm, amplitudes)
-            E, F, G = (part.ev(*np.clip(xy_mm + move, 0.0, self.size_mm).T) for part in parts)
+            E, F, G = spline(np.clip(xy_mm + move, 0.0, self.size_mm)).T
             (a, b), (c, d) = np.eye(2)[:, :, None] + slope
             return np.stack(
                 [
