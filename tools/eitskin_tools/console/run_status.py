@@ -204,7 +204,7 @@ def report(skin: Any, log: RunLog, said_by: str) -> None:
     bundle = skin.bundle
     log.say(f"bundle: {bundle.path.name} {bundle.id}, labels {bundle.labels}; {solvers}")
     kind = {"lower": "that lower", "raise": "that raise", "both": "that raise or lower"}[bundle.touch_kind]
-    log.say(f"touches: expected are those {kind} conductance, by {said_by}; if yours differ, choose with --touches")
+    log.say(f"touches: expecting those {kind} conductance, by {said_by}; if yours differ, choose with --touches")
     rows, columns = skin.description.grid.shape
     log.say(f"skin: {skin.description.name} {skin.description.digest}, map of {rows} x {columns} pixels")
     for line in bundle_doubts(bundle, skin.description):
