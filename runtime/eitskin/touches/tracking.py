@@ -41,8 +41,8 @@ HOLD_FRAMES: Final = 5
 """Frames for which a touch that is not seen keeps its number."""
 
 
-WALK: Final = 1e3
-"""mm2/s3, by which the variance of a velocity grows: 10 mm/s in 100 ms."""
+WALK: Final = 2e3
+"""mm2/s3, by which the variance of a velocity grows: 14 mm/s in 100 ms."""
 
 SPEED_MM_S: Final = 50.0
 """Of a touch whose velocity is not known, standard deviation along x and y."""
@@ -56,11 +56,14 @@ LEAST_MM: Final = 0.05
 LEARNING: Final = 1.0 / 16.0
 """Share of a frame in what is known of that noise."""
 
+MOST_LEARNED: Final = 2.0
+"""A squared deviation over its variance, beyond which the rest is taken for a change of velocity, not for noise."""
+
 JUMP: Final = 16.0
 """A squared deviation over its variance beyond which a touch has begun to move otherwise."""
 
 SETTLE_FRAMES: Final = 16
-"""Frames after the end of a mean by which a velocity is known to 6 mm/s."""
+"""Frames after the end of a mean by which a velocity is known to 8 mm/s."""
 
 LONGEST_S: Final = 0.1
 """Time between frames after which nothing is expected, so a touch is where the frame shows it."""
@@ -123,7 +126,8 @@ class Track:
         self.velocity_mm_s = vx + velocity * across, vy + velocity * along
         self.velocity_var -= velocity * self.both_var
         self.place_var, self.both_var = place * self.noise_var, velocity * self.noise_var
-        self.noise_var = max(LEAST_MM**2, self.noise_var * (1.0 + LEARNING * (apart / total - 1.0)))
+        learned = min(apart / total, MOST_LEARNED)
+        self.noise_var = max(LEAST_MM**2, self.noise_var * (1.0 + LEARNING * (learned - 1.0)))
 
 
 Event = tuple[int, int, int]

@@ -160,6 +160,13 @@ def test_a_touch_that_turns_round_is_followed_within_a_few_frames(film):
     assert apart[112:].mean() < 0.3
 
 
+def test_a_fast_touch_that_stops_within_100_ms_is_not_shown_beyond_its_place(film):
+    steps = np.concatenate([np.full(70, 1.0), np.linspace(1.0, 0.0, 20), np.zeros(40)])
+    truth, found = moved(film, steps, 0.4)
+    apart = np.abs(truth - [touch.centre_mm[0] for touch in found])
+    assert apart[90:].max() < 3.0
+
+
 @pytest.mark.parametrize("period_us", [0, 200_000])
 def test_a_touch_is_where_frames_show_it_if_frames_are_rare_or_the_clock_stands_still(period_us):
     watch = TouchWatch(GRID)
