@@ -27,7 +27,7 @@ SPEED_MM_S, RATE_HZ, SLIDE = 50.0, 200, 80
 """Of the slide, the last in frames."""
 
 NOISE: Final = 10**-2.5
-DRAWS: Final = 8
+DRAWS: Final = 32
 """Of the noise of a slide."""
 
 

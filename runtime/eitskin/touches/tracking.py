@@ -41,8 +41,8 @@ HOLD_FRAMES: Final = 5
 """Frames for which a touch that is not seen keeps its number."""
 
 
-WALK: Final = 2e3
-"""mm2/s3, by which the variance of a velocity grows: 14 mm/s in 100 ms."""
+WALK: Final = 1.5e3
+"""mm2/s3, by which the variance of a velocity grows: 12 mm/s in 100 ms."""
 
 SPEED_MM_S: Final = 50.0
 """Of a touch whose velocity is not known, standard deviation along x and y."""
@@ -63,7 +63,7 @@ JUMP: Final = 16.0
 """A squared deviation over its variance beyond which a touch has begun to move otherwise."""
 
 SETTLE_FRAMES: Final = 16
-"""Frames after the end of a mean by which a velocity is known to 8 mm/s."""
+"""Frames after the end of a mean by which a velocity is known to 7 mm/s."""
 
 LONGEST_S: Final = 0.1
 """Time between frames after which nothing is expected, so a touch is where the frame shows it."""
