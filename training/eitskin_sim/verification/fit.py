@@ -232,7 +232,7 @@ def refine(
             step = np.asarray(-np.linalg.solve(square + damping * np.diag(scale), gradient), dtype=np.float64)
             promised = float(-2.0 * (gradient @ step) - step @ square @ step)
             if promised < c.MIN_PROMISED_GAIN_PER_PARAMETER * len(step):
-                return _converged(fit, by)
+                return replace(fit, _converged=fit.with_prior(by))
             if fit.cost - c.MAX_GAIN_OVER_PROMISED * promised > below:
                 return fit
             tried = _try(frame, fit, fitted, step)
@@ -240,7 +240,7 @@ def refine(
                 better = tried
                 break
             if promised < c.MIN_GAIN_OF_STEP:  # a side may lie on a line of the mesh, where derivatives jump
-                return _converged(fit, by)
+                return replace(fit, _converged=fit.with_prior(by))
             damping *= c.DAMPING_UP
             shortened = True
         if better is None:
@@ -250,7 +250,7 @@ def refine(
             continue
         gain = fit.cost - better.cost
         if gain < c.MIN_GAIN_OF_STEP:
-            return _converged(better, by)
+            return replace(better, _converged=better.with_prior(by))
         if gain < c.MIN_GAIN_SHARE_OF_EXCESS * (better.chi_squared - len(better.residual)):
             return better
         by = None if kept else _broyden(by, fit, better, fitted, scale)
@@ -265,10 +265,6 @@ def _try(frame: Frame, fit: Fit, fitted: npt.NDArray[np.bool_], step: Array) -> 
         return frame.at(bounded(frame.prior, frame.model.skin, fit.pieces, fitted, step), fit.turning)
     except IMPOSSIBLE_TOUCH_ERRORS:
         return None
-
-
-def _converged(fit: Fit, by: Array) -> Fit:
-    return replace(fit, _converged=fit.with_prior(by))
 
 
 def _broyden(by: Array, before: Fit, after: Fit, fitted: npt.NDArray[np.bool_], scale: Array) -> Array | None:
