@@ -80,7 +80,7 @@ def streaming(tmp_path, monkeypatch):
     monkeypatch.setenv("VERIFIER_SCRIPT", str(tmp_path))
 
     @contextmanager
-    def run(mode="always", *, max_failures=5, every_map=False, source=None, **device):
+    def run(mode="always", *, cloud="scan", max_failures=5, every_map=False, source=None, **device):
         with ExitStack() as stack:
             port = None if source else stack.enter_context(virtual_skin(**{"touches": TOUCHED, **device}))
             bundle = TESTS / "golden" / "tiny.eitskin"
@@ -91,7 +91,8 @@ def streaming(tmp_path, monkeypatch):
             place = Placement(nice=5, program=SCRIPTED)
             backoff = Backoff(0.1, 0.2, 60.0)
             process = stack.enter_context(VerifierProcess(place, backoff, max_failures))
-            stream = Stream(skin, publisher, process, VerifierFeed(skin, publisher, process, mode), tmp_path)
+            feed = VerifierFeed(skin, publisher, process, mode, cloud=cloud)
+            stream = Stream(skin, publisher, process, feed, tmp_path)
             stack.callback(stream.stop)
             yield stream
 

@@ -154,6 +154,14 @@ def test_the_network_uses_the_shape_that_frames_show_until_a_cloud_is_sent(strea
         assert skin.status()["cloud_why"] == "given"
 
 
+def test_clouds_that_the_verifier_ignores_need_no_new_model(streaming):
+    with streaming(touches=MOVING, cloud="fitted") as stream, stream.subscribed() as verdicts:
+        first(verdicts, lambda one: one.verified)
+        stream.skin.set_cloud(stream.skin.description.grid.flat_cloud_mm() + 5.0)
+        first(verdicts, lambda one: one.verified and one.cloud == 1)
+        assert len((stream.script / "setups").read_text().split()) == 1
+
+
 def test_a_verifier_that_dies_is_started_again_and_the_stream_goes_on(streaming):
     with (
         streaming(touches=MOVING) as stream,

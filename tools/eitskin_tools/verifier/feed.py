@@ -129,7 +129,7 @@ class VerifierFeed:
             self._is_busy, self._setup_for = False, (None, None)
             self._stillness.reset()
         geometry, (last, reference) = buffers.geometry, self._setup_for
-        is_known = geometry is last or (geometry is not None and geometry.why == "fitted")
+        is_known = geometry is last or self._cloud != "scan" or (geometry is not None and geometry.why == "fitted")
         if not is_known or self._skin.reference is not reference:
             self._send_setup()
             self._report(record)  # before the answer, which may be quick
