@@ -11,10 +11,11 @@ from eitskin_proto.skin.toml import parse
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.scene.family import is_family
 from eitskin_sim.surface.predict import flat_voltages, predict
-from eitskin_sim.verification.shape_verdict import ShapeTouch
+from eitskin_sim.verification.shape_verdict import ShapeTouch, ShapeVerdict
 from eitskin_sim.verification.snapped_units import UnitTouch
 from eitskin_sim.verification.verdict import Verdict as Found
 from eitskin_tools.evaluation.verified.solver import MapVerifier, noise_shown
+from eitskin_tools.verifier.followed import FollowedTouches
 from eitskin_tools.verifier.letters import Array, BaselineLetter, FrameLetter, Setup, Shape
 
 SCAN_MISMATCH: Final = (
@@ -56,6 +57,7 @@ class Checker:
         touches: TouchKind = setup.touches  # type: ignore[assignment]  # of a bundle, which was checked
         noise = noise_shown(reference_V, setup.spread_V, setup.shared_V)
         self._verifier = MapVerifier(self._reference_V, noise, setup.labels, touches, skin)
+        self._followed = FollowedTouches()
         self._is_guess, self.why = setup.is_guess, ""
         """The latter: what is wrong with the cloud."""
         shapes = self._verifier.shapes
@@ -81,7 +83,10 @@ class Checker:
         volts = self._reference_V * (1.0 + frame.change.astype(np.float64))
         rows = self._usable & ~frame.missing
         verdict = self._verifier.verify(volts, image, self._budget_s, rows, frame.fused)
-        touches = tuple(self._message_of(one) for one in verdict.touches)
+        found: Any = verdict.touches
+        if isinstance(verdict, ShapeVerdict) and not verdict.flagged:
+            found = self._followed.follow(found, frame.device_us, frame.fused)
+        touches = tuple(self._message_of(one) for one in found)
         told = verdict.chi_squared, verdict.degrees_of_freedom, verdict.p_value, verdict.flagged
         return told, touches, reason_of(verdict) or (FITTED if self._verifier.shapes.is_fitted else "")
 
