@@ -3,7 +3,8 @@
 The first model is that of the scan. If frames show a likely sheet beyond the range of the derivatives, the model is
 made again there. If nothing explains a frame, other sheets are tried, each once a deformation:
 
-    scanned        the sheet that the frame suggests, limited to a likely one
+    scanned        that of the scan alone, where it was taken for one of the skin's family
+                   the sheet that the frame suggests, limited to a likely one
     seen at rest   that of the scan alone: the sheet has changed since
 
 The verifier keeps one only if it explains the frame.
@@ -14,6 +15,7 @@ from collections.abc import Callable
 
 from eitskin_sim.arrays import Array
 from eitskin_sim.verification import constants as c
+from eitskin_sim.verification.metric_family import MetricFamily
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.sheet_model import SheetModel
 
@@ -48,13 +50,28 @@ class Deformation:
             raise ValueError("no deformation to verify on; give its cloud first")
         return self._model
 
-    def scan(self, make: Callable[[], SheetModel], *, is_guess: bool = False) -> None:
-        """Go on with the model of another scan; that of a guess is not made again."""
+    def scan(
+        self, make: Callable[[], SheetModel], other: Callable[[], SheetModel] | None = None, *, is_guess: bool = False
+    ) -> None:
+        """Go on with the model of another scan; that of a guess is not made again.
+
+        Args:
+            make: Makes it.
+            other: Makes that of the scan alone, where the model is one of the skin's family.
+            is_guess: Whether nothing measured the shape.
+        """
         self.spent_s = self.spent_cpu_s = 0.0
         self._make(make)
         self._scanned = self.model
         self._guess, self._made_again = self.model if is_guess else None, 0
         self._others = [] if is_guess else [self._as_far_as_likely]
+        if other is not None and isinstance(self.model.shape, MetricFamily):
+            self._others.append(lambda _: other())
+
+    @property
+    def is_scanned(self) -> bool:
+        """Whether the shape of the model in use is that of the scan."""
+        return self._scanned is not None and self.model.shape is self._scanned.shape
 
     @property
     def is_guess(self) -> bool:

@@ -9,7 +9,7 @@ Every z is a metric that is positive, so a fit may go anywhere; :mod:`eitskin_si
 to a deformation.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
@@ -25,7 +25,7 @@ from eitskin_sim.scene.nominal import flat_metric_of, nominal_sheet
 from eitskin_sim.scene.parts import Bend
 
 DRAWS: Final = 120
-"""Deformations that the modes are made of; their mirror images come on top."""
+"""Deformations that the modes are made of; their mirror images come on top, and uneven stretch the other way."""
 
 SEED: Final = 61_403
 
@@ -67,7 +67,7 @@ class MetricFamily:
 
     def amplitudes(self, bend: Bend) -> Array:
         """Return the (k,) amplitudes of a deformation."""
-        return np.asarray(self.projection @ (_at_places(bend, self.skin) - self.middle).ravel())
+        return np.asarray(self.projection @ (_log_metric(bend, self.skin) - self.middle).ravel())
 
     def metric(self, amplitudes: Array) -> Metric:
         """Return the metric at (k,) amplitudes."""
@@ -86,6 +86,24 @@ class MetricFamily:
         """Return the same: it may be anything."""
         return self
 
+    @property
+    def modes_at_places(self) -> Array:
+        """(3 p, k) of log g at the places, by each amplitude."""
+        basis = _basis(places_of(self.skin), self.skin.outline.size_mm)
+        return np.asarray((basis @ np.swapaxes(self.modes, 1, 2)).reshape(len(self.modes), -1).T)
+
+    def about(self, amplitudes: Array, ways: Array) -> "MetricFamily":
+        """Return the same metrics by other amplitudes: those of this one are (k,) amplitudes + (k, k) ways @ them."""
+        return replace(
+            self,
+            mean=self.mean + np.tensordot(amplitudes, self.modes, 1),
+            modes=np.tensordot(ways.T, self.modes, 1),
+            stretch=self.stretch @ ways,
+            drawn=np.asarray(np.linalg.solve(ways, (self.drawn - amplitudes).T).T, dtype=np.float64),
+            middle=self.middle + (self.modes_at_places @ amplitudes).reshape(-1, 3),
+            projection=np.asarray(np.linalg.solve(ways, self.projection), dtype=np.float64),
+        )
+
 
 @lru_cache(maxsize=4)
 def metric_family(skin: Skin = PAPER) -> MetricFamily:
@@ -98,34 +116,36 @@ def metric_family(skin: Skin = PAPER) -> MetricFamily:
         raise ValueError(NO_FAMILY)
     fields, bends = [], draw("A", DRAWS, SEED, skin, apart=False)
     for bend in bends:
-        log = _at_places(bend, skin).reshape(*PLACES[::-1], 3)
-        for mirrors in ((), (0,), (1,), (0, 1)):
-            turned = np.flip(log, axis=mirrors) * [1.0, (-1.0) ** len(mirrors), 1.0]
-            fields.append(turned.reshape(-1, 3))
+        for either in (bend, replace(bend, nonuniformity=-bend.nonuniformity)):  # no scan tells which
+            log = _log_metric(either, skin).reshape(*PLACES[::-1], 3)
+            for mirrors in ((), (0,), (1,), (0, 1)):
+                turned = np.flip(log, axis=mirrors) * [1.0, (-1.0) ** len(mirrors), 1.0]
+                fields.append(turned.reshape(-1, 3))
     drawn = np.array(fields)
     mean = drawn.mean(axis=0)
     _, values, ways = np.linalg.svd((drawn - mean).reshape(len(drawn), -1), full_matrices=False)
     sizes = SPREAD * values[:MODES] / np.sqrt(len(drawn))
-    at = _places(skin)
+    at = places_of(skin)
     to_coefficients = np.linalg.pinv(_basis(at, skin.outline.size_mm))
     modes = np.array([to_coefficients @ way.reshape(-1, 3) * one for one, way in zip(sizes, ways, strict=False)])
     rms = sizes / np.sqrt(len(at)) / 2.0
     projection = ways[: len(sizes)] / sizes[:, None]
-    own = (drawn[::4] - mean).reshape(len(bends), -1) @ projection.T
+    own = (drawn[::8] - mean).reshape(len(bends), -1) @ projection.T
     about = (to_coefficients @ mean).T
     return MetricFamily(about, np.swapaxes(modes, 1, 2), np.diag(rms), skin, bends, own, mean, projection)
 
 
-def _places(skin: Skin) -> Array:
+def places_of(skin: Skin) -> Array:
+    """Return the (p, 2) flat places where deformations are looked at, ``PLACES`` of them."""
     x, y = (np.linspace(0.01, 0.99, n) * extent for n, extent in zip(PLACES, skin.outline.size_mm, strict=True))
     return np.stack([one.ravel() for one in np.meshgrid(x, y)], axis=-1)
 
 
-def _at_places(bend: Bend, skin: Skin) -> Array:
+def _log_metric(bend: Bend, skin: Skin) -> Array:
     """Return the (p, 3) logarithm of a deformation's metric."""
-    at = _places(skin)
+    at = places_of(skin)
     E, _, G = flat_metric_of(skin)(at[:1])[0]
-    return _logarithm(np.array([E, np.sqrt(E * G), G]) * bend_metric(bend, nominal_sheet(skin))(at))
+    return logarithm(np.array([E, np.sqrt(E * G), G]) * bend_metric(bend, nominal_sheet(skin))(at))
 
 
 def _basis(xy_mm: Array, size_mm: tuple[float, float]) -> Array:
@@ -145,8 +165,8 @@ def _exponential(log: Array) -> Array:
     return np.stack([factor * (cosh + slope * half), factor * slope * b, factor * (cosh - slope * half)], axis=-1)
 
 
-def _logarithm(form: Array) -> Array:
-    """Return the same back."""
+def logarithm(form: Array) -> Array:
+    """Return the symmetric (..., 3) logarithms of (..., 3) E, F, G."""
     a, b, c = np.moveaxis(form, -1, 0)
     half, middle = (a - c) / 2.0, (a + c) / 2.0
     apart = np.hypot(half, b)

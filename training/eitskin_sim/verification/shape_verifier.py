@@ -101,7 +101,9 @@ class ShapeVerifier:
             self._search  # noqa: B018  # now rather than in the first frame; and it refuses a skin of no family
         self._may_be_other = not is_certain and is_family(self._skin.deformations)
         self._is_guess, self._explanation = is_guess, None
-        self.deformation.scan(lambda: model_of_cloud(cloud_mm, self._skin), is_guess=is_guess)
+        scanned = partial(model_of_cloud, cloud_mm, self._skin)
+        make = partial(scanned, may_move=self._may_be_other and not is_guess)
+        self.deformation.scan(make, scanned, is_guess=is_guess)
         curvature = largest_curvature(np.asarray(cloud_mm, dtype=np.float64), self._skin.grid)
         self._is_dented = curvature > c.MAX_CURVATURE_PER_MM2
 
@@ -112,7 +114,7 @@ class ShapeVerifier:
     @property
     def is_fitted(self) -> bool:
         """Whether frames have shown another shape than the cloud's, which is in use."""
-        return isinstance(self.deformation.model.shape, MetricFamily)
+        return isinstance(self.deformation.model.shape, MetricFamily) and not self.deformation.is_scanned
 
     def use_untouched(self, voltages_V: Array, frames: int = 1) -> bool:
         """Learn from what the deformation reads while nothing touches it.

@@ -27,6 +27,7 @@ from eitskin_sim.verification import constants as c
 from eitskin_sim.verification.at_rest import AtRest, at_rest
 from eitskin_sim.verification.metric_family import metric_family
 from eitskin_sim.verification.residual import Noise, Rows, Whitener
+from eitskin_sim.verification.scanned_member import member_of
 from eitskin_sim.verification.unseen import Shape, Unseen, unseen
 from eitskin_sim.verification.usual_waves import ScannedShape, usual_waves
 from eitskin_sim.verification.waves import waves_of
@@ -207,19 +208,23 @@ class SheetModel:
         return float(c.GAUGE_SD * held[self._gauge_column])
 
 
-def model_of_cloud(cloud_mm: npt.ArrayLike, skin: Skin = PAPER) -> SheetModel:
+def model_of_cloud(cloud_mm: npt.ArrayLike, skin: Skin = PAPER, *, may_move: bool = False) -> SheetModel:
     """Return the model of a scanned deformation.
 
     Args:
         cloud_mm: (3, rows, columns) mm.
         skin: Whose sheet.
+        may_move: Whether the sheet may have moved since, to another shape of its skin's family. A scan of the family
+            then is evidence of a member, by its doubt.
 
     Raises:
         ValueError: The cloud is malformed, or folds in its own plane.
     """
     surface, stated_mm = fit_cloud(cloud_mm, skin.grid), skin.may_be_off.scan_noise_mm[0] or c.SCAN_NOISE_MM
     scan = smoothed(surface, max(stated_mm, scan_noise_mm(cloud_mm, surface, skin.grid)), skin.grid)
-    return _model(ScannedShape(scan, waves_of(skin), usual_waves(skin).under(scan)), skin)
+    scanned = ScannedShape(scan, waves_of(skin), usual_waves(skin).under(scan))
+    member = member_of(metric_family(skin), scanned) if may_move else None
+    return _model(member or scanned, skin)
 
 
 def model_without_scan(skin: Skin = PAPER) -> SheetModel:
