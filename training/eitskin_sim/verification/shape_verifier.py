@@ -102,7 +102,7 @@ class ShapeVerifier:
         self._may_be_other = not is_certain and is_family(self._skin.deformations)
         self._is_guess, self._explanation = is_guess, None
         scanned = partial(model_of_cloud, cloud_mm, self._skin)
-        make = partial(scanned, may_move=self._may_be_other and not is_guess)
+        make = partial(scanned, may_be_other=self._may_be_other and not is_guess)
         self.deformation.scan(make, scanned, is_guess=is_guess)
         curvature = largest_curvature(np.asarray(cloud_mm, dtype=np.float64), self._skin.grid)
         self._is_dented = curvature > c.MAX_CURVATURE_PER_MM2

@@ -208,22 +208,23 @@ class SheetModel:
         return float(c.GAUGE_SD * held[self._gauge_column])
 
 
-def model_of_cloud(cloud_mm: npt.ArrayLike, skin: Skin = PAPER, *, may_move: bool = False) -> SheetModel:
+def model_of_cloud(cloud_mm: npt.ArrayLike, skin: Skin = PAPER, *, may_be_other: bool = False) -> SheetModel:
     """Return the model of a scanned deformation.
 
     Args:
         cloud_mm: (3, rows, columns) mm.
         skin: Whose sheet.
-        may_move: Whether the sheet may have moved since, to another shape of its skin's family. A scan of the family
-            then is evidence of a member, by its doubt.
+        may_be_other: Whether it may be another shape of its skin's family. A noisy scan is then evidence of a member of
+            the family, by its doubt.
 
     Raises:
         ValueError: The cloud is malformed, or folds in its own plane.
     """
     surface, stated_mm = fit_cloud(cloud_mm, skin.grid), skin.may_be_off.scan_noise_mm[0] or c.SCAN_NOISE_MM
-    scan = smoothed(surface, max(stated_mm, scan_noise_mm(cloud_mm, surface, skin.grid)), skin.grid)
+    noise_mm = max(stated_mm, scan_noise_mm(cloud_mm, surface, skin.grid))
+    scan = smoothed(surface, noise_mm, skin.grid)
     scanned = ScannedShape(scan, waves_of(skin), usual_waves(skin).under(scan))
-    member = member_of(metric_family(skin), scanned) if may_move else None
+    member = member_of(metric_family(skin), scanned) if may_be_other and noise_mm > c.GOOD_SCAN_MM else None
     return _model(member or scanned, skin)
 
 
